@@ -1,0 +1,28 @@
+"""Errors that a user can cause, each one clear line."""
+
+from __future__ import annotations
+
+
+class InputError(Exception):
+    """What was given cannot be used. The command line prints the one line and exits with 2."""
+
+
+class SceneError(InputError, ValueError):
+    """A scene that contradicts itself or physics; the text names the table."""
+
+
+class UnknownName(InputError):
+    """A name that is not registered."""
+
+    @classmethod
+    def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
+        """Say what was asked for and what there is."""
+        return cls(f"no {what} is called {got!r}; there are: {', '.join(allowed) or 'none'}")
+
+
+class EngineMissing(InputError):
+    """An adapter is known but its engine is not installed."""
+
+
+class Unsupported(InputError):
+    """An engine cannot represent what the scene or the settings ask for; the text says why."""

@@ -1,0 +1,125 @@
+"""Adapters, scene families and scene files, found by entry point."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.resources import files
+from pathlib import Path
+
+from mbds_xsim.engine import Adapter
+from mbds_xsim.errors import EngineMissing, InputError, UnknownName
+from mbds_xsim.scene import Scene
+
+__all__ = [
+    "engine_names",
+    "installed_engines",
+    "load_adapter",
+    "load_scene",
+    "scene_names",
+]
+
+# The paper's sizes; every other size of a family is found by its name too.
+PAPER_SCENES = ("5pendulum", "6pendulum", "2ladder", "3ladder")
+
+
+def engine_names() -> list[str]:
+    """Names of all known adapters, whether their engine is installed or not."""
+    return sorted(_points("mbds_xsim.adapters"))
+
+
+def installed_engines() -> list[str]:
+    """Names of the adapters whose engine can be imported."""
+    names = []
+    for name in engine_names():
+        try:
+            load_adapter(name)
+        except EngineMissing:
+            continue
+        names.append(name)
+    return names
+
+
+def load_adapter(name: str) -> Adapter:
+    """Make an adapter by name.
+
+    Raises:
+        UnknownName: No adapter has that name.
+        EngineMissing: Its engine is not installed.
+    """
+    points = _points("mbds_xsim.adapters")
+    if name not in points:
+        raise UnknownName.of("engine", name, engine_names())
+    try:
+        adapter = points[name].load()()
+    except ImportError as error:
+        msg = (
+            f"the engine {name} is not installed ({error}); "
+            f"install it with: pip install 'mbds-xsim[{name}]'"
+        )
+        raise EngineMissing(msg) from error
+    if not isinstance(adapter, Adapter):
+        msg = f"the entry point {name!r} gives {type(adapter).__name__}, not an Adapter"
+        raise InputError(msg)
+    return adapter
+
+
+def scene_names() -> list[str]:
+    """Names of the built-in scenes: the paper's and the scene files that are shipped."""
+    return [*PAPER_SCENES, *sorted(_scene_files())]
+
+
+def load_scene(name: str) -> Scene:
+    """Make a scene from a built-in name, a family name with a size, or a path to a scene file.
+
+    Raises:
+        UnknownName: Nothing of that name exists.
+        SceneError: The file is wrong; the text says where.
+    """
+    from mbds_xsim.scene_file import read_scene
+
+    if name.endswith(".toml") or "/" in name:
+        return read_scene(Path(name))
+    if name in _scene_files():
+        return read_scene(_scene_files()[name])
+    match = re.fullmatch(r"([1-9]\d*)([a-z]\w*)", name)
+    families = _points("mbds_xsim.families")
+    if match and match[2] in families:
+        family: Callable[[int], Scene] = families[match[2]].load()
+        return family(int(match[1]))
+    sized = [f"N{family}" for family in sorted(families)]
+    raise UnknownName.of("scene", name, [*scene_names(), *sized, "a path to a .toml file"])
+
+
+def package_version(distribution: str) -> str:
+    """Version of an installed distribution, or "not installed"."""
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@functools.cache
+def _points(group: str) -> dict[str, EntryPoint]:
+    points: dict[str, EntryPoint] = {}
+    for point in entry_points(group=group):
+        if point.name in points and points[point.name].value != point.value:
+            msg = (
+                f"two packages register {point.name!r} in {group}: "
+                f"{points[point.name].value} and {point.value}; uninstall one"
+            )
+            raise InputError(msg)
+        points[point.name] = point
+    return points
+
+
+@functools.cache
+def _scene_files() -> dict[str, Path]:
+    found = {}
+    for point in _points("mbds_xsim.scenes").values():
+        for entry in files(point.value).iterdir():
+            if entry.name.endswith(".toml"):
+                found[entry.name.removesuffix(".toml")] = Path(str(entry))
+    return found

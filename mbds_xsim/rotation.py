@@ -1,0 +1,109 @@
+"""Unit quaternions (wxyz) and rotations, vectorised over leading axes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
+IDENTITY.flags.writeable = False
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """Hamilton product p ⊗ q: the rotation q followed by p."""
+    pw, px, py, pz = np.moveaxis(p, -1, 0)
+    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Inverse rotation of a unit quaternion."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Turn the vectors v by the unit quaternions q."""
+    w, u = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(u, v)
+    return np.asarray(v + w * t + np.cross(u, t))
+
+
+def matrix(q: Array) -> Array:
+    """Rotation matrices of unit quaternions, shape (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(r: Array) -> Array:
+    """Unit quaternions of rotation matrices, by the largest of the four components."""
+    m00, m11, m22 = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    # Each column is 4·(component)·q; the longest one is the well-conditioned one.
+    a, b, c = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
+    d, e, f = r[..., 1, 0] + r[..., 0, 1], r[..., 0, 2] + r[..., 2, 0], r[..., 2, 1] + r[..., 1, 2]
+    columns = np.stack(
+        [
+            np.stack([1 + m00 + m11 + m22, a, b, c], axis=-1),
+            np.stack([a, 1 + m00 - m11 - m22, d, e], axis=-1),
+            np.stack([b, d, 1 - m00 + m11 - m22, f], axis=-1),
+            np.stack([c, e, f, 1 - m00 - m11 + m22], axis=-1),
+        ],
+        axis=-2,
+    )
+    norms = np.linalg.norm(columns, axis=-1)
+    best = np.argmax(norms, axis=-1)[..., None]
+    column = np.take_along_axis(columns, best[..., None], axis=-2)[..., 0, :]
+    return np.asarray(column / np.take_along_axis(norms, best, axis=-1))
+
+
+def from_vector(v: Array) -> Array:
+    """Unit quaternions of rotation vectors (axis times angle [rad])."""
+    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * v], axis=-1)
+
+
+def to_vector(q: Array) -> Array:
+    """Rotation vectors of unit quaternions, of length at most π."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    # angle/sine tends to 2 as the rotation vanishes.
+    small = sine < 1e-12
+    return np.asarray(q[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine)))
+
+
+def between(a: Array, b: Array) -> Array:
+    """Give the smallest rotation that takes direction a to direction b (not opposite to a)."""
+    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+
+
+def angle_about(q: Array, axis: Array) -> Array:
+    """Signed angle in (−π, π] of the part of the rotation q that turns about a unit axis [rad]."""
+    along = np.sum(q[..., 1:] * axis, axis=-1)
+    angle = 2.0 * np.arctan2(along, q[..., 0])
+    return np.asarray(np.pi - (np.pi - angle) % (2.0 * np.pi))
+
+
+def normal_to(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make a right-handed triad (first, second, axis)."""
+    axis = axis / np.linalg.norm(axis)
+    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)

@@ -1,0 +1,156 @@
+"""The vocabulary of sampling: how starts and inputs are drawn, as data in the scene.
+
+`mbds_xsim.sampling` carries these out. A `Span` is a range [low, high] from which a value is
+drawn uniformly; it may depend on the trajectory's interval (low, medium, high).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+
+from mbds_xsim.errors import SceneError
+
+__all__ = [
+    "INTERVALS",
+    "Draw",
+    "HingeRate",
+    "HingeTorque",
+    "Interval",
+    "Levels",
+    "Span",
+    "Swing",
+    "Throw",
+    "Turn",
+    "Wind",
+    "span_of",
+]
+
+Interval = Literal["low", "medium", "high"]
+INTERVALS: tuple[Interval, ...] = ("low", "medium", "high")
+Vector = tuple[float, float, float]
+Range = tuple[float, float]
+
+
+class Levels(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One range per interval."""
+
+    low: Range
+    medium: Range
+    high: Range
+
+    def __post_init__(self) -> None:
+        for key in INTERVALS:
+            _ordered(getattr(self, key))
+
+
+Span = Range | Levels
+
+
+def span_of(span: Span, interval: Interval) -> Range:
+    """Give the range that holds in an interval."""
+    return getattr(span, interval) if isinstance(span, Levels) else span
+
+
+class _Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    def __post_init__(self) -> None:
+        for key in self.__struct_fields__:
+            value = getattr(self, key)
+            if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], float):
+                _ordered(value)
+
+
+class Swing(_Draw, frozen=True, tag_field="kind", tag="swing"):
+    """Hang a chain of ball-jointed bodies at random directions.
+
+    For each body, in the given order, drawn in this order: polar angle of the arm (from the
+    body's tree joint to its centre of mass) from −z, azimuth uniform in [0, 2π), speed of the
+    centre of mass relative to the joint, and the direction of that speed uniform in the plane
+    normal to the arm. The body has no spin about its arm; the arm hangs along −z at the
+    reference pose.
+    """
+
+    bodies: tuple[str, ...]
+    polar: Span
+    """[rad]"""
+    speed: Span
+    """[m/s]"""
+
+
+class Turn(_Draw, frozen=True, tag_field="kind", tag="turn"):
+    """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
+
+    point: Vector
+    axis: Vector
+    angle: Span
+    """[rad]"""
+    rate: Span
+    """[rad/s]"""
+
+
+class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
+    """Throw one free body, and all that its joints carry, rigidly.
+
+    Drawn in this order: displacement of its centre of mass from the reference pose (x, y, z),
+    orientation, velocity (x, y, z), angular velocity (x, y, z). The turn is about the body's
+    centre of mass.
+    """
+
+    body: str
+    displacement: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """[m]"""
+    orientation: Literal["reference", "about_y", "uniform"] = "reference"
+    """Kept, turned about y by a uniform angle, or uniform on SO(3)."""
+    velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """[m/s]"""
+    angular_velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """In W [rad/s]."""
+
+
+class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
+    """Give hinges a rate relative to the body that carries them, each drawn by itself."""
+
+    joints: tuple[str, ...]
+    rate: Span
+    """[rad/s]"""
+
+
+class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
+    """Drive hinges with piecewise constant torques.
+
+    Drawn stretch by stretch, and within a stretch joint by joint: the value, then, with
+    `random_sign`, its sign.
+    """
+
+    joints: tuple[str, ...]
+    torque: Span
+    """[N·m]"""
+    hold: int = 10
+    """Frames that a stretch lasts."""
+    random_sign: bool = False
+
+
+class Wind(_Draw, frozen=True, tag_field="kind", tag="wind"):
+    """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
+
+    A(t) is an Ornstein–Uhlenbeck process started from its stationary law. Drawn in this order:
+    φ uniform in [0, 2π), the mean of A from `mean`, then one standard normal per frame.
+    """
+
+    mean: Span
+    """Mean force on a particle [N]."""
+    deviation: float = 0.3
+    """Standard deviation of A over its mean."""
+    correlation_time: float = 0.5
+    """[s]"""
+
+
+Draw = Swing | Turn | Throw | HingeRate | HingeTorque | Wind
+
+
+def _ordered(span: Range) -> None:
+    if not (math.isfinite(span[0]) and math.isfinite(span[1]) and span[0] <= span[1]):
+        msg = f"got the range {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
+        raise SceneError(msg)
