@@ -1,0 +1,36 @@
+# Every target sets up what it needs: a machine with Python 3.11 and make is enough.
+PYTHON ?= python3.11
+VENV ?= .venv
+BIN = $(VENV)/bin
+SCENE ?= 3ladder
+
+# One thread a process: parallel work runs in processes.
+export OMP_NUM_THREADS = 1
+export OPENBLAS_NUM_THREADS = 1
+
+.PHONY: validate test lint package clean
+
+validate: $(VENV)/ready
+	$(BIN)/mbds-xsim validate $(SCENE) --html out/$(SCENE).html --json out/$(SCENE).json
+
+test: $(VENV)/ready
+	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn $(BIN)/python -m pytest
+
+lint: $(VENV)/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+package: $(VENV)/ready
+	rm -rf dist
+	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
+	$(BIN)/check-wheel-contents dist/*.whl
+
+$(VENV)/ready: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,33 @@
+"""Scenes and engines are found by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.errors import UnknownName
+
+
+def test_the_four_engines_are_registered() -> None:
+    assert registry.engine_names() == ["dart", "exudyn", "mujoco", "pybullet"]
+
+
+@pytest.mark.parametrize(
+    ("name", "bodies"), [("5pendulum", 5), ("12pendulum", 12), ("2ladder", 26)]
+)
+def test_a_family_name_carries_its_size(name: str, bodies: int) -> None:
+    scene = registry.load_scene(name)
+
+    assert scene.name == name
+    assert len(scene.bodies) == bodies
+
+
+@pytest.mark.parametrize("name", ["ladder", "0pendulum", "7teapot"])
+def test_an_unknown_scene_is_told_what_there_is(name: str) -> None:
+    with pytest.raises(UnknownName, match=f"{name!r}.*3ladder.*Npendulum"):
+        registry.load_scene(name)
+
+
+def test_an_unknown_engine_is_told_what_there_is() -> None:
+    with pytest.raises(UnknownName, match=r"'ode'.*mujoco"):
+        registry.load_adapter("ode")
