@@ -1,0 +1,1 @@
+"""Checks that read only what is published: scene, inputs and trajectory."""

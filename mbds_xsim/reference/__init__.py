@@ -1,0 +1,1 @@
+"""The independent high-accuracy solution of a neutral scene."""

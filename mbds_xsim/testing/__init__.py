@@ -1,0 +1,1 @@
+"""What an adapter's author runs: the contract suite and the ladder of check cases."""
