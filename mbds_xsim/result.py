@@ -1,0 +1,144 @@
+"""What `validate` found: the documented JSON (`docs/validate-json.md`) and what pages are made of.
+
+`Validation` holds figures only and is what the JSON file contains. `Evidence` holds the arrays
+behind them, for the page's plots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = [
+    "SCHEMA",
+    "EngineResult",
+    "Evidence",
+    "FindingResult",
+    "ReferenceResult",
+    "Validation",
+    "Verdict",
+    "to_json",
+]
+
+Array = NDArray[np.float64]
+Verdict = str
+"""pass, warn or fail."""
+
+SCHEMA = "mbds-xsim/validate/1"
+
+
+class FindingResult(msgspec.Struct, frozen=True):
+    """One check on all trajectories of one engine."""
+
+    check: str
+    unit: str
+    figure: float
+    """Worst over the trajectories; NaN is written as null."""
+    budget: float | None
+    """None: shown, not judged."""
+    passed: bool
+    trajectory: int
+    """Index of the worst trajectory."""
+    frame: int
+    where: str
+    figures: tuple[float, ...]
+    """One a trajectory."""
+
+
+class EngineResult(msgspec.Struct, frozen=True):
+    """One engine at one profile of settings: a row of the table."""
+
+    engine: str
+    version: str
+    profile: str
+    method: str
+    family: str
+    order: int
+    step_s: float
+    options: dict[str, float | int | bool | str]
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    """One line for each thing that failed or warned, most telling first."""
+    error_1s_m: float | None
+    """Worst RMS particle error at 1 s over the low and medium trajectories [m]."""
+    error_max_m: float | None
+    """Worst RMS particle error over all frames and trajectories, undivided [m]."""
+    error_weighted_m: float | None
+    """Worst of error / max(1, G) over times with growth G < 100 [m]."""
+    constraint_gap_m: float | None
+    energy_balance: float | None
+    agreement_time_s: float | None
+    """Earliest time at which an error passes 1 % of the scene's length; None: never."""
+    wall_per_simulated_s: float | None
+    """Wall time per simulated second and trajectory, set-up apart."""
+    setup_s: float | None
+    coordinates: int | None
+    constraints: int | None
+    findings: tuple[FindingResult, ...]
+    failures: tuple[str, ...]
+    """One line for each trajectory that ended early, or for a crash of the whole engine."""
+
+
+class ReferenceResult(msgspec.Struct, frozen=True):
+    """How good the reference itself is."""
+
+    rtol: float
+    constraint_gap_m: float
+    energy_balance: float
+    cached: int
+    """Trajectories that came from the cache."""
+    wall_s: float
+
+
+class Validation(msgspec.Struct, frozen=True):
+    """The whole of a validation, as written to JSON."""
+
+    schema: str
+    scene: str
+    description: str
+    verdict: Verdict
+    wall_s: float
+    command: str
+    seed: int
+    trajectories: tuple[int, ...]
+    """Indices that were drawn; index i has the interval low, medium, high of i mod 3."""
+    length_m: float
+    budget: dict[str, float]
+    engines: tuple[EngineResult, ...]
+    reference: ReferenceResult | None
+    names: tuple[str, ...]
+    """Rows and columns of `matrix_m`: engine results in order, then the reference."""
+    matrix_m: tuple[tuple[float, ...], ...]
+    """Pairwise RMS particle distance at 1 s, worst over low and medium trajectories [m]."""
+    odd_one_out: str | None
+    """The entry that stands apart from all other method families, if one does."""
+    versions: dict[str, str]
+    machine: str
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Arrays behind a validation. Engine results by their place in `Validation.engines`."""
+
+    scene: Scene
+    batch: Batch
+    trajectories: tuple[Trajectory | None, ...]
+    """One an engine result; None where the engine crashed."""
+    reference: Trajectory
+    growth: Array
+    """Sensitivity G, shape (trajectory, frame)."""
+    errors: tuple[Array | None, ...]
+    """RMS particle error of each engine result [m], shape (trajectory, frame)."""
+    series: tuple[dict[str, Array], ...]
+    """Per engine result: check name to series (trajectory, frame), budgets in the findings."""
+
+
+def to_json(validation: Validation) -> bytes:
+    """Write with two spaces of indent; NaN and infinities become null."""
+    return msgspec.json.format(msgspec.json.encode(validation), indent=2)
