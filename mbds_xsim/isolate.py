@@ -1,0 +1,138 @@
+"""Run tasks side by side, each in a fresh process of its own.
+
+An engine may crash its process, hang, or keep settings that outlive a disconnect: none of that
+may touch another result. A fresh interpreter is used rather than a fork or `multiprocessing`'s
+spawn, because engines do not survive the one and scripts without a main guard not the other.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+__all__ = ["Crash", "Task", "core_count", "run_tasks"]
+
+_POLL = 0.01
+_TAIL = 400  # characters of an engine's last words
+
+
+@dataclass(frozen=True)
+class Task:
+    """A picklable function of a module, with its arguments."""
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    timeout: float = 3600.0
+    """[s]"""
+
+
+@dataclass(frozen=True)
+class Crash:
+    """What a task left instead of an answer."""
+
+    reason: str
+    refused: bool = False
+    """The task was refused by an `InputError`, whose text is the reason."""
+
+
+def core_count() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    *,
+    workers: int | None = None,
+    finished: Callable[[int, Any], None] | None = None,
+) -> list[Any]:
+    """Carry out all tasks, in order of their listing as workers come free.
+
+    Args:
+        tasks: What to do; list the longest first.
+        workers: Processes at a time; all cores when left out.
+        finished: Called with a task's place and answer as each one ends.
+
+    Returns:
+        One answer a task, or a `Crash`.
+    """
+    answers: list[Any] = [None] * len(tasks)
+    waiting = list(range(len(tasks)))[::-1]
+    running: list[_Process] = []
+    with tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder:
+        try:
+            while waiting or running:
+                while waiting and len(running) < (workers or core_count()):
+                    place = waiting.pop()
+                    running.append(_Process(place, tasks[place], Path(folder)))
+                for process in [process for process in running if process.ended()]:
+                    running.remove(process)
+                    answers[process.place] = process.answer()
+                    if finished is not None:
+                        finished(process.place, answers[process.place])
+                time.sleep(_POLL)
+        finally:
+            for process in running:
+                process.kill()
+    return answers
+
+
+class _Process:
+    """One task under way."""
+
+    def __init__(self, place: int, task: Task, folder: Path) -> None:
+        self.place = place
+        self._task = task
+        self._answer = folder / f"{place}.answer"
+        self._words = folder / f"{place}.log"
+        question = folder / f"{place}.task"
+        question.write_bytes(pickle.dumps((task.function, task.arguments)))
+        self._deadline = time.monotonic() + task.timeout
+        self._timed_out = False
+        threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+        with self._words.open("wb") as words:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-m", "mbds_xsim.worker", str(question), str(self._answer)],
+                stdin=subprocess.DEVNULL,
+                stdout=words,
+                stderr=words,
+                env=os.environ | threads,
+                cwd=folder,  # engines drop log files where they stand
+            )
+
+    def ended(self) -> bool:
+        if self._popen.poll() is None and time.monotonic() > self._deadline:
+            self._timed_out = True
+            self.kill()
+        return self._popen.poll() is not None
+
+    def kill(self) -> None:
+        self._popen.kill()
+        self._popen.wait()
+
+    def answer(self) -> Any:
+        if not self._answer.exists():
+            return Crash(self._last_words())
+        kind, value = pickle.loads(self._answer.read_bytes())
+        if kind == "done":
+            return value
+        text = str(value).strip()
+        return Crash(text if kind == "input error" else text.splitlines()[-1], kind != "raised")
+
+    def _last_words(self) -> str:
+        if self._timed_out:
+            return f"no answer within {self._task.timeout:g} s"
+        code = self._popen.returncode
+        name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+        tail = self._words.read_text(errors="replace").strip()[-_TAIL:]
+        last = tail.splitlines()[-1] if tail else "without a word"
+        return f"the process crashed with {name}: {last}"

@@ -1,0 +1,92 @@
+"""Hold the native model, as the engine tells it, against the scene, before the first step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import Readback, Settings
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.state import Batch
+
+__all__ = ["compare"]
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 1e-9
+
+
+def compare(
+    mechanism: Mechanism, batch: Batch, settings: Settings, readback: Readback
+) -> list[str]:
+    """List what the engine holds differently from the scene, each in one line.
+
+    Figures are relative to the largest element of the expected array, or to the scene's length
+    for positions.
+    """
+    length = mechanism.scene.length
+    names = [body.name for body in mechanism.scene.bodies]
+    expected: list[tuple[str, Array | None, Array, float]] = [
+        ("mass [kg]", readback.mass, mechanism.mass, 0.0),
+        ("inertia [kg·m²]", readback.inertia, mechanism.inertia, 0.0),
+        ("start: centre of mass [m]", readback.com, batch.position[0], length),
+        ("start: velocity [m/s]", readback.velocity, batch.velocity[0], 1.0),
+        ("start: angular velocity [rad/s]", readback.angular_velocity, _spin(batch), 1.0),
+        ("start: orientation", _turn(readback, batch), batch.orientation[0], 1.0),
+    ]
+    lines = []
+    for what, got, wanted, floor in expected:
+        if got is not None:
+            lines += _differences(what, got, wanted, max(floor, float(np.abs(wanted).max())), names)
+    lines += _differences(
+        "gravity [m/s²]", readback.gravity[None], np.array([mechanism.scene.gravity]), 1.0, ["W"]
+    )
+    if (
+        readback.step is not None
+        and abs(readback.step - settings.step) > _TOLERANCE * settings.step
+    ):
+        lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
+    if readback.damping is not None and np.any(readback.damping):
+        lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
+    return lines + _axis_differences(mechanism, batch, readback)
+
+
+def _spin(batch: Batch) -> Array:
+    return batch.angular_velocity[0]
+
+
+def _turn(readback: Readback, batch: Batch) -> Array:
+    """Orientations as read, with the sign of the expected ones (q and −q are one rotation)."""
+    sign = np.sign(np.sum(readback.orientation * batch.orientation[0], axis=-1, keepdims=True))
+    return readback.orientation * np.where(sign == 0, 1.0, sign)
+
+
+def _differences(what: str, got: Array, wanted: Array, scale: float, names: list[str]) -> list[str]:
+    if got.shape != wanted.shape:
+        return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
+    off = np.abs(got - wanted).reshape(len(wanted), -1).max(axis=1) / scale
+    if np.all(off <= _TOLERANCE):
+        return []
+    worst = int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))
+    return [
+        f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
+        f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= _TOLERANCE))} differ)"
+    ]
+
+
+def _axis_differences(mechanism: Mechanism, batch: Batch, readback: Readback) -> list[str]:
+    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
+    if readback.joint_axis is None or not jointed:
+        return []
+    native = mechanism.native_rotation(batch.orientation[0])
+    lines = []
+    for joint, got in zip(jointed, readback.joint_axis, strict=True):
+        turn = rotation.IDENTITY if joint.parent == WORLD_INDEX else native[joint.parent]
+        wanted = rotation.rotate(turn, joint.axis)
+        if not np.isnan(got).any() and np.abs(got - wanted).max() > _TOLERANCE:
+            lines.append(
+                f"axis of {joint.name}: got {np.round(got, 9).tolist()}, the scene says "
+                f"{np.round(wanted, 9).tolist()}"
+            )
+    return lines

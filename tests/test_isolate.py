@@ -1,0 +1,64 @@
+"""A crash, hang or error of one task leaves the others' answers alone."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.isolate import Crash, Task, run_tasks
+
+
+def test_answers_come_in_the_order_of_the_tasks() -> None:
+    seen: list[int] = []
+
+    answers = run_tasks(
+        [Task(math.factorial, (5,)), Task(math.hypot, (3.0, 4.0))],
+        finished=lambda place, _: seen.append(place),
+    )
+
+    assert answers == [120, 5.0]
+    assert sorted(seen) == [0, 1]
+
+
+def test_a_crash_is_told_and_the_rest_goes_on() -> None:
+    crash, answer = run_tasks([Task(os.abort, ()), Task(math.factorial, (3,))])
+
+    assert isinstance(crash, Crash)
+    assert "SIGABRT" in crash.reason
+    assert answer == 6
+
+
+def test_a_hang_ends_at_its_timeout() -> None:
+    begin = time.monotonic()
+
+    (crash,) = run_tasks([Task(time.sleep, (60.0,), timeout=0.5)])
+
+    assert crash == Crash("no answer within 0.5 s")
+    assert time.monotonic() - begin < 20
+
+
+def test_an_error_keeps_its_text_and_a_refusal_says_so() -> None:
+    error, refusal = run_tasks(
+        [Task(math.factorial, (-1,)), Task(registry.load_scene, ("nosuch",))]
+    )
+
+    assert isinstance(error, Crash)
+    assert "ValueError" in error.reason
+    assert not error.refused
+    assert isinstance(refusal, Crash)
+    assert refusal.refused
+    assert "'nosuch'" in refusal.reason
+
+
+def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+    run_tasks([Task(os.getcwd, ()), Task(os.abort, ())])
+
+    assert list(tmp_path.iterdir()) == []
