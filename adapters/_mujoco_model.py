@@ -1,0 +1,250 @@
+"""A scene as MJCF: body frames are native frames, so joints and sites are plain differences.
+
+MJCF text and not `MjSpec`, because `MjSpec.to_xml` rounds to six digits: what is shown is what
+the engine was given. Elements: https://mujoco.readthedocs.io/en/stable/XMLreference.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+
+__all__ = ["JOINT_TYPES", "Stepping", "mjcf", "text"]
+
+Array = NDArray[np.float64]
+
+JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
+"""MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """How the engine steps, in MuJoCo's terms."""
+
+    integrator: str
+    timestep: float
+    """[s]"""
+    solver: str
+    time_constant: float
+    """Of the equality constraints [s]; 0 leaves MuJoCo's default softness."""
+
+
+def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
+    """Translate the scene, and nothing that it does not ask for."""
+    root = Element("mujoco", model=mechanism.scene.name)
+    SubElement(root, "compiler", angle="radian", autolimits="false")
+    _option(root, mechanism, stepping)
+    bodies = _bodies(SubElement(root, "worldbody"), mechanism)
+    tendons, equalities = Element("tendon"), Element("equality")
+    softness = _softness(stepping)
+    for joint in mechanism.loops:
+        _CLOSURES[joint.kind](equalities, bodies, joint, mechanism.scene.length, softness)
+    for link in mechanism.distances:
+        _distance(tendons, equalities, bodies, mechanism, link, softness)
+    for spring in mechanism.springs:
+        _spring(tendons, bodies, spring)
+    root.extend(element for element in (tendons, equalities) if len(element))
+    if mechanism.hinges:
+        _motors(SubElement(root, "actuator"), bodies, mechanism)
+    return root
+
+
+def text(root: Element) -> str:
+    """Indent and write."""
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _option(root: Element, mechanism: Mechanism, stepping: Stepping) -> None:
+    option = SubElement(
+        root,
+        "option",
+        timestep=repr(stepping.timestep),
+        integrator=stepping.integrator,
+        solver=stepping.solver,
+        gravity=_numbers(mechanism.scene.gravity),
+        # Newton's sparse factorisation gives wrong accelerations in 4.0.0:
+        # https://github.com/google-deepmind/mujoco/issues/3767
+        jacobian="dense",
+        # A cost improvement below this ends the solver; at the default 1e-8 it stops early.
+        tolerance="1e-14",
+    )
+    # Without this a diverged state silently goes back to the reference pose.
+    SubElement(option, "flag", autoreset="disable")
+
+
+def _bodies(world: Element, mechanism: Mechanism) -> dict[int, Element]:
+    """Nest the spanning tree; returns the element of each body and of the world."""
+    elements = {WORLD_INDEX: world}
+    for link in mechanism.links:
+        elements[link.body] = _body(elements[link.parent], mechanism, link)
+    return elements
+
+
+def _body(above: Element, mechanism: Mechanism, link: Link) -> Element:
+    origin = mechanism.com[link.parent] if link.parent != WORLD_INDEX else np.zeros(3)
+    name = mechanism.scene.bodies[link.body].name
+    body = SubElement(above, "body", name=name, pos=_numbers(mechanism.com[link.body] - origin))
+    tensor = mechanism.inertia[link.body]
+    SubElement(
+        body,
+        "inertial",
+        pos="0 0 0",
+        mass=repr(float(mechanism.mass[link.body])),
+        fullinertia=_numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+    )
+    joint = link.joint
+    if joint is None:
+        SubElement(body, "freejoint", name=f"{name} free")
+    elif joint.kind != "fixed":
+        element = SubElement(body, "joint", name=joint.name, type=JOINT_TYPES[joint.kind])
+        element.set("pos", _numbers(joint.in_child))
+        if joint.axis.any():
+            element.set("axis", _numbers(joint.axis))
+    return body
+
+
+def _softness(stepping: Stepping) -> dict[str, str]:
+    """Tie the constraints' time constant τ to the step: g̈ + 2 ġ/τ + g/τ² = 0.
+
+    MuJoCo's rows leave out J̇·v, so a gap of |J̇·v|·τ² stays, whatever the step, unless τ falls
+    with it. The impedance is the highest that MuJoCo takes.
+    """
+    tau = stepping.time_constant
+    if tau == 0:
+        return {}
+    return {
+        "solref": _numbers((-1.0 / tau**2, -2.0 / tau)),
+        "solimp": "0.9999 0.9999 0.001 0.5 2",
+    }
+
+
+def _ball_closure(
+    equalities: Element,
+    bodies: dict[int, Element],
+    joint: PlacedJoint,
+    _length: float,
+    softness: dict[str, str],
+) -> None:
+    _connect(equalities, bodies, joint, np.zeros(3), joint.name, softness)
+
+
+def _hinge_closure(
+    equalities: Element,
+    bodies: dict[int, Element],
+    joint: PlacedJoint,
+    length: float,
+    softness: dict[str, str],
+) -> None:
+    """Two points of the axis, as far apart as the scene is large: six rows for five."""
+    for end, side in ((-0.5, "start"), (0.5, "end")):
+        offset = end * length * joint.axis
+        _connect(equalities, bodies, joint, offset, f"{joint.name} {side}", softness)
+
+
+def _fixed_closure(
+    equalities: Element,
+    bodies: dict[int, Element],
+    joint: PlacedJoint,
+    _length: float,
+    softness: dict[str, str],
+) -> None:
+    site1, site2 = _sites(bodies, joint, np.zeros(3), joint.name)
+    ends = {"name": joint.name, "site1": site1, "site2": site2}
+    SubElement(equalities, "weld", ends | softness)
+
+
+_CLOSURES = {"ball": _ball_closure, "hinge": _hinge_closure, "fixed": _fixed_closure}
+
+
+def _connect(
+    equalities: Element,
+    bodies: dict[int, Element],
+    joint: PlacedJoint,
+    offset: Array,
+    name: str,
+    softness: dict[str, str],
+) -> None:
+    site1, site2 = _sites(bodies, joint, offset, name)
+    SubElement(equalities, "connect", {"name": name, "site1": site1, "site2": site2} | softness)
+
+
+def _sites(
+    bodies: dict[int, Element], joint: PlacedJoint, offset: Array, name: str
+) -> tuple[str, str]:
+    """Mark one point of the joint, off its anchor, in the parent and in the child."""
+    return (
+        _site(bodies[joint.parent], f"{name} parent", joint.in_parent + offset),
+        _site(bodies[joint.child], f"{name} child", joint.in_child + offset),
+    )
+
+
+def _site(body: Element, name: str, point: Array) -> str:
+    SubElement(body, "site", name=name, pos=_numbers(point))
+    return name
+
+
+def _distance(
+    tendons: Element,
+    equalities: Element,
+    bodies: dict[int, Element],
+    mechanism: Mechanism,
+    link: PointPair,
+    softness: dict[str, str],
+) -> None:
+    tendon = _tendon(tendons, bodies, link, f"{link.name} link")
+    ends = [
+        point + (mechanism.com[body] if body != WORLD_INDEX else 0.0)
+        for body, point in zip(link.bodies, link.in_body, strict=True)
+    ]
+    # The constraint counts from the length at the reference pose.
+    longer = link.length - float(np.linalg.norm(ends[1] - ends[0]))
+    target = {"tendon1": tendon.attrib["name"], "polycoef": f"{longer!r} 0 0 0 0"}
+    SubElement(equalities, "tendon", target | softness)
+
+
+def _spring(tendons: Element, bodies: dict[int, Element], spring: PointPair) -> None:
+    tendon = _tendon(tendons, bodies, spring, f"{spring.name} spring")
+    tendon.set("stiffness", repr(spring.stiffness))
+    tendon.set("damping", repr(spring.damping))
+    tendon.set("springlength", repr(spring.length))
+
+
+def _tendon(tendons: Element, bodies: dict[int, Element], pair: PointPair, name: str) -> Element:
+    tendon = SubElement(tendons, "spatial", name=name)
+    for end, (body, point) in enumerate(zip(pair.bodies, pair.in_body, strict=True)):
+        SubElement(tendon, "site", site=_site(bodies[body], f"{name} {end}", point))
+    return tendon
+
+
+def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism) -> None:
+    """One a hinge, in the order of `Batch.torque`.
+
+    On a loop's hinge it acts between two sites, about an axis fixed in the parent's: equal and
+    opposite torques that turn with the bodies.
+    """
+    in_tree = {link.joint.index for link in mechanism.links if link.joint is not None}
+    for hinge in mechanism.hinges:
+        if hinge.index in in_tree:
+            SubElement(actuators, "motor", name=hinge.name, joint=hinge.name)
+            continue
+        parent, child = _sites(bodies, hinge, np.zeros(3), f"{hinge.name} motor")
+        SubElement(
+            actuators,
+            "motor",
+            name=hinge.name,
+            site=child,
+            refsite=parent,
+            gear=_numbers((0.0, 0.0, 0.0, *hinge.axis)),
+        )
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

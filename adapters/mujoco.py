@@ -1,0 +1,263 @@
+"""MuJoCo (https://mujoco.org): reduced coordinates, soft equality constraints for loops."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import (
+    Adapter,
+    Feature,
+    Method,
+    ModelSize,
+    Option,
+    Profile,
+    Readback,
+    Run,
+    Settings,
+)
+from mbds_xsim.errors import InputError, UnknownName
+from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+from ._mujoco_model import Stepping, mjcf, text
+from ._mujoco_state import Coordinates
+
+__all__ = ["MuJoCo"]
+
+Array = NDArray[np.float64]
+
+_SOLVERS = ("Newton", "CG", "PGS")
+_DEFAULT_STEP = 0.002
+# A body that crosses so many scene lengths in a frame has blown up.
+_LENGTHS_PER_FRAME = 1e3
+
+
+class MuJoCo(Adapter):
+    """Tree joints are exact, loops and distance links are soft constraints tied to the step."""
+
+    name = "mujoco"
+    package = "mujoco"
+    methods: ClassVar = {
+        "RK4": Method("RK4", "RK4", 4, loop_order=2),
+        "Euler": Method("Euler", "semi-implicit Euler", 1),
+        # Implicit in the forces of dampers alone, so without any it is Euler to the last bit.
+        "implicitfast": Method("implicitfast", "semi-implicit Euler", 1),
+    }
+    options: ClassVar = {
+        "loop_time_constant": Option(
+            1.0,
+            "time constant of loop constraints in steps; 0 leaves MuJoCo's default solref and "
+            "solimp",
+        ),
+        "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
+    }
+    limits: ClassVar = {
+        Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "
+        "free; close the loop at another joint",
+        Feature.CONTACT: "contact is not translated yet",
+    }
+    coordinates = "reduced"
+
+    def version(self) -> str:
+        return version(self.package)
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        frame = scene.clock.frame
+        if profile == "native":
+            step = frame / max(1, round(frame / _DEFAULT_STEP))
+            return Settings("Euler", step, {"loop_time_constant": 0.0})
+        return Settings("RK4", frame / max(1, round(frame / _DEFAULT_STEP)))
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        solver, steps = (self.option(settings, key) for key in ("solver", "loop_time_constant"))
+        if solver not in _SOLVERS:
+            raise UnknownName.of("solver of mujoco", str(solver), list(_SOLVERS))
+        if not (isinstance(steps, int | float) and 0 <= steps < math.inf):
+            msg = f"loop_time_constant: got {steps!r}, allowed is 0 or more steps"
+            raise InputError(msg)
+        substeps = settings.substeps(scene.clock.frame)
+        step = scene.clock.frame / substeps
+        stepping = Stepping(settings.method, step, solver, steps * step)
+        return _Run(Mechanism.of(scene), stepping, substeps)
+
+
+class _Run(Run):
+    def __init__(self, mechanism: Mechanism, stepping: Stepping, substeps: int) -> None:
+        self._mechanism = mechanism
+        self._substeps = substeps
+        self._xml = text(mjcf(mechanism, stepping))
+        self._model: Any = mujoco.MjModel.from_xml_string(self._xml)
+        self._data: Any = mujoco.MjData(self._model)
+        self._coordinates = Coordinates(self._model, mechanism)
+        # MuJoCo numbers bodies depth first, so only names tell.
+        self._bodies = [self._model.body(body.name).id for body in mechanism.scene.bodies]
+        mujoco.mj_forward(self._model, self._data)
+        self.size = ModelSize(coordinates=self._model.nv, constraints=self._data.nefc)
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        qpos, qvel = self._start(batch)
+        frames = batch.steps + 1
+        positions = np.full((len(batch), frames, self._model.nq), np.nan)
+        velocities = np.full((len(batch), frames, self._model.nv), np.nan)
+        positions[:, 0], velocities[:, 0] = qpos, qvel
+        reasons = []
+        with _captured_warnings() as warnings:
+            for row in range(len(batch)):
+                self._put(qpos[row], qvel[row])
+                self._record(batch[[row]], positions[row], velocities[row])
+                reasons.append(warnings[0] if warnings else None)
+                warnings.clear()
+        links = self._coordinates.to_links(positions, velocities)
+        return self._trajectory(to_bodies(self._mechanism, links), reasons)
+
+    def _start(self, batch: Batch) -> tuple[Array, Array]:
+        bodies = BodyStates(
+            batch.position,
+            self._mechanism.native_rotation(batch.orientation),
+            batch.velocity,
+            batch.angular_velocity,
+        )
+        return self._coordinates.from_links(to_links(self._mechanism, bodies))
+
+    def _put(self, qpos: Array, qvel: Array) -> None:
+        """Start afresh, without the solver's memory of an earlier trajectory."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:], self._data.qvel[:] = qpos, qvel
+
+    def _record(self, row: Batch, positions: Array, velocities: Array) -> None:
+        """Step through one trajectory; frames from a warning on stay as they are."""
+        model, data = self._model, self._data
+        for k in range(row.steps):
+            # At the centre of mass and along W in every stage of a step.
+            data.xfrc_applied[self._bodies, :3] = row.force[0, k]
+            data.ctrl[:] = row.torque[0, k]
+            mujoco.mj_step(model, data, self._substeps)
+            if data.warning.number.any():
+                return
+            positions[k + 1], velocities[k + 1] = data.qpos, data.qvel
+
+    def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
+        """Cut every trajectory off at its first frame that is not a number or a blow-up."""
+        scene = self._mechanism.scene
+        fastest = np.linalg.norm(bodies.velocity, axis=-1).max(axis=-1)
+        limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
+        failures: list[Failure | None] = []
+        for row, reason in enumerate(reasons):
+            # Written so that NaN counts as bad.
+            bad = np.flatnonzero(~(fastest[row] < limit))
+            if not len(bad):
+                failures.append(None)
+                continue
+            blow_up = f"a body's speed passes {limit:.3g} m/s or is not a number"
+            failures.append(Failure(int(bad[0]), reason or blow_up))
+            for values in (
+                bodies.position,
+                bodies.native,
+                bodies.velocity,
+                bodies.angular_velocity,
+            ):
+                values[row, bad[0] :] = np.nan
+        return Trajectory(
+            scene.clock.frame * np.arange(fastest.shape[1]),
+            bodies.position,
+            self._mechanism.body_orientation(bodies.native),
+            bodies.velocity,
+            bodies.angular_velocity,
+            tuple(failures),
+        )
+
+    def readback(self, batch: Batch) -> Readback:
+        model, data = self._model, self._data
+        qpos, qvel = self._start(batch[:1])
+        self._put(qpos[0], qvel[0])
+        mujoco.mj_forward(model, data)
+        principal = rotation.matrix(model.body_iquat[self._bodies])
+        twists = np.array([self._twist(body) for body in self._bodies])
+        return Readback(
+            mass=model.body_mass[self._bodies].copy(),
+            inertia=np.einsum(
+                "kij,kj,klj->kil", principal, model.body_inertia[self._bodies], principal
+            ),
+            com=data.xipos[self._bodies].copy(),
+            orientation=self._mechanism.body_orientation(data.xquat[self._bodies]),
+            velocity=twists[:, 3:],
+            angular_velocity=twists[:, :3],
+            gravity=model.opt.gravity.copy(),
+            step=float(model.opt.timestep),
+            joint_axis=self._joint_axes(),
+            damping=self._unasked_damping(),
+        )
+
+    def _twist(self, body: int) -> Array:
+        """Angular velocity, then velocity of the centre of mass, in W."""
+        twist = np.zeros(6)
+        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_BODY, body, twist, 0)
+        return twist
+
+    def _joint_axes(self) -> Array:
+        """Of a loop's hinge, the line through the two points that close it."""
+        data = self._data
+        in_tree = {link.joint.index: link.joint for link in self._mechanism.links if link.joint}
+        axes = []
+        for joint in self._mechanism.joints:
+            if joint.kind not in ("hinge", "slider"):
+                continue
+            if joint.index in in_tree:
+                turned = 1.0 if in_tree[joint.index].parent == joint.parent else -1.0
+                axes.append(turned * data.joint(joint.name).xaxis)
+            else:
+                ends = [data.site(f"{joint.name} {end} parent").xpos for end in ("start", "end")]
+                axes.append((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+        return np.array(axes).reshape(-1, 3)
+
+    def _unasked_damping(self) -> Array:
+        model = self._model
+        asked = [0.0] * len(self._mechanism.distances)
+        asked += [spring.damping for spring in self._mechanism.springs]
+        return np.concatenate(
+            [
+                model.tendon_damping - asked,
+                *(
+                    getattr(model, name).ravel()
+                    for name in (
+                        "dof_damping",
+                        "dof_dampingpoly",
+                        "dof_frictionloss",
+                        "tendon_dampingpoly",
+                        "tendon_frictionloss",
+                        "actuator_damping",
+                        "actuator_dampingpoly",
+                    )
+                ),
+                [model.opt.density, model.opt.viscosity],
+            ]
+        )
+
+    def native(self) -> str:
+        return self._xml
+
+    def close(self) -> None:
+        self._model = self._data = None
+
+
+@contextlib.contextmanager
+def _captured_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which it would print and write to a file."""
+    texts: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(texts.append)
+    try:
+        yield texts
+    finally:
+        mujoco.set_mju_user_warning(before)
