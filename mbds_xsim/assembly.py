@@ -13,13 +13,16 @@ from mbds_xsim.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
-__all__ = ["Start", "assemble", "joint_coordinate", "velocity_violation"]
+__all__ = ["Start", "assemble", "check_joints", "joint_coordinate"]
 
 Array = NDArray[np.float64]
 
 _STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]
-_NEWTON_STEPS = 30
+_MOST_STRIDES = 1000
+_NEWTON_STEPS = 50
+_LONGEST_STEP = 0.5  # of one Newton step [rad, or lengths]: keeps it from flying off
 _CLOSED = 1e-12  # of the scene's length
+_GAP_TOLERANCE = 1e-9
 _VELOCITY_TOLERANCE = 1e-9
 
 
@@ -60,17 +63,38 @@ def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Arra
     return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
 
 
-def velocity_violation(mechanism: Mechanism, start: Start) -> tuple[float, str]:
-    """Give the largest rate at which a constraint is broken [m/s or rad/s], and its name."""
+def check_joints(mechanism: Mechanism, starts: Start) -> None:
+    """Raise SceneError, naming the joint, unless poses and velocities keep all joints together.
+
+    `starts` may have leading axes.
+    """
     rows = constraint_rows(
-        mechanism, start.position, start.native, start.velocity, start.angular_velocity
+        mechanism, starts.position, starts.native, starts.velocity, starts.angular_velocity
     )
-    if not len(rows.parent):
-        return 0.0, ""
-    twist = np.concatenate([start.velocity, start.angular_velocity], axis=-1).reshape(-1)
-    rate = np.abs(dense_jacobian(rows, mechanism.body_count) @ twist)
-    worst = int(np.argmax(rate))
-    return float(rate[worst]), _owner_name(mechanism, int(rows.owner[worst]))
+    lead = starts.position.shape[:-2]
+    twist = np.concatenate([starts.velocity, starts.angular_velocity], axis=-1)
+    twist = np.concatenate([twist, np.zeros((*lead, 1, 6))], axis=-2)
+    rate = np.sum(
+        rows.jacobian_parent * twist[..., rows.parent, :]
+        + rows.jacobian_child * twist[..., rows.child, :],
+        axis=-1,
+    )
+    length = max(1.0, mechanism.scene.length)
+    speed = max(1.0, float(np.abs(twist).max(initial=0.0)))
+    for off, allowed, what in (
+        (rows.residual, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
+        (rate, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
+    ):
+        per_row = np.abs(off).reshape(-1, len(rows.owner)).max(axis=0, initial=0.0)
+        if per_row.max(initial=0.0) > allowed:
+            worst = int(np.argmax(per_row))
+            name = _owner_name(mechanism, int(rows.owner[worst]))
+            fault = what.format(name, per_row[worst])
+            msg = (
+                f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
+                "joint holds along with it, or leave the draw out"
+            )
+            raise SceneError(msg)
 
 
 def _assemble_pose(mechanism: Mechanism) -> tuple[Array, Array]:
@@ -82,7 +106,9 @@ def _assemble_pose(mechanism: Mechanism) -> tuple[Array, Array]:
     ]
     position = mechanism.com.copy()
     native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
-    strides = max([1, *(int(np.ceil(abs(target) / _STRIDE)) for _, target in led)])
+    unit = {"hinge": _STRIDE, "slider": _STRIDE * scene.length}
+    needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in led)])
+    strides = min(int(np.ceil(needed)), _MOST_STRIDES)
     for k in range(1, strides + 1):
         goal = [(joint, target * k / strides) for joint, target in led]
         position, native = _close(mechanism, position, native, goal)
@@ -92,36 +118,45 @@ def _assemble_pose(mechanism: Mechanism) -> tuple[Array, Array]:
 def _close(
     mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
 ) -> tuple[Array, Array]:
-    still = np.zeros_like(position)
-    residual = np.zeros(0)
-    owner = np.zeros(0, dtype=np.int64)
+    tolerance = _CLOSED * max(1.0, mechanism.scene.length)
+    residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
     for _ in range(_NEWTON_STEPS):
-        rows = constraint_rows(mechanism, position, native, still, still)
-        ahead = [
-            _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
-            for joint, target in led
-        ]
-        residual = np.concatenate([rows.residual, ahead])
-        owner = np.concatenate([rows.owner, [joint.index for joint, _ in led]]).astype(np.int64)
-        if np.abs(residual).max(initial=0.0) < _CLOSED * max(1.0, mechanism.scene.length):
+        if np.abs(residual).max(initial=0.0) < tolerance:
             return position, native
-        jacobian = np.concatenate(
-            [
-                dense_jacobian(rows, mechanism.body_count),
-                *(_rate_row(mechanism, joint, position, native)[None] for joint, _ in led),
-            ]
-        )
         step = -_least_energy(mechanism, native, jacobian, residual).reshape(-1, 2, 3)
+        reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
+        step *= min(1.0, _LONGEST_STEP / reach)
         position = position + step[:, 0]
         native = rotation.multiply(rotation.from_vector(step[:, 1]), native)
-    worst = int(np.argmax(np.abs(residual)))
-    name = _owner_name(mechanism, int(owner[worst]))
+        residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
+    # A tree always closes, so what to change is one of the others.
+    tree = [link.joint.index for link in mechanism.links if link.joint is not None]
+    blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(led)), 0, 1)
+    worst = int(np.argmax(np.abs(residual) * blamed))
     msg = (
-        f"{name} cannot be closed: the start leaves it off by {abs(residual[worst]):.3g} m or "
-        f"rad, allowed is {_CLOSED * max(1.0, mechanism.scene.length):.0e}; change a length, "
-        "an anchor or a joint's start"
+        f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
+        f"{abs(residual[worst]):.3g} m or rad, allowed is {tolerance:.0e}; change a length, an "
+        "anchor or a joint's start"
     )
     raise SceneError(msg)
+
+
+def _pose_rows(
+    mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
+) -> tuple[Array, Array, Array]:
+    """Residual, dense Jacobian and owner of all constraints and, behind them, the led joints."""
+    still = np.zeros_like(position)
+    rows = constraint_rows(mechanism, position, native, still, still)
+    ahead = [
+        _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
+        for joint, target in led
+    ]
+    rates = [_rate_row(mechanism, joint, position, native)[None] for joint, _ in led]
+    return (
+        np.concatenate([rows.residual, ahead]),
+        np.concatenate([dense_jacobian(rows, mechanism.body_count), *rates]),
+        np.concatenate([rows.owner, [joint.index for joint, _ in led]]),
+    )
 
 
 def _complete_velocities(

@@ -37,6 +37,21 @@ def at_least_zero(key: str, value: float) -> None:
         raise SceneError(msg)
 
 
+def at_least_one(key: str, value: int) -> None:
+    """Raise unless 1 or more."""
+    if value < 1:
+        msg = f"{key}: got {value}, allowed is a whole number, 1 or more"
+        raise SceneError(msg)
+
+
+def direction(key: str, value: tuple[float, ...]) -> None:
+    """Raise unless a vector points somewhere."""
+    finite(key, value)
+    if not math.hypot(*value) > 0:
+        msg = f"{key}: got {list(value)}, allowed is any non-zero vector"
+        raise SceneError(msg)
+
+
 def unit(key: str, value: tuple[float, ...]) -> None:
     """Raise unless a quaternion has norm 1."""
     finite(key, value)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -226,7 +227,8 @@ def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
 
 
 def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
-    axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / np.linalg.norm(joint.axis)
+    # hypot neither under- nor overflows, whatever the axis is measured in.
+    axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
     parent, child = index[joint.parent], index[joint.child]
     return PlacedJoint(
         name=joint.name,
@@ -297,9 +299,9 @@ def _spanning_tree(
             seen.add(root)
             queue.append(root)
         here = queue.pop(0)
-        for joint in tree:
+        for joint in (joint for joint in tree if here in (joint.parent, joint.child)):
             outwards = joint if joint.parent == here else _reversed(joint)
-            if outwards.parent == here and outwards.child not in seen:
+            if outwards.child not in seen:
                 links.append(Link(outwards.child, here, outwards))
                 seen.add(outwards.child)
                 queue.append(outwards.child)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start, assemble, velocity_violation
+from mbds_xsim.assembly import Start, assemble, check_joints
 from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.sampling_terms import (
@@ -41,7 +41,6 @@ Array = NDArray[np.float64]
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
 _NOISE_FRAME = 0.02
-_VELOCITY_TOLERANCE = 1e-9
 
 
 def draw_batch(
@@ -67,19 +66,22 @@ def draw_batch(
     """
     mechanism = Mechanism.of(scene)
     drawn = [_draw_one(mechanism, index, seed, noise, inputs) for index in indices]
-    starts = [state.start() for state in drawn]
-    for start in starts:
-        rate, name = velocity_violation(mechanism, start)
-        speed = max(1.0, float(np.abs(start.angular_velocity).max()))
-        if rate > _VELOCITY_TOLERANCE * speed:
-            msg = f"sampling: the drawn velocities break {name} at {rate:.3g} m/s or rad/s"
-            raise SceneError(msg)
+    count = mechanism.body_count
+    starts = Start(
+        position=np.array([state.position for state in drawn]).reshape(-1, count, 3),
+        native=np.array([state.native for state in drawn]).reshape(-1, count, 4),
+        velocity=np.array([state.velocity for state in drawn]).reshape(-1, count, 3),
+        angular_velocity=np.array([state.angular_velocity for state in drawn]).reshape(
+            -1, count, 3
+        ),
+    )
+    check_joints(mechanism, starts)
     return Batch(
         index=np.array([state.index for state in drawn], dtype=np.int64),
-        position=np.array([start.position for start in starts]),
-        orientation=mechanism.body_orientation(np.array([start.native for start in starts])),
-        velocity=np.array([start.velocity for start in starts]),
-        angular_velocity=np.array([start.angular_velocity for start in starts]),
+        position=starts.position,
+        orientation=mechanism.body_orientation(starts.native),
+        velocity=starts.velocity,
+        angular_velocity=starts.angular_velocity,
         force=np.array([state.force for state in drawn]),
         torque=np.array([state.torque for state in drawn]),
     )
@@ -109,9 +111,6 @@ class _Drawing:
     def uniform(self, span: Span) -> float:
         low, high = span_of(span, self.interval)
         return float(self.rng.uniform(low, high))
-
-    def start(self) -> Start:
-        return Start(self.position, self.native, self.velocity, self.angular_velocity)
 
     def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
         """Turn bodies, poses and velocities together, about a point of W."""
@@ -192,12 +191,18 @@ def _swing(term: Swing, drawing: _Drawing) -> None:
     for name in term.bodies:
         body = names.index(name)
         joint = links[body].joint
-        if joint is None:
-            msg = f"sampling: {name!r} hangs on no joint and cannot swing"
+        if joint is None or joint.kind != "ball":
+            msg = f"sampling: {name!r} hangs on no ball joint and cannot swing"
             raise SceneError(msg)
         polar, azimuth = drawing.uniform(term.polar), drawing.rng.uniform(0.0, 2.0 * np.pi)
         speed, heading = drawing.uniform(term.speed), drawing.rng.uniform(0.0, 2.0 * np.pi)
         arm = -joint.in_child
+        if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
+            msg = (
+                f"sampling: {name!r} must hang straight down (−z) from its joint at the reference "
+                f"pose to swing, got the arm {arm.tolist()}"
+            )
+            raise SceneError(msg)
         # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
         about = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
         turn = rotation.from_vector(polar * about)

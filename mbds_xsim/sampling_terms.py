@@ -11,6 +11,7 @@ from typing import Literal
 
 import msgspec
 
+from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
 
 __all__ = [
@@ -43,7 +44,7 @@ class Levels(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         for key in INTERVALS:
-            _ordered(getattr(self, key))
+            _ordered(key, getattr(self, key))
 
 
 Span = Range | Levels
@@ -55,11 +56,7 @@ def span_of(span: Span, interval: Interval) -> Range:
 
 
 class _Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    def __post_init__(self) -> None:
-        for key in self.__struct_fields__:
-            value = getattr(self, key)
-            if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], float):
-                _ordered(value)
+    """What all draws share: a table with a `kind`."""
 
 
 class Swing(_Draw, frozen=True, tag_field="kind", tag="swing"):
@@ -78,16 +75,28 @@ class Swing(_Draw, frozen=True, tag_field="kind", tag="swing"):
     speed: Span
     """[m/s]"""
 
+    def __post_init__(self) -> None:
+        _ordered("polar", self.polar)
+        _ordered("speed", self.speed)
+
 
 class Turn(_Draw, frozen=True, tag_field="kind", tag="turn"):
     """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
 
     point: Vector
+    """A point of the axis in W [m]."""
     axis: Vector
+    """In W; need not be unit."""
     angle: Span
     """[rad]"""
     rate: Span
     """[rad/s]"""
+
+    def __post_init__(self) -> None:
+        bounds.finite("point", self.point)
+        bounds.direction("axis", self.axis)
+        _ordered("angle", self.angle)
+        _ordered("rate", self.rate)
 
 
 class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
@@ -108,6 +117,11 @@ class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
     angular_velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
     """In W [rad/s]."""
 
+    def __post_init__(self) -> None:
+        for key in ("displacement", "velocity", "angular_velocity"):
+            for span in getattr(self, key):
+                _ordered(key, span)
+
 
 class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
@@ -115,6 +129,9 @@ class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
     joints: tuple[str, ...]
     rate: Span
     """[rad/s]"""
+
+    def __post_init__(self) -> None:
+        _ordered("rate", self.rate)
 
 
 class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
@@ -131,6 +148,10 @@ class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
     """Frames that a stretch lasts."""
     random_sign: bool = False
 
+    def __post_init__(self) -> None:
+        _ordered("torque", self.torque)
+        bounds.at_least_one("hold", self.hold)
+
 
 class Wind(_Draw, frozen=True, tag_field="kind", tag="wind"):
     """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
@@ -146,11 +167,19 @@ class Wind(_Draw, frozen=True, tag_field="kind", tag="wind"):
     correlation_time: float = 0.5
     """[s]"""
 
+    def __post_init__(self) -> None:
+        _ordered("mean", self.mean)
+        bounds.at_least_zero("deviation", self.deviation)
+        bounds.positive("correlation_time", self.correlation_time)
+
 
 Draw = Swing | Turn | Throw | HingeRate | HingeTorque | Wind
 
 
-def _ordered(span: Range) -> None:
-    if not (math.isfinite(span[0]) and math.isfinite(span[1]) and span[0] <= span[1]):
-        msg = f"got the range {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
+def _ordered(key: str, span: Span) -> None:
+    """Raise unless a range is one; `Levels` has checked its own."""
+    if isinstance(span, Levels):
+        return
+    if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
+        msg = f"{key}: got {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
         raise SceneError(msg)

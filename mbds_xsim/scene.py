@@ -19,7 +19,7 @@ import msgspec
 
 from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
-from mbds_xsim.sampling_terms import Draw
+from mbds_xsim.sampling_terms import Draw, Throw
 
 __all__ = [
     "GRAVITY",
@@ -146,14 +146,14 @@ class Joint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
             msg = f"axis, start and rate are for hinge and slider, got one on a {self.kind} joint"
             raise SceneError(msg)
         if self.axis is not None:
-            bounds.finite("axis", self.axis)
-            if not math.hypot(*self.axis) > 0:
-                msg = f"axis: got {list(self.axis)}, allowed is any non-zero vector"
-                raise SceneError(msg)
+            bounds.direction("axis", self.axis)
         for key in ("start", "rate"):
             value = getattr(self, key)
             if value is not None:
                 bounds.finite(key, (value,))
+        if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
+            msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
+            raise SceneError(msg)
         if self.parent == self.child:
             msg = f"joint {self.name!r} joins {self.parent!r} to itself"
             raise SceneError(msg)
@@ -267,9 +267,7 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     def __post_init__(self) -> None:
         bounds.positive("frame", self.frame)
-        if self.steps < 1:
-            msg = f"steps: got {self.steps}, allowed is 1 or more"
-            raise SceneError(msg)
+        bounds.at_least_one("steps", self.steps)
 
     @property
     def duration(self) -> float:
@@ -380,6 +378,8 @@ class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
                 _known(f"sampling[{k}].bodies", body, bodies)
             for joint_name in getattr(draw, "joints", ()):
                 _known(f"sampling[{k}].joints", joint_name, hinges, what="hinge")
+            if isinstance(draw, Throw):
+                _known(f"sampling[{k}].body", draw.body, bodies)
 
     def _check_edges(self) -> None:
         count = self.particle_count + len(self.anchors)

@@ -1,18 +1,89 @@
-"""Scene files: TOML to Scene and back, without loss."""
+"""Scene files: TOML to Scene and back, without loss.
+
+Reading also assembles the mechanism and draws one trajectory of each interval, so that a scene
+that was read can be simulated. `docs/scene-file.md` lists every key.
+"""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import msgspec
+import tomli_w
+
+from mbds_xsim.errors import SceneError
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
+from mbds_xsim.scene_file_errors import explain
 
-__all__ = ["read_scene"]
+__all__ = ["read_scene", "save_scene", "write_scene"]
+
+_LINE = 100
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file."""
-    import tomllib
+    """Read a scene file and check that its mechanism assembles and its starts can be drawn.
 
-    import msgspec
+    Raises:
+        SceneError: One line: the file, the table, what was got and what is allowed.
+    """
+    data = _load(path)
+    try:
+        scene = msgspec.convert(data, Scene)
+        draw_batch(scene, range(len(INTERVALS)))
+    except msgspec.ValidationError as error:
+        raise SceneError(f"{path}: {explain(error, data)}") from error
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+    return scene
 
-    return msgspec.convert(tomllib.loads(path.read_text()), Scene)
+
+def write_scene(scene: Scene) -> str:
+    """Give the text of a scene file; keys that have their default are mostly left out."""
+    return _compact(tomli_w.dumps(msgspec.to_builtins(scene)))
+
+
+def save_scene(scene: Scene, path: Path) -> None:
+    """Write a scene file."""
+    path.write_text(write_scene(scene), encoding="utf-8", newline="\n")
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        msg = (
+            f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
+            "name of a scene (mbds-xsim scenes lists them)"
+        )
+        raise SceneError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = (
+            f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
+        )
+        raise SceneError(msg) from error
+    except tomllib.TOMLDecodeError as error:
+        msg = f"{path}: this is not TOML: {error}"
+        raise SceneError(msg) from error
+
+
+def _compact(text: str) -> str:
+    """Put arrays that fit into one line, which the writer spreads over one line a number."""
+    lines: list[str] = []
+    opened: list[int] = []
+    for line in text.removesuffix("\n").split("\n"):
+        lines.append(line)
+        # Strings end in a quote, so only an array that goes on ends in a bracket like this.
+        if line.endswith("["):
+            opened.append(len(lines) - 1)
+        elif line.strip() in ("]", "],"):
+            first = opened.pop()
+            inner = " ".join(item.strip() for item in lines[first + 1 : -1]).removesuffix(",")
+            joined = lines[first] + inner + line.strip()
+            if len(joined) <= _LINE:
+                lines[first:] = [joined]
+    return "\n".join(lines) + "\n"
