@@ -85,7 +85,7 @@ def check_joints(mechanism: Mechanism, starts: Start) -> None:
         (rows.residual, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
         (rate, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
     ):
-        per_row = np.abs(off).reshape(-1, len(rows.owner)).max(axis=0, initial=0.0)
+        per_row = np.abs(off).max(axis=tuple(range(off.ndim - 1)), initial=0.0)
         if per_row.max(initial=0.0) > allowed:
             worst = int(np.argmax(per_row))
             name = _owner_name(mechanism, int(rows.owner[worst]))
