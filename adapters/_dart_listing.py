@@ -1,0 +1,124 @@
+"""The native model as a program: the calls that build it, as text that is run to build it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+
+__all__ = ["build_listing"]
+
+Array = NDArray[np.float64]
+
+_PAIR = {
+    "fixed": "Weld",
+    "hinge": "Revolute",
+    "slider": "Prismatic",
+    "ball": "Ball",
+}
+_HEAD = """\
+import dartpy as dart
+import numpy as np
+
+
+def at(x, y, z):
+    place = dart.math.Isometry3()
+    place.set_translation([x, y, z])
+    return place
+
+
+world = dart.simulation.World()
+deactivation = world.getDeactivationOptions()
+deactivation.mEnabled = False
+world.setDeactivationOptions(deactivation)
+skeleton = dart.dynamics.Skeleton()
+bodies, joints = {}, {}"""
+
+
+def build_listing(mechanism: Mechanism, step: float, error_reduction: float) -> str:
+    """Write the program that leaves `world`, `skeleton`, `bodies` and `joints` behind.
+
+    Bodies are keyed by their number in the scene, joints by the body they carry. The model is
+    left at the reference pose, where constraints take their anchor points from.
+    """
+    return "\n".join([_HEAD, *_statements(mechanism, step, error_reduction), ""])
+
+
+def _statements(mechanism: Mechanism, step: float, error_reduction: float) -> Iterator[str]:
+    yield f"world.setGravity({_vector(np.array(mechanism.scene.gravity))})"
+    yield f"world.setTimeStep({step!r})"
+    for link in mechanism.links:
+        yield from _body(mechanism, link)
+    yield "world.addSkeleton(skeleton)"
+    for link in mechanism.links:
+        if link.joint is None:
+            place = [0.0, 0.0, 0.0, *mechanism.com[link.body].tolist()]
+            yield f"joints[{link.body}].setPositions({place!r})"
+    if mechanism.loops:
+        yield "solver = world.getConstraintSolver()"
+        for kind in ("Ball", "Weld"):
+            yield (
+                f"dart.constraint.{kind}JointConstraint"
+                f".setErrorReductionParameter({error_reduction!r})"
+            )
+    for joint in mechanism.loops:
+        yield from _LOOPS[joint.kind](mechanism, joint)
+
+
+def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
+    k, joint = link.body, link.joint
+    parent = "None" if link.parent == WORLD_INDEX else f"bodies[{link.parent}]"
+    kind = "Free" if joint is None else _PAIR[joint.kind]
+    yield f"# {mechanism.scene.bodies[k].name!r}"
+    yield f"joints[{k}], bodies[{k}] = skeleton.create{kind}JointAndBodyNodePair({parent})"
+    yield f"bodies[{k}].setName('body{k}')"
+    yield (
+        f"bodies[{k}].setInertia(dart.dynamics.Inertia("
+        f"{float(mechanism.mass[k])!r}, np.zeros(3), np.array({mechanism.inertia[k].tolist()!r})))"
+    )
+    if joint is None:
+        return
+    for end, point in (("Parent", joint.in_parent), ("Child", joint.in_child)):
+        x, y, z = point.tolist()
+        yield f"joints[{k}].setTransformFrom{end}BodyNode(at({x!r}, {y!r}, {z!r}))"
+    if joint.kind in ("hinge", "slider"):
+        yield f"joints[{k}].setAxis({_vector(joint.axis)})"
+
+
+def _pin(joint: PlacedJoint, point: Array) -> str:
+    ends = ", ".join(f"bodies[{k}]" for k in (joint.parent, joint.child) if k != WORLD_INDEX)
+    return f"solver.addConstraint(dart.constraint.BallJointConstraint({ends}, {_vector(point)}))"
+
+
+def _ball_loop(_: Mechanism, joint: PlacedJoint) -> Iterator[str]:
+    yield _pin(joint, joint.anchor)
+
+
+def _hinge_loop(mechanism: Mechanism, joint: PlacedJoint) -> Iterator[str]:
+    """Pin two points of the axis: RevoluteJointConstraint pumps energy in, this does not."""
+    half = 0.5 * _reach(mechanism, joint) * joint.axis
+    for side in (-1.0, 1.0):
+        yield _pin(joint, joint.anchor + side * half)
+
+
+def _fixed_loop(_: Mechanism, joint: PlacedJoint) -> Iterator[str]:
+    ends = ", ".join(f"bodies[{k}]" for k in (joint.parent, joint.child) if k != WORLD_INDEX)
+    yield f"solver.addConstraint(dart.constraint.WeldJointConstraint({ends}))"
+
+
+def _reach(mechanism: Mechanism, joint: PlacedJoint) -> float:
+    """Distance of the two pins [m]: the bodies' own size, so that both get like impulses."""
+    arms = [np.linalg.norm(joint.in_child)]
+    if joint.parent != WORLD_INDEX:
+        arms.append(np.linalg.norm(joint.in_parent))
+    return float(max(arms)) or mechanism.scene.length
+
+
+_LOOPS = {"ball": _ball_loop, "hinge": _hinge_loop, "fixed": _fixed_loop}
+
+
+def _vector(v: Array) -> str:
+    return repr([float(x) for x in v])

@@ -1,0 +1,98 @@
+"""What acts on the bodies: input forces and torques held over a frame, spring–dampers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.mechanism import WORLD_INDEX, PointPair
+
+from ._dart_model import Model
+
+__all__ = ["Loads"]
+
+Array = NDArray[np.float64]
+
+
+class Loads:
+    """Applies the loads of a frame.
+
+    DART keeps external forces in the axes of the body they act on, so a force that is constant in
+    W is set again at every configuration; joint torques stay as set. Loop hinges have no joint to
+    drive: they get opposite external torques about the axis fixed in either body.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._springs = [_Spring(pair, model.bodies) for pair in model.mechanism.springs]
+        self._forces: list[tuple[Any, Array]] = []
+        self._torques: list[tuple[Any, Array]] = []
+        loops = {joint.index for joint in model.mechanism.loops}
+        hinges = list(enumerate(model.mechanism.hinges))
+        carried = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
+        self._driven = [
+            (k, model.joints[carried[hinge.index]])
+            for k, hinge in hinges
+            if hinge.index not in loops
+        ]
+        self._looped = [(k, hinge) for k, hinge in hinges if hinge.index in loops]
+
+    def hold(self, force: Array, torque: Array) -> None:
+        """Take the inputs of a frame: forces in W (body, 3) [N], hinge torques (hinge,) [N·m]."""
+        bodies = self._model.bodies
+        twist = np.zeros_like(force)
+        for k, hinge in self._looped:
+            twist[hinge.child] += torque[k] * hinge.axis
+            if hinge.parent != WORLD_INDEX:
+                twist[hinge.parent] -= torque[k] * hinge.axis
+        for k, joint in self._driven:
+            joint.setForce(0, torque[k])
+        pulled = {k for spring in self._springs for k in spring.moving}
+        twisted = np.flatnonzero(twist.any(axis=-1)).tolist()
+        pushed = {*np.flatnonzero(force.any(axis=-1)).tolist(), *twisted, *pulled}
+        self._model.skeleton.clearExternalForces()
+        self._forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
+        self._torques = [(bodies[k].addExtTorque, twist[k]) for k in twisted]
+
+    def apply(self) -> None:
+        """Set the external forces for the present configuration."""
+        for set_force, force in self._forces:
+            set_force(force)
+        for add_torque, torque in self._torques:
+            add_torque(torque, True)
+        for spring in self._springs:
+            spring.pull()
+
+
+class _Spring:
+    """A spring–damper between two bodies, or a body and the world."""
+
+    def __init__(self, pair: PointPair, bodies: list[Any]) -> None:
+        self._pair = pair
+        self._ends = [None if k == WORLD_INDEX else bodies[k] for k in pair.bodies]
+        self.moving = [k for k in pair.bodies if k != WORLD_INDEX]
+
+    def pull(self) -> None:
+        """Add the force at the present configuration and velocity."""
+        pair = self._pair
+        (first, first_rate), (second, second_rate) = (
+            _motion(end, point) for end, point in zip(self._ends, pair.in_body, strict=True)
+        )
+        line = second - first
+        length = float(np.linalg.norm(line))
+        along = line / length
+        tension = pair.stiffness * (length - pair.length)
+        tension += pair.damping * float(along @ (second_rate - first_rate))
+        for end, point, sign in zip(self._ends, pair.in_body, (1.0, -1.0), strict=True):
+            if end is not None:
+                end.addExtForce(sign * tension * along, point)
+
+
+def _motion(body: Any, point: Array) -> tuple[Array, Array]:
+    """Position and velocity in W of a point given in the native frame (W for the world)."""
+    if body is None:
+        return point, np.zeros(3)
+    place = body.getWorldTransform()
+    return place.translation() + place.rotation() @ point, body.getLinearVelocity(point)

@@ -1,0 +1,112 @@
+"""A scene as DART holds it, and the way between its coordinates and body states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.mechanism import Mechanism
+
+__all__ = ["Model"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Model:
+    """One skeleton for all bodies.
+
+    DART's coordinates, as measured on 6.20: a ball joint's positions are the rotation vector of
+    the child in its parent, its velocities the relative angular velocity in the child; a free
+    joint's positions are the rotation vector and the position in W, its velocities ω and v in W.
+    """
+
+    def __init__(self, mechanism: Mechanism, listing: str) -> None:
+        names: dict[str, Any] = {}
+        # The listing that users are shown is the program that builds the model.
+        exec(compile(listing, "<DART model>", "exec"), names)
+        self.mechanism = mechanism
+        self.world = names["world"]
+        self.skeleton = names["skeleton"]
+        self.bodies: list[Any] = [names["bodies"][k] for k in range(mechanism.body_count)]
+        self.joints: list[Any] = [names["joints"][k] for k in range(mechanism.body_count)]
+        self.turning, self.turning_at = self._columns("ball", 0, 3)
+        self.free, self.free_turn_at = self._columns(None, 0, 3)
+        self.free_shift_at = self._columns(None, 3, 6)[1]
+        hinges, hinge_at = self._columns("hinge", 0, 1)
+        sliders, slider_at = self._columns("slider", 0, 1)
+        self.scalar = np.concatenate([hinges, sliders])
+        self.scalar_at = np.concatenate([hinge_at, slider_at])[:, 0]
+
+    @property
+    def coordinate_count(self) -> int:
+        """Number of generalised coordinates."""
+        return int(self.skeleton.getNumDofs())
+
+    def set_state(self, q: Array, u: Array) -> None:
+        """Put the skeleton at generalised coordinates q and velocities u."""
+        self.skeleton.setPositions(q)
+        self.skeleton.setVelocities(u)
+
+    def coordinates(
+        self, position: Array, orientation: Array, velocity: Array, angular_velocity: Array
+    ) -> tuple[Array, Array]:
+        """Generalised coordinates and velocities (…, coordinate) of published body states."""
+        native = self.mechanism.native_rotation(orientation)
+        links = to_links(self.mechanism, BodyStates(position, native, velocity, angular_velocity))
+        q = np.zeros((*position.shape[:-2], self.coordinate_count))
+        u = np.zeros_like(q)
+        q[..., self.turning_at] = rotation.to_vector(links.rotation[..., self.turning, :])
+        u[..., self.turning_at] = links.angular_velocity[..., self.turning, :]
+        q[..., self.scalar_at] = links.coordinate[..., self.scalar]
+        u[..., self.scalar_at] = links.rate[..., self.scalar]
+        turn = links.rotation[..., self.free, :]
+        q[..., self.free_turn_at] = rotation.to_vector(turn)
+        u[..., self.free_turn_at] = rotation.rotate(turn, links.angular_velocity[..., self.free, :])
+        q[..., self.free_shift_at] = links.position[..., self.free, :]
+        u[..., self.free_shift_at] = links.velocity[..., self.free, :]
+        return q, u
+
+    def body_states(self, q: Array, u: Array) -> BodyStates:
+        """Body states of generalised coordinates and velocities (…, coordinate)."""
+        lead, count = q.shape[:-1], self.mechanism.body_count
+        turn = np.broadcast_to(rotation.IDENTITY, (*lead, count, 4)).copy()
+        spin = np.zeros((*lead, count, 3))
+        coordinate, rate = np.zeros((*lead, count)), np.zeros((*lead, count))
+        position, velocity = np.zeros((*lead, count, 3)), np.zeros((*lead, count, 3))
+        turn[..., self.turning, :] = rotation.from_vector(q[..., self.turning_at])
+        spin[..., self.turning, :] = u[..., self.turning_at]
+        coordinate[..., self.scalar] = q[..., self.scalar_at]
+        rate[..., self.scalar] = u[..., self.scalar_at]
+        free = rotation.from_vector(q[..., self.free_turn_at])
+        turn[..., self.free, :] = free
+        spin[..., self.free, :] = rotation.rotate(
+            rotation.conjugate(free), u[..., self.free_turn_at]
+        )
+        position[..., self.free, :] = q[..., self.free_shift_at]
+        velocity[..., self.free, :] = u[..., self.free_shift_at]
+        links = LinkStates(turn, spin, coordinate, rate, position, velocity)
+        return to_bodies(self.mechanism, links)
+
+    def _columns(self, kind: str | None, first: int, last: int) -> tuple[Indices, Indices]:
+        """Links whose joint is of a kind, and where their coordinates stand in the skeleton's."""
+        links = [
+            k
+            for k, link in enumerate(self.mechanism.links)
+            if (link.joint.kind if link.joint else None) == kind
+        ]
+        at = [
+            [
+                self.joints[self.mechanism.links[k].body].getIndexInSkeleton(column)
+                for column in range(first, last)
+            ]
+            for k in links
+        ]
+        return (
+            np.array(links, dtype=np.int64),
+            np.array(at, dtype=np.int64).reshape(-1, last - first),
+        )

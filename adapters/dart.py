@@ -1,0 +1,253 @@
+"""DART: generalised coordinates, one skeleton, loops closed by velocity constraints."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from typing import ClassVar, Literal
+
+import dartpy
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import (
+    Adapter,
+    Feature,
+    Method,
+    ModelSize,
+    Option,
+    Profile,
+    Readback,
+    Run,
+    Settings,
+)
+from mbds_xsim.errors import InputError
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import package_version
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+from ._dart_listing import build_listing
+from ._dart_loads import Loads
+from ._dart_model import Model
+from ._dart_steppers import ForwardDynamicsRK4, SemiImplicitEuler, Stepper
+from ._dart_warnings import CaughtWarnings
+
+__all__ = ["Dart"]
+
+Array = NDArray[np.float64]
+
+# A joint rate [rad/s or m/s] that only a blow-up reaches.
+_BLOW_UP = 1e5
+_NATIVE_STEP = 1e-3
+_ERROR_REDUCTION = "error_reduction"
+_NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
+_STEPPERS: dict[str, type[Stepper]] = {
+    "semi-implicit-euler": SemiImplicitEuler,
+    "forward-dynamics-RK4": ForwardDynamicsRK4,
+}
+
+
+class Dart(Adapter):
+    """DART through dartpy."""
+
+    name = "dart"
+    package = "dartpy"
+    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    methods: ClassVar[Mapping[str, Method]] = {
+        "forward-dynamics-RK4": Method(
+            "forward-dynamics-RK4",
+            "toolkit RK4",
+            4,
+            refuses={
+                Feature.LOOP_BALL: _NO_LOOPS,
+                Feature.LOOP_HINGE: _NO_LOOPS,
+                Feature.LOOP_FIXED: _NO_LOOPS,
+            },
+        ),
+        "semi-implicit-euler": Method(
+            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
+        ),
+    }
+    options: ClassVar[Mapping[str, Option]] = {
+        _ERROR_REDUCTION: Option(
+            0.01, "share of a loop's gap that DART closes in a step (its error reduction parameter)"
+        ),
+    }
+    limits: ClassVar[Mapping[Feature, str]] = {
+        Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
+        Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
+        Feature.CONTACT: "contact is not translated yet",
+    }
+
+    def version(self) -> str:
+        return package_version(self.package)
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        euler = "semi-implicit-euler"
+        if profile == "native":
+            return Settings(euler, _divisor(scene.clock.frame, _NATIVE_STEP))
+        if self.refusals(scene, "forward-dynamics-RK4"):
+            step = _divisor(scene.clock.frame, 1e-4)
+            return Settings(euler, step, {_ERROR_REDUCTION: 0.5})
+        return Settings("forward-dynamics-RK4", _divisor(scene.clock.frame, 5e-3))
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        share = float(self.option(settings, _ERROR_REDUCTION))
+        if not 0.0 <= share <= 1.0:
+            msg = f"{_ERROR_REDUCTION}: got {share}, allowed is 0 to 1"
+            raise InputError(msg)
+        return _DartRun(scene, settings, share)
+
+
+class _DartRun(Run):
+    def __init__(self, scene: Scene, settings: Settings, error_reduction: float) -> None:
+        self._mechanism = Mechanism.of(scene)
+        self._step_count = settings.substeps(scene.clock.frame)
+        self._step = scene.clock.frame / self._step_count
+        self._frame = scene.clock.frame
+        self._error_reduction = error_reduction
+        self._listing = build_listing(self._mechanism, self._step, error_reduction)
+        with _error_reduction(error_reduction):
+            self._model = Model(self._mechanism, self._listing)
+        self._loads = Loads(self._model)
+        self._stepper = _STEPPERS[settings.method](self._model, self._loads, self._step)
+        rows = {"ball": 3, "hinge": 6, "fixed": 6}
+        self.size = ModelSize(
+            self._model.coordinate_count, sum(rows[joint.kind] for joint in self._mechanism.loops)
+        )
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        model = self._model
+        start_q, start_u = model.coordinates(
+            batch.position, batch.orientation, batch.velocity, batch.angular_velocity
+        )
+        q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
+        u = np.full_like(q, np.nan)
+        with _error_reduction(self._error_reduction), CaughtWarnings() as caught:
+            failures = tuple(
+                self._roll(batch, row, start_q[row], start_u[row], q[row], u[row], caught)
+                for row in range(len(batch))
+            )
+        bodies = model.body_states(q, u)
+        orientation = self._mechanism.body_orientation(bodies.native)
+        return Trajectory(
+            self._frame * np.arange(batch.steps + 1, dtype=np.float64),
+            bodies.position,
+            _continuous(orientation, batch.orientation),
+            bodies.velocity,
+            bodies.angular_velocity,
+            failures,
+        )
+
+    def _roll(
+        self,
+        batch: Batch,
+        row: int,
+        start_q: Array,
+        start_u: Array,
+        q: Array,
+        u: Array,
+        caught: CaughtWarnings,
+    ) -> Failure | None:
+        """Fill q and u (frame, coordinate) with one trajectory."""
+        skeleton, printed = self._model.skeleton, caught.size()
+        self._model.set_state(start_q, start_u)
+        q[0], u[0] = start_q, start_u
+        for k in range(batch.steps):
+            self._loads.hold(batch.force[row, k], batch.torque[row, k])
+            self._stepper.advance(self._step_count)
+            here, rate = skeleton.getPositions(), skeleton.getVelocities()
+            if caught.size() > printed:
+                return Failure(k + 1, f"DART: {caught.first_since(printed)}")
+            fastest = float(np.abs(rate).max())
+            if not (fastest < _BLOW_UP and np.isfinite(here).all()):
+                return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
+            q[k + 1], u[k + 1] = here, rate
+        return None
+
+    def readback(self, batch: Batch) -> Readback:
+        model = self._model
+        start = batch[:1]
+        q, u = model.coordinates(
+            start.position, start.orientation, start.velocity, start.angular_velocity
+        )
+        model.set_state(q[0], u[0])
+        places = [body.getWorldTransform() for body in model.bodies]
+        native = rotation.from_matrix(np.array([place.rotation() for place in places]))
+        inertia = [body.getInertia() for body in model.bodies]
+        return Readback(
+            mass=np.array([item.getMass() for item in inertia]),
+            inertia=np.array([item.getMoment() for item in inertia]),
+            com=np.array([body.getCOM() for body in model.bodies]),
+            orientation=self._mechanism.body_orientation(native),
+            velocity=np.array([body.getCOMLinearVelocity() for body in model.bodies]),
+            angular_velocity=np.array([body.getAngularVelocity() for body in model.bodies]),
+            gravity=np.array(model.world.getGravity()),
+            step=float(model.world.getTimeStep()),
+            joint_axis=self._joint_axes(),
+            damping=self._damping(),
+        )
+
+    def _joint_axes(self) -> Array:
+        """Axes of hinges and sliders in W; a scene's joint may point against its tree link."""
+        axes = []
+        links = {link.joint.index: link for link in self._mechanism.links if link.joint}
+        for joint in self._mechanism.joints:
+            if joint.kind not in ("hinge", "slider"):
+                continue
+            link = links.get(joint.index)
+            if link is None:
+                axes.append(np.full(3, np.nan))
+                continue
+            sign = 1.0 if link.body == joint.child else -1.0
+            turn = self._model.bodies[link.body].getWorldTransform().rotation()
+            axes.append(sign * turn @ self._model.joints[link.body].getAxis())
+        return np.array(axes).reshape(-1, 3)
+
+    def _damping(self) -> Array:
+        return np.array(
+            [
+                value
+                for joint in self._model.joints
+                for k in range(joint.getNumDofs())
+                for value in (
+                    joint.getDampingCoefficient(k),
+                    joint.getCoulombFriction(k),
+                    joint.getSpringStiffness(k),
+                )
+            ]
+        )
+
+    def native(self) -> str:
+        return self._listing
+
+    def close(self) -> None:
+        del self._stepper, self._loads, self._model
+
+
+@contextlib.contextmanager
+def _error_reduction(value: float) -> Iterator[None]:
+    """Set DART's process-wide parameter, and put it back."""
+    kinds = (dartpy.constraint.BallJointConstraint, dartpy.constraint.WeldJointConstraint)
+    before = [kind.getErrorReductionParameter() for kind in kinds]
+    try:
+        for kind in kinds:
+            kind.setErrorReductionParameter(value)
+        yield
+    finally:
+        for kind, old in zip(kinds, before, strict=True):
+            kind.setErrorReductionParameter(old)
+
+
+def _continuous(orientation: Array, start: Array) -> Array:
+    """Give quaternions (trajectory, frame, body, 4) the sign that follows on the start's."""
+    path = np.concatenate([start[:, None], orientation], axis=1)
+    jumps = np.sum(path[:, 1:] * path[:, :-1], axis=-1) < 0
+    return orientation * np.where(np.cumsum(jumps, axis=1) % 2, -1.0, 1.0)[..., None]
+
+
+def _divisor(frame: float, step: float) -> float:
+    """Return the step that divides a frame and is nearest to a wanted one."""
+    return frame / max(1, round(frame / step))
