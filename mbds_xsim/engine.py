@@ -151,7 +151,7 @@ class Readback:
     """At that start [m/s], shape (body, 3)."""
     angular_velocity: Array
     """At that start [rad/s], shape (body, 3)."""
-    gravity: Array
+    gravity: Array | None
     """[m/s²], shape (3,)."""
     step: float | None
     """[s]"""

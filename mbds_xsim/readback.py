@@ -39,9 +39,9 @@ def compare(
     for what, got, wanted, floor in expected:
         if got is not None:
             lines += _differences(what, got, wanted, max(floor, float(np.abs(wanted).max())), names)
-    lines += _differences(
-        "gravity [m/s²]", readback.gravity[None], np.array([mechanism.scene.gravity]), 1.0, ["W"]
-    )
+    if readback.gravity is not None:
+        gravity = np.array([mechanism.scene.gravity])
+        lines += _differences("gravity [m/s²]", readback.gravity[None], gravity, 1.0, ["W"])
     if (
         readback.step is not None
         and abs(readback.step - settings.step) > _TOLERANCE * settings.step

@@ -1,1 +1,13 @@
 """What an adapter's author runs: the contract suite and the ladder of check cases."""
+
+from __future__ import annotations
+
+import pytest
+
+# Without it a failing assert in the shipped suite shows no values.
+pytest.register_assert_rewrite("mbds_xsim.testing.contract")
+
+from mbds_xsim.testing.cases import CASES, Case  # noqa: E402
+from mbds_xsim.testing.contract import AdapterContract, measured_order  # noqa: E402
+
+__all__ = ["CASES", "AdapterContract", "Case", "measured_order"]

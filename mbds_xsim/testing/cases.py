@@ -1,0 +1,353 @@
+"""The ladder of small cases with exact answers, from free fall to a closed loop.
+
+Each case says what it verifies. Answers are closed forms, or a textbook equation in one
+generalised coordinate solved to 1e-12: never the reference of this package, never an engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.scene import (
+    Body,
+    Clock,
+    Force,
+    Inertia,
+    Joint,
+    Particle,
+    Scene,
+    SpringDamper,
+    Torque,
+)
+
+__all__ = ["CASES", "Case"]
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+_G = 9.81
+_CLOCK = Clock(frame=0.02, steps=50)
+_BOX = (0.1, 0.4, 0.9)  # edges [m]
+_BOX_MASS = 10.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene and the exact motion of its bodies' centres of mass."""
+
+    name: str
+    verifies: str
+    scene: Scene
+    exact: Callable[[Array], Array]
+    """Times [s], shape (frame,), to positions [m], shape (frame, body, 3)."""
+    exact_orientation: Callable[[Array], Array] | None = None
+    """To orientations, shape (frame, body, 4), where the case is about them."""
+
+
+def _box(velocity: Vector | None = None, spin: Vector | None = None) -> Body:
+    a, b, c = _BOX
+    moments = (
+        _BOX_MASS / 12 * (b * b + c * c),
+        _BOX_MASS / 12 * (a * a + c * c),
+        _BOX_MASS / 12 * (a * a + b * b),
+    )
+    inertia = Inertia(_BOX_MASS, moments)
+    return Body("box", inertia=inertia, velocity=velocity, angular_velocity=spin)
+
+
+def _free_fall() -> Case:
+    velocity = np.array([1.0, -2.0, 3.0])
+    scene = Scene(
+        "free fall",
+        bodies=(_box(velocity=(1.0, -2.0, 3.0), spin=(0.0, 0.0, 2.0)),),
+        length=1.0,
+        clock=_CLOCK,
+    )
+
+    def exact(time: Array) -> Array:
+        return (time[:, None] * velocity - 0.5 * _G * time[:, None] ** 2 * [0, 0, 1])[:, None]
+
+    return Case("free fall", "gravity, initial velocity, mass-independence", scene, exact)
+
+
+def _tumbling() -> Case:
+    """Euler's equations of the torque-free asymmetric top, spun about its middle axis."""
+    spin = (0.1, 5.0, 0.1)
+    scene = Scene(
+        "tumbling",
+        bodies=(_box(spin=spin),),
+        length=1.0,
+        gravity=(0.0, 0.0, 0.0),
+        clock=_CLOCK,
+    )
+    inertia = scene.bodies[0].inertia
+    assert inertia is not None
+    moments = np.array(inertia.moments)
+
+    def rate(_: float, y: Array) -> Array:
+        q, w = y[:4], y[4:]  # w in the body
+        turn = 0.5 * np.array(
+            [
+                -q[1] * w[0] - q[2] * w[1] - q[3] * w[2],
+                q[0] * w[0] + q[2] * w[2] - q[3] * w[1],
+                q[0] * w[1] + q[3] * w[0] - q[1] * w[2],
+                q[0] * w[2] + q[1] * w[1] - q[2] * w[0],
+            ]
+        )
+        return np.concatenate([turn, np.cross(moments * w, w) / moments])
+
+    def orientation(time: Array) -> Array:
+        return _solve(rate, [1.0, 0.0, 0.0, 0.0, *spin], time)[:4].T[:, None]
+
+    return Case(
+        "tumbling",
+        "inertia axes, gyroscopic term, orientation convention",
+        scene,
+        lambda time: np.zeros((len(time), 1, 3)),
+        orientation,
+    )
+
+
+def _pushed() -> Case:
+    series = tuple((2.0 * (-1) ** k, 1.0 * k, -3.0) for k in range(10))
+    scene = Scene(
+        "pushed",
+        bodies=(_box(),),
+        length=1.0,
+        gravity=(0.0, 0.0, 0.0),
+        clock=_CLOCK,
+        forces=(Force("box", series, hold=5),),
+    )
+    return Case("pushed", "forces at the centre of mass, held and switched", scene, _pushed_exact)
+
+
+def _pushed_exact(time: Array) -> Array:
+    hold = 0.1
+    x, v = np.zeros((len(time), 3)), np.zeros((len(time), 3))
+    for k in range(10):
+        lasted = np.clip(time - k * hold, 0.0, hold)[:, None]
+        acceleration = np.array([2.0 * (-1) ** k, 1.0 * k, -3.0]) / _BOX_MASS
+        x += v * lasted + 0.5 * acceleration * lasted**2
+        v += acceleration * lasted
+    return x[:, None]
+
+
+def _rod() -> Case:
+    """Point-like sphere on a massless rod: I θ'' = −m g L sin θ about the pivot."""
+    length, angle = 0.5, 1.2
+    particle = Particle((length * np.sin(angle), 0.0, -length * np.cos(angle)))
+    scene = Scene(
+        "rod",
+        bodies=(Body("rod", particles=(particle,)),),
+        joints=(Joint("pivot", "ball", "world", "rod", (0.0, 0.0, 0.0)),),
+        length=length,
+        clock=_CLOCK,
+    )
+    inertia = particle.inertia + particle.mass * length**2
+
+    def exact(time: Array) -> Array:
+        theta = _swing(angle, particle.mass * _G * length / inertia, time)
+        return length * np.stack([np.sin(theta), 0 * theta, -np.cos(theta)], axis=-1)[:, None]
+
+    return Case("rod", "ball joint, welded sphere's inertia", scene, exact)
+
+
+def _hinge() -> Case:
+    """Box on a skew hinge: only the moment about the axis counts."""
+    axis = np.array([0.0, 0.6, 0.8])
+    arm = np.array([0.3, 0.0, 0.0])
+    scene = Scene(
+        "hinge",
+        bodies=(Body("box", inertia=_box().inertia, position=(0.3, 0.0, 0.0)),),
+        joints=(Joint("hinge", "hinge", "world", "box", (0.0, 0.0, 0.0), axis=(0.0, 0.6, 0.8)),),
+        length=0.5,
+        clock=_CLOCK,
+    )
+    box = scene.bodies[0].inertia
+    assert box is not None
+    moment = axis @ np.diag(box.moments) @ axis + box.mass * arm @ arm
+    side = np.cross(axis, arm)
+
+    def exact(time: Array) -> Array:
+        # x(θ) = arm cos θ + (axis × arm) sin θ; torque = −m g dz/dθ
+        def acceleration(theta: float) -> float:
+            lever = -arm[2] * np.sin(theta) + side[2] * np.cos(theta)
+            return float(-box.mass * _G * lever / moment)
+
+        theta = _integrate(acceleration, 0.0, 0.0, time)
+        return (np.cos(theta)[:, None] * arm + np.sin(theta)[:, None] * side)[:, None]
+
+    return Case("hinge", "hinge axis, inertia about it, its sign", scene, exact)
+
+
+def _slider() -> Case:
+    axis = np.array([0.6, 0.0, -0.8])
+    scene = Scene(
+        "slider",
+        bodies=(_box(),),
+        joints=(
+            Joint("rail", "slider", "world", "box", (0.0, 0.0, 0.0), (0.6, 0.0, -0.8), rate=0.5),
+        ),
+        length=1.0,
+        clock=_CLOCK,
+    )
+
+    def exact(time: Array) -> Array:
+        along = 0.5 * time + 0.5 * 0.8 * _G * time**2
+        return (along[:, None] * axis)[:, None]
+
+    return Case("slider", "slider axis, initial rate", scene, exact)
+
+
+def _spring() -> Case:
+    """Sphere on a damped spring along x, a slider keeping it there."""
+    stiffness, damping, mass, start = 40.0, 0.8, 1.0, 0.1
+    scene = Scene(
+        "spring",
+        bodies=(Body("ball", particles=(Particle((1.0 + start, 0.0, 0.0)),)),),
+        joints=(Joint("rail", "slider", "world", "ball", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),),
+        springs=(
+            SpringDamper(
+                "spring",
+                ("world", "ball"),
+                ((0.0, 0.0, 0.0), (1.0 + start, 0.0, 0.0)),
+                stiffness,
+                damping,
+                rest_length=1.0,
+            ),
+        ),
+        length=1.0,
+        clock=_CLOCK,
+    )
+
+    def exact(time: Array) -> Array:
+        decay = damping / (2 * mass)
+        omega = np.sqrt(stiffness / mass - decay**2)
+        swing = np.cos(omega * time) + decay / omega * np.sin(omega * time)
+        x = 1.0 + start * np.exp(-decay * time) * swing
+        return np.stack([x, 0 * x, 0 * x], axis=-1)[:, None]
+
+    return Case("spring", "spring and damper", scene, exact)
+
+
+def _flywheel() -> Case:
+    """A hinge torque spins a wheel up and its carrier back; a tip on an arm shows the carrier."""
+    torque, carrier, wheel = 0.3, 0.4, 0.1
+    arm = 0.5
+    bodies = (
+        Body("carrier", inertia=Inertia(2.0, (carrier, carrier, carrier))),
+        Body("wheel", inertia=Inertia(1.0, (wheel, wheel, wheel))),
+        Body("tip", inertia=Inertia(0.5, (0.01, 0.01, 0.01)), position=(arm, 0.0, 0.0)),
+    )
+    scene = Scene(
+        "flywheel",
+        bodies=bodies,
+        gravity=(0.0, 0.0, 0.0),
+        joints=(
+            Joint("mount", "hinge", "world", "carrier", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            Joint("axle", "hinge", "carrier", "wheel", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
+        ),
+        torques=(Torque("axle", (torque,)),),
+        length=1.0,
+        clock=_CLOCK,
+    )
+    moment = carrier + 0.01 + 0.5 * arm**2
+
+    def exact(time: Array) -> Array:
+        theta = -0.5 * torque / moment * time**2
+        tip = arm * np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)
+        return np.stack([0 * tip, 0 * tip, tip], axis=1)
+
+    return Case("flywheel", "hinge torque and its reaction, fixed joint", scene, exact)
+
+
+def _parallelogram() -> Case:
+    """Two equal cranks and a coupler that only translates: one pendulum, closed by a hinge."""
+    crank, width, angle = 0.5, 0.8, 1.0
+    mass, inertia = 1.0, 0.02
+    down = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+
+    def body(name: str, at: Array) -> Body:
+        return Body(
+            name,
+            inertia=Inertia(mass, (inertia, inertia, inertia)),
+            position=(float(at[0]), float(at[1]), float(at[2])),
+        )
+
+    def hinge(name: str, parent: str, child: str, at: Array) -> Joint:
+        return Joint(
+            name,
+            "hinge",
+            parent,
+            child,
+            (float(at[0]), float(at[1]), float(at[2])),
+            axis=(0.0, 1.0, 0.0),
+        )
+
+    left, right = np.zeros(3), np.array([width, 0.0, 0.0])
+    ends = (left + crank * down, right + crank * down)
+    scene = Scene(
+        "parallelogram",
+        bodies=(
+            body("left", left + 0.5 * crank * down),
+            body("right", right + 0.5 * crank * down),
+            body("coupler", 0.5 * (ends[0] + ends[1])),
+        ),
+        joints=(
+            hinge("left pivot", "world", "left", left),
+            hinge("right pivot", "world", "right", right),
+            hinge("left pin", "left", "coupler", ends[0]),
+            hinge("right pin", "right", "coupler", ends[1]),
+        ),
+        length=1.0,
+        clock=_CLOCK,
+    )
+    moment = 2 * (inertia + mass * (crank / 2) ** 2) + mass * crank**2
+    stiffness = (2 * mass * crank / 2 + mass * crank) * _G / moment
+
+    def exact(time: Array) -> Array:
+        theta = _swing(angle, stiffness, time)
+        along = np.stack([np.sin(theta), 0 * theta, -np.cos(theta)], axis=-1)
+        middle = np.array([width / 2, 0.0, 0.0])
+        return np.stack(
+            [0.5 * crank * along, right + 0.5 * crank * along, middle + crank * along], axis=1
+        )
+
+    return Case("parallelogram", "a loop closed by a hinge, redundant rows", scene, exact)
+
+
+def _swing(start: float, stiffness: float, time: Array) -> Array:
+    """θ'' = −stiffness · sin θ from rest."""
+    return _integrate(lambda theta: -stiffness * np.sin(theta), start, 0.0, time)
+
+
+def _integrate(
+    acceleration: Callable[[float], float], start: float, rate: float, time: Array
+) -> Array:
+    return _solve(lambda _, y: np.array([y[1], acceleration(y[0])]), [start, rate], time)[0]
+
+
+def _solve(rate: Callable[[float, Array], Array], start: list[float], time: Array) -> Array:
+    from scipy.integrate import solve_ivp
+
+    span = (0.0, float(time[-1]))
+    solution = solve_ivp(rate, span, start, method="DOP853", t_eval=time, rtol=1e-12, atol=1e-13)
+    return np.asarray(solution.y)
+
+
+CASES: tuple[Case, ...] = (
+    _free_fall(),
+    _tumbling(),
+    _pushed(),
+    _rod(),
+    _hinge(),
+    _slider(),
+    _spring(),
+    _flywheel(),
+    _parallelogram(),
+)

@@ -1,0 +1,280 @@
+"""The suite every adapter must pass: the adapter declares, the suite measures.
+
+Use it in a test file of your own, with a fixture that makes your adapter:
+
+    from mbds_xsim.testing import AdapterContract
+
+    class TestMyEngine(AdapterContract):
+        @pytest.fixture
+        def adapter(self):
+            return MyEngine()
+"""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import readback, rotation
+from mbds_xsim.engine import Adapter, Feature, Method, Settings, features_of
+from mbds_xsim.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.cases import CASES, Case
+
+__all__ = ["AdapterContract", "measured_order"]
+
+Array = NDArray[np.float64]
+
+_STEPS_PER_FRAME = (4, 8, 16)
+_ORDER_MARGIN = 0.2
+# Where a method meets the answer to this, there is no order left to measure (RK4 on a parabola).
+_EXACT = 1e-9
+
+
+def measured_order(
+    adapter: Adapter, case: Case, method: str, steps_per_frame: tuple[int, ...] = _STEPS_PER_FRAME
+) -> tuple[float, list[float]]:
+    """Fit the order of convergence of a case's largest error, and give the errors [m or rad]."""
+    errors = [_case_error(adapter, case, method, count) for count in steps_per_frame]
+    if errors[-1] == 0.0:
+        return np.inf, errors
+    slope = np.polyfit(np.log(steps_per_frame), -np.log(np.maximum(errors, 1e-300)), 1)[0]
+    return float(slope), errors
+
+
+class AdapterContract:
+    """One test, one way in which adapters go wrong."""
+
+    @pytest.fixture
+    def adapter(self) -> Adapter:
+        """Make the adapter; every subclass gives its own."""
+        msg = "give your suite a fixture `adapter` that makes your adapter"
+        raise NotImplementedError(msg)
+
+    @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+    def test_every_method_converges_to_the_answer_in_its_order(
+        self, adapter: Adapter, case: Case
+    ) -> None:
+        """Declared order within 0.2 on every case a method can run, or the answer itself."""
+        for method in adapter.methods.values():
+            if adapter.refusals(case.scene, method.name):
+                continue
+            order, errors = measured_order(adapter, case, method.name)
+            declared = method.order_for(case.scene)
+            assert errors[-1] < _EXACT or order > declared - _ORDER_MARGIN, (
+                f"{adapter.name} {method.name} on {case.name}: declared order {declared}, "
+                f"measured {order:.2f} from errors {errors}"
+            )
+            assert errors[-1] < 0.2, f"{method.name} on {case.name}: converges to a wrong answer"
+
+    def test_declared_orders_are_not_beaten_everywhere(self, adapter: Adapter) -> None:
+        """A method that is better than it says on the swinging rod or the tumbling box lies too."""
+        telling = [case for case in CASES if case.name in ("rod", "tumbling", "parallelogram")]
+        for method in adapter.methods.values():
+            excess = [
+                measured_order(adapter, case, method.name)[0] - method.order_for(case.scene)
+                for case in telling
+                if not adapter.refusals(case.scene, method.name)
+            ]
+            assert excess, f"{method.name} can run none of the telling cases"
+            assert min(excess) < 0.8, f"{method.name} is of higher order than declared: {excess}"
+
+    @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+    def test_the_native_model_reads_back_as_the_scene(self, adapter: Adapter, case: Case) -> None:
+        """Mass, inertia, poses, velocities, gravity, step, axes, no damping."""
+        for method in _able(adapter, case.scene):
+            batch, settings = draw_batch(case.scene, [0]), _settings(adapter, case, method, 4)
+            with adapter.open(case.scene, settings) as run:
+                found = run.readback(batch)
+
+            mechanism = Mechanism.of(case.scene)
+            assert readback.compare(mechanism, batch, settings, found) == []
+
+    def test_frame_zero_is_the_start(self, adapter: Adapter) -> None:
+        """Shapes, order of bodies, units."""
+        for case in _able_cases(adapter):
+            batch, trajectory = _run(adapter, case, _first(adapter, case), 2)
+
+            assert trajectory.position.shape == (1, 51, len(case.scene.bodies), 3)
+            np.testing.assert_allclose(trajectory.position[:, 0], batch.position, atol=1e-12)
+            np.testing.assert_allclose(trajectory.velocity[:, 0], batch.velocity, atol=1e-12)
+            sign = np.sign(trajectory.orientation[:, 0, :, :1]) * np.sign(
+                batch.orientation[..., :1]
+            )
+            np.testing.assert_allclose(
+                trajectory.orientation[:, 0] * sign, batch.orientation, atol=1e-12
+            )
+            np.testing.assert_allclose(
+                trajectory.angular_velocity[:, 0], batch.angular_velocity, atol=1e-12
+            )
+
+    def test_time_is_that_of_the_frames(self, adapter: Adapter) -> None:
+        """Frame k is at k · frame."""
+        for case in _able_cases(adapter)[:1]:
+            _, trajectory = _run(adapter, case, _first(adapter, case), 2)
+
+            np.testing.assert_allclose(trajectory.time, np.arange(51) * 0.02, rtol=1e-12)
+
+    def test_quaternions_are_unit_and_finite(self, adapter: Adapter) -> None:
+        """Orientation convention wxyz is caught by the tumbling case; this catches drift."""
+        for case in _able_cases(adapter):
+            _, trajectory = _run(adapter, case, _first(adapter, case), 8)
+
+            assert trajectory.failures == (None,)
+            np.testing.assert_allclose(
+                np.linalg.norm(trajectory.orientation, axis=-1), 1.0, atol=1e-9
+            )
+
+    def test_same_batch_same_bits(self, adapter: Adapter) -> None:
+        """Again in the same run, and in a run loaded afresh."""
+        case = _able_cases(adapter)[-1]
+        settings = _settings(adapter, case, _first(adapter, case), 4)
+        batch = draw_batch(case.scene, [0, 1])
+        with adapter.open(case.scene, settings) as run:
+            first, second = run.rollout(batch), run.rollout(batch)
+        with adapter.open(case.scene, settings) as run:
+            third = run.rollout(batch)
+
+        for other in (second, third):
+            np.testing.assert_array_equal(first.position, other.position)
+            np.testing.assert_array_equal(first.angular_velocity, other.angular_velocity)
+
+    def test_trajectories_of_a_batch_do_not_touch_each_other(self, adapter: Adapter) -> None:
+        """The second of two is what it is alone; the arrays share no memory."""
+        case = _able_cases(adapter)[-1]
+        settings = _settings(adapter, case, _first(adapter, case), 4)
+        with adapter.open(case.scene, settings) as run:
+            both = run.rollout(draw_batch(case.scene, [0, 1]))
+            alone = run.rollout(draw_batch(case.scene, [1]))
+
+        np.testing.assert_array_equal(both.position[1], alone.position[0])
+        assert not np.shares_memory(both.position, alone.position)
+
+    def test_two_open_runs_do_not_touch_each_other(self, adapter: Adapter) -> None:
+        """Interleaved runs of two scenes give what each gives alone."""
+        first, second = _able_cases(adapter)[0], _able_cases(adapter)[-1]
+        with adapter.open(
+            second.scene, _settings(adapter, second, _first(adapter, second), 4)
+        ) as a:
+            alone = a.rollout(draw_batch(second.scene, [0]))
+            with adapter.open(
+                first.scene, _settings(adapter, first, _first(adapter, first), 4)
+            ) as b:
+                b.rollout(draw_batch(first.scene, [0]))
+                beside = a.rollout(draw_batch(second.scene, [0]))
+
+        np.testing.assert_array_equal(alone.position, beside.position)
+
+    def test_what_cannot_be_done_is_refused_with_the_reason(self, adapter: Adapter) -> None:
+        """Before the engine sees it."""
+        refused = 0
+        for case in CASES:
+            for method in adapter.methods.values():
+                refusals = adapter.refusals(case.scene, method.name)
+                if not refusals:
+                    continue
+                refused += 1
+                with pytest.raises(Unsupported) as caught:
+                    adapter.open(case.scene, Settings(method.name, 0.02))
+                assert next(iter(refusals.values())) in str(caught.value)
+        for reason in adapter.limits.values():
+            assert len(reason) > 10, "a limit needs a reason"
+        assert refused or not any(m.refuses for m in adapter.methods.values())
+
+    def test_wrong_settings_are_refused_in_one_line(self, adapter: Adapter) -> None:
+        """Unknown method or option, a step that does not divide the frame."""
+        case = _able_cases(adapter)[0]
+        method = _first(adapter, case).name
+        with pytest.raises(UnknownName, match="no-such-method"):
+            adapter.open(case.scene, Settings("no-such-method", 0.02))
+        with pytest.raises(UnknownName, match="no_such_option"):
+            adapter.open(case.scene, Settings(method, 0.02, {"no_such_option": 1}))
+        for step in (0.003, 0.04, 0.0, -0.02, float("nan")):
+            with pytest.raises(InputError, match="divided by a whole number"):
+                adapter.open(case.scene, Settings(method, step))
+
+    def test_presets_are_for_a_method_that_can_run_the_scene(self, adapter: Adapter) -> None:
+        """Both profiles, on every case the engine supports at all."""
+        for case in _able_cases(adapter):
+            for profile in ("native", "matched"):
+                adapter.check(case.scene, adapter.settings(case.scene, profile))
+
+    def test_native_text_and_version_say_something(self, adapter: Adapter) -> None:
+        """A sceptic can run what the engine was given."""
+        case = _able_cases(adapter)[0]
+        settings = _settings(adapter, case, _first(adapter, case), 2)
+        with adapter.open(case.scene, settings) as run:
+            run.readback(draw_batch(case.scene, [0]))
+            text = run.native()
+
+        assert len(text.splitlines()) > 3
+        assert any(character.isdigit() for character in adapter.version())
+
+    def test_it_pickles(self, adapter: Adapter) -> None:
+        """Adapters travel to worker processes."""
+        assert pickle.loads(pickle.dumps(adapter)).name == adapter.name
+
+    def test_closing_twice_and_many_opens(self, adapter: Adapter) -> None:
+        """Engine memory has one owner, and it lets go."""
+        case = _able_cases(adapter)[0]
+        settings = _settings(adapter, case, _first(adapter, case), 1)
+        for _ in range(40):
+            run = adapter.open(case.scene, settings)
+            run.close()
+            run.close()
+
+    def test_claims_are_complete(self, adapter: Adapter) -> None:
+        """Names, features and methods are of the known kinds."""
+        assert adapter.methods
+        assert all(name == method.name for name, method in adapter.methods.items())
+        assert all(isinstance(feature, Feature) for feature in adapter.limits)
+        assert adapter.coordinates in ("reduced", "maximal")
+
+
+def _case_error(adapter: Adapter, case: Case, method: str, steps_per_frame: int) -> float:
+    """Largest distance from the exact motion, or angle times the scene's length [m]."""
+    _, got = _run(adapter, case, adapter.methods[method], steps_per_frame)
+    assert got.failures == (None,), f"{method} on {case.name}: {got.failures[0]}"
+    error = np.abs(got.position[0] - case.exact(got.time)).max()
+    if case.exact_orientation is not None:
+        turn = rotation.multiply(
+            rotation.conjugate(case.exact_orientation(got.time)), got.orientation[0]
+        )
+        angle = np.linalg.norm(rotation.to_vector(turn), axis=-1).max()
+        error = max(error, angle * case.scene.length)
+    return float(error)
+
+
+def _run(
+    adapter: Adapter, case: Case, method: Method, steps_per_frame: int
+) -> tuple[Batch, Trajectory]:
+    batch = draw_batch(case.scene, [0])
+    with adapter.open(case.scene, _settings(adapter, case, method, steps_per_frame)) as run:
+        return batch, run.rollout(batch)
+
+
+def _settings(adapter: Adapter, case: Case, method: Method, steps_per_frame: int) -> Settings:
+    preset = adapter.settings(case.scene, "matched")
+    options = preset.options if preset.method == method.name else {}
+    return Settings(method.name, case.scene.clock.frame / steps_per_frame, options)
+
+
+def _able(adapter: Adapter, scene: Scene) -> list[Method]:
+    return [m for m in adapter.methods.values() if not adapter.refusals(scene, m.name)]
+
+
+def _able_cases(adapter: Adapter) -> list[Case]:
+    cases = [case for case in CASES if _able(adapter, case.scene)]
+    assert len(cases) >= len(CASES) // 2, "an engine that cannot run half of the ladder is no use"
+    assert any(Feature.BALL in features_of(case.scene) for case in cases)
+    return cases
+
+
+def _first(adapter: Adapter, case: Case) -> Method:
+    return _able(adapter, case.scene)[0]
