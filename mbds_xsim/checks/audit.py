@@ -1,0 +1,47 @@
+"""All checks of one trajectory set, in the order in which a report lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mbds_xsim.checks.energy import energy_balance
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.integrity import finite, planarity, start
+from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.engine import Method
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["CHECKS", "audit"]
+
+Check = Callable[[Record], Finding | None]
+
+CHECKS: tuple[Check, ...] = (finite, start, gap, angle_gap, planarity, energy_balance)
+"""Each gives a finding, or None where it does not apply to the scene."""
+
+
+def audit(
+    scene: Scene,
+    batch: Batch,
+    trajectory: Trajectory,
+    method: Method | None = None,
+    *,
+    step: float | None = None,
+) -> list[Finding]:
+    """Run every check that applies to the scene.
+
+    Args:
+        scene: What was simulated.
+        batch: Its starts and inputs.
+        trajectory: What was recorded.
+        method: How it was made, which decides budgets and velocity lag; None: unknown, and
+            first order is assumed.
+        step: Integration step [s]; the frame interval where it is left out.
+    """
+    record = Record(scene, batch, trajectory, method, step)
+    # A blow-up may overflow on its way to infinity; the check `finite` reports it.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = (check(record) for check in CHECKS)
+        return [finding for finding in found if finding is not None]

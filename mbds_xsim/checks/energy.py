@@ -1,0 +1,156 @@
+"""Energy of a motion, the work of its inputs, and the balance of the two."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_simpson
+
+from mbds_xsim import rotation
+from mbds_xsim.assembly import joint_coordinate
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.joints import pair_distance, with_world
+
+__all__ = [
+    "Energy",
+    "damper_loss",
+    "energy_balance",
+    "energy_of",
+    "hinge_turns",
+    "input_work",
+]
+
+Array = NDArray[np.float64]
+
+_FLOOR = 1e-3  # of Σ m·g·length
+_EARTH = 9.81  # sets the floor of scenes without gravity [m/s²]
+
+
+class Energy:
+    """Kinetic and potential energy (gravity and springs) [J], each (trajectory, frame)."""
+
+    def __init__(self, kinetic: Array, potential: Array, floor: float) -> None:
+        self.kinetic = kinetic
+        self.potential = potential
+        self.total = kinetic + potential
+        self._floor = floor
+
+    @property
+    def scale(self) -> Array:
+        """What energy errors are measured in [J], shape (trajectory,).
+
+        The largest kinetic energy plus the range of the potential one, and at least 1e-3 of
+        Σ m·g·length.
+        """
+        known = np.isfinite(self.total)
+        top = np.where(known, self.potential, -np.inf).max(axis=1)
+        bottom = np.where(known, self.potential, np.inf).min(axis=1)
+        fastest = np.where(known, self.kinetic, -np.inf).max(axis=1)
+        return np.maximum(self._floor, fastest + np.maximum(top - bottom, 0.0))
+
+
+def energy_balance(record: Record) -> Finding | None:
+    """Measure |E − E(0) − W| over the energy scale; None for scenes with contact.
+
+    The work of held inputs is exact; that of dampers is a quadrature, whose error is the
+    finding's uncertainty.
+    """
+    if record.scene.contacts:
+        return None
+    energy = energy_of(record)
+    loss, error = damper_loss(record)
+    balance = energy.total - energy.total[:, :1] - input_work(record) + loss
+    note = ""
+    if record.mechanism.springs and np.nanmax(error, initial=0.0) > 0:
+        note = f"damper work known to {np.nanmax(error / energy.scale):.1g} of the scale"
+    return Finding.of(
+        "energy",
+        "1",
+        (np.abs(balance) / energy.scale[:, None])[..., None],
+        budget=record.energy_budget,
+        uncertainty=error / energy.scale,
+        note=note,
+    )
+
+
+def energy_of(record: Record) -> Energy:
+    """Compute kinetic and potential energy at every frame."""
+    mechanism, bodies = record.mechanism, record.bodies
+    gravity = np.array(record.scene.gravity)
+    spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
+    turning = np.einsum("tfbi,bij,tfbj->tf", spin, mechanism.inertia, spin, optimize=True)
+    moving = np.sum(bodies.velocity**2, axis=-1) @ mechanism.mass
+    potential = -(bodies.position @ gravity) @ mechanism.mass
+    if mechanism.springs:
+        stretch = pair_distance(with_world(bodies), mechanism.springs)
+        stretch = stretch - [spring.length for spring in mechanism.springs]
+        stiffness = np.array([spring.stiffness for spring in mechanism.springs])
+        potential = potential + 0.5 * stretch**2 @ stiffness
+    pull = float(np.linalg.norm(gravity)) or _EARTH
+    floor = _FLOOR * float(mechanism.mass.sum()) * pull * record.scene.length
+    return Energy(0.5 * (moving + turning), potential, floor)
+
+
+def input_work(record: Record) -> Array:
+    """Work of forces and torques from frame 0 on [J], shape (trajectory, frame).
+
+    Inputs are constant over a step, so a step's work is exactly F·Δx + τ·Δθ.
+    """
+    moved = np.diff(record.bodies.position, axis=1)
+    steps = moved.shape[1]
+    work = np.einsum("tsbi,tsbi->ts", record.batch.force[:, :steps], moved)
+    if record.mechanism.hinges:
+        work += np.sum(record.batch.torque[:, :steps] * hinge_turns(record), axis=2)
+    return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
+
+
+def hinge_turns(record: Record) -> Array:
+    """Angles by which the hinges turn over each step [rad], shape (trajectory, step, hinge).
+
+    A frame gives a hinge's angle up to full turns; the mean of the hinge rates at the two ends
+    of the step chooses among them.
+    """
+    bodies, world = record.bodies, with_world(record.bodies)
+    turns = []
+    for joint in record.mechanism.hinges:
+        axis = rotation.rotate(world.native[..., joint.parent, :], joint.axis)
+        spin = world.angular_velocity
+        rate = np.sum((spin[..., joint.child, :] - spin[..., joint.parent, :]) * axis, axis=-1)
+        turn = np.diff(joint_coordinate(joint, bodies.position, bodies.native), axis=1)
+        expected = 0.5 * (rate[:, 1:] + rate[:, :-1]) * record.frame
+        turns.append(turn + 2 * np.pi * np.round((expected - turn) / (2 * np.pi)))
+    return np.stack(turns, axis=-1)
+
+
+def damper_loss(record: Record) -> tuple[Array, Array]:
+    """Energy taken by dampers [J], shape (trajectory, frame), and its error, (trajectory,).
+
+    Simpson's rule on the frames; the error is its change when every other frame is left out.
+    """
+    damping = np.array([spring.damping for spring in record.mechanism.springs])
+    if not damping.any():
+        return np.zeros(record.finite.shape), np.zeros(len(record.finite))
+    power = _stretch_rates(record) ** 2 @ damping
+    loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
+    if record.steps < 4:
+        return loss, np.nanmax(np.abs(loss), axis=1, initial=0.0)
+    coarse = cumulative_simpson(power[:, ::2], dx=2 * record.frame, axis=1, initial=0.0)
+    return loss, np.nanmax(np.abs(coarse - loss[:, ::2]), axis=1, initial=0.0)
+
+
+def _stretch_rates(record: Record) -> Array:
+    """Rates of the springs' lengths [m/s], shape (trajectory, frame, spring)."""
+    states = with_world(record.bodies)
+    rates = []
+    for spring in record.mechanism.springs:
+        points, speeds = [], []
+        for body, offset in zip(spring.bodies, spring.in_body, strict=True):
+            arm = rotation.rotate(states.native[..., body, :], offset)
+            points.append(states.position[..., body, :] + arm)
+            speeds.append(
+                states.velocity[..., body, :] + np.cross(states.angular_velocity[..., body, :], arm)
+            )
+        apart = points[1] - points[0]
+        along = apart / np.linalg.norm(apart, axis=-1, keepdims=True)
+        rates.append(np.sum((speeds[1] - speeds[0]) * along, axis=-1))
+    return np.stack(rates, axis=-1)

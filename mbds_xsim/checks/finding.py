@@ -1,0 +1,162 @@
+"""What a check finds, and what it is given to look at."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.engine import Method
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Finding", "Record"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A batch with the motion that was recorded for it, as the checks read it."""
+
+    scene: Scene
+    batch: Batch
+    trajectory: Trajectory
+    method: Method | None = None
+    """How it was made; None: unknown, as for a file from elsewhere."""
+    step: float | None = None
+    """Integration step [s]; None: the frame interval."""
+
+    @functools.cached_property
+    def mechanism(self) -> Mechanism:
+        """The scene as arrays."""
+        return Mechanism.of(self.scene)
+
+    @functools.cached_property
+    def finite(self) -> NDArray[np.bool_]:
+        """Frames before the first number that is not finite, shape (trajectory, frame)."""
+        fields = (
+            self.trajectory.position,
+            self.trajectory.orientation,
+            self.trajectory.velocity,
+            self.trajectory.angular_velocity,
+        )
+        each = [np.isfinite(field).all(axis=(2, 3)) for field in fields]
+        return np.logical_and.accumulate(np.logical_and.reduce(each), axis=1)
+
+    @functools.cached_property
+    def bodies(self) -> BodyStates:
+        """States with native rotations, NaN from the first frame that is not finite."""
+        published = self.trajectory
+        states = BodyStates(
+            published.position,
+            self.mechanism.native_rotation(published.orientation),
+            published.velocity,
+            published.angular_velocity,
+        )
+        if self.finite.all():
+            return states
+        keep = self.finite[:, :, None, None]
+        return BodyStates(
+            *(
+                np.where(keep, field, np.nan)
+                for field in (
+                    states.position,
+                    states.native,
+                    states.velocity,
+                    states.angular_velocity,
+                )
+            )
+        )
+
+    @property
+    def steps(self) -> int:
+        """Number of recorded steps."""
+        return len(self.trajectory.time) - 1
+
+    @property
+    def frame(self) -> float:
+        """Interval between frames [s]."""
+        return self.scene.clock.frame
+
+    @property
+    def order(self) -> int:
+        """Order of convergence that the method claims for the scene; 1 where none is known."""
+        return 1 if self.method is None else self.method.order_for(self.scene)
+
+    @property
+    def energy_budget(self) -> float:
+        """Budget of conserved quantities, relative, by the method's order."""
+        budget = self.scene.budget
+        return budget.energy if self.order >= 2 else budget.energy_first_order
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """One check on all trajectories of a batch."""
+
+    check: str
+    unit: str
+    series: Array
+    """What the check measures, 0 is ideal; NaN where there is nothing to see; shape (trajectory,
+    frame)."""
+    budget: float | None
+    """What the figure may reach; None: shown, not judged."""
+    uncertainty: Array
+    """What the check itself cannot resolve, added to the budget; shape (trajectory,)."""
+    where: tuple[str, ...]
+    """Which joint, body or component the worst value belongs to, one a trajectory."""
+    note: str = ""
+
+    @staticmethod
+    def of(
+        check: str,
+        unit: str,
+        parts: Array,
+        *,
+        budget: float | None,
+        names: tuple[str, ...] = (),
+        uncertainty: Array | float = 0.0,
+        note: str = "",
+    ) -> Finding:
+        """Make a finding from values of several parts, named alike, (trajectory, frame, part)."""
+        seen = np.where(np.isnan(parts), -np.inf, parts)
+        worst = seen.max(axis=1).argmax(axis=1)
+        series = seen.max(axis=2)
+        return Finding(
+            check,
+            unit,
+            np.where(np.isneginf(series), np.nan, series),
+            budget,
+            np.broadcast_to(np.asarray(uncertainty, dtype=np.float64), len(parts)),
+            tuple(names[k] if names else "" for k in worst),
+            note,
+        )
+
+    @functools.cached_property
+    def figure(self) -> Array:
+        """Worst over the frames, NaN where there is none; shape (trajectory,)."""
+        return np.take_along_axis(self.series, self.frame[:, None], axis=1)[:, 0]
+
+    @functools.cached_property
+    def frame(self) -> NDArray[np.int64]:
+        """Frame of the worst value, shape (trajectory,)."""
+        return np.where(np.isnan(self.series), -np.inf, self.series).argmax(axis=1)
+
+    @functools.cached_property
+    def passed(self) -> NDArray[np.bool_]:
+        """Whether the figure keeps its budget; a trajectory without a figure does not."""
+        if self.budget is None:
+            return np.ones(len(self.figure), dtype=bool)
+        return self.figure <= self.budget + self.uncertainty
+
+    @property
+    def worst(self) -> int:
+        """Row of the trajectory that comes off worst: no figure at all, else the largest."""
+        excess: NDArray[Any] = self.figure - self.uncertainty
+        return int(np.where(np.isnan(excess), np.inf, excess).argmax())

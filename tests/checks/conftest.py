@@ -1,0 +1,304 @@
+"""Small scenes and integrators of known order, written apart from the reference solution."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import HingeTorque, Throw
+from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.state import Batch, Trajectory
+
+Array = NDArray[np.float64]
+State = tuple[Array, Array, Array, Array]
+Stepper = Callable[["Model", State, float, Array, Array], State]
+
+
+class Model:
+    """Accelerations of a scene in maximal coordinates, by a dense solve."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.mechanism = Mechanism.of(scene)
+        self.gravity = np.array(scene.gravity)
+
+    def acceleration(self, state: State, force: Array, torque: Array) -> tuple[Array, Array]:
+        mechanism = self.mechanism
+        x, q, v, w = state
+        turn = rotation.matrix(q)
+        inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
+        push = force + mechanism.mass[:, None] * self.gravity
+        twist = -np.cross(w, np.einsum("...ij,...j->...i", inertia, w))
+        for k, joint in enumerate(mechanism.hinges):
+            carrier = rotation.IDENTITY if joint.parent == WORLD_INDEX else q[:, joint.parent]
+            load = torque[:, k, None] * rotation.rotate(carrier, joint.axis)
+            twist[:, joint.child] += load
+            if joint.parent != WORLD_INDEX:
+                twist[:, joint.parent] -= load
+        for spring in mechanism.springs:
+            self._pull(spring, state, push, twist)
+        inverse = np.zeros((len(x), 6 * mechanism.body_count, 6 * mechanism.body_count))
+        for k in range(mechanism.body_count):
+            here = slice(6 * k, 6 * k + 3)
+            inverse[:, here, here] = np.eye(3) / mechanism.mass[k]
+            here = slice(6 * k + 3, 6 * k + 6)
+            inverse[:, here, here] = np.linalg.inv(inertia[:, k])
+        load = np.concatenate([push, twist], axis=-1).reshape(len(x), -1, 1)
+        free = inverse @ load
+        rows = constraint_rows(mechanism, x, q, v, w)
+        if len(rows.parent):
+            jacobian = dense_jacobian(rows, mechanism.body_count)
+            weighted = inverse @ np.swapaxes(jacobian, -1, -2)
+            short = jacobian @ free + rows.bias[..., None]
+            free = free - weighted @ _solve(jacobian @ weighted, short, bool(mechanism.loops))
+        parts = free.reshape(len(x), -1, 6)
+        return parts[..., :3], parts[..., 3:]
+
+    def _pull(self, spring, state: State, push: Array, twist: Array) -> None:  # type: ignore[no-untyped-def]
+        x, q, v, w = state
+        points, speeds, arms = [], [], []
+        for body, offset in zip(spring.bodies, spring.in_body, strict=True):
+            if body == WORLD_INDEX:
+                arm, point = np.zeros((len(x), 3)), np.broadcast_to(offset, (len(x), 3))
+                speed = np.zeros((len(x), 3))
+            else:
+                arm = rotation.rotate(q[:, body], offset)
+                point, speed = x[:, body] + arm, v[:, body] + np.cross(w[:, body], arm)
+            arms.append(arm)
+            points.append(point)
+            speeds.append(speed)
+        apart = points[1] - points[0]
+        length = np.linalg.norm(apart, axis=-1, keepdims=True)
+        along = apart / length
+        rate = np.sum((speeds[1] - speeds[0]) * along, axis=-1, keepdims=True)
+        tension = spring.stiffness * (length - spring.length) + spring.damping * rate
+        for sign, body, arm in zip((1, -1), spring.bodies, arms, strict=True):
+            if body != WORLD_INDEX:
+                push[:, body] += sign * tension * along
+                twist[:, body] += sign * np.cross(arm, tension * along)
+
+
+def _solve(matrix: Array, right: Array, redundant: bool) -> Array:
+    if redundant:
+        return np.asarray(np.linalg.pinv(matrix, rcond=1e-10) @ right)
+    return np.asarray(np.linalg.solve(matrix, right))
+
+
+def _moved(state: State, linear: Array, angular: Array) -> State:
+    """Move the poses by displacements and rotation vectors."""
+    turned = rotation.multiply(rotation.from_vector(angular), state[1])
+    return state[0] + linear, turned / np.linalg.norm(turned, axis=-1, keepdims=True), *state[2:]
+
+
+def rk4(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
+    """Runge–Kutta of order 4 on positions, quaternions and velocities."""
+
+    def rate(s: State) -> State:
+        linear, angular = model.acceleration(s, force, torque)
+        spin = np.concatenate([np.zeros((*s[3].shape[:-1], 1)), s[3]], axis=-1)
+        return s[2], 0.5 * rotation.multiply(spin, s[1]), linear, angular
+
+    def plus(s: State, scale: float, r: State) -> State:
+        x, q, v, w = (a + scale * b for a, b in zip(s, r, strict=True))
+        return x, q, v, w
+
+    a = rate(state)
+    b = rate(plus(state, h / 2, a))
+    c = rate(plus(state, h / 2, b))
+    d = rate(plus(state, h, c))
+    for scale, part in ((h / 6, a), (h / 3, b), (h / 3, c), (h / 6, d)):
+        state = plus(state, scale, part)
+    x, q, v, w = state
+    return x, q / np.linalg.norm(q, axis=-1, keepdims=True), v, w
+
+
+def midpoint(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
+    """Explicit midpoint rule, order 2."""
+    linear, angular = model.acceleration(state, force, torque)
+    half = _moved(state, h / 2 * state[2], h / 2 * state[3])
+    half = (*half[:2], state[2] + h / 2 * linear, state[3] + h / 2 * angular)
+    linear, angular = model.acceleration(half, force, torque)
+    end = _moved(state, h * half[2], h * half[3])
+    return *end[:2], state[2] + h * linear, state[3] + h * angular
+
+
+def euler_maximal(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
+    """Semi-implicit Euler on body states: velocities first."""
+    linear, angular = model.acceleration(state, force, torque)
+    v, w = state[2] + h * linear, state[3] + h * angular
+    return *_moved((*state[:2], v, w), h * v, h * w)[:2], v, w
+
+
+def euler_reduced(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
+    """Semi-implicit Euler on the relative rotations of a tree of ball joints, as engines do."""
+    mechanism = model.mechanism
+    links = to_links(mechanism, BodyStates(*state))
+    _, angular = model.acceleration(state, force, torque)
+    spin = np.array(links.angular_velocity)
+    for k, link in enumerate(mechanism.links):
+        assert link.joint is not None
+        assert link.joint.kind == "ball"
+        own, pull = state[3][:, link.body], angular[:, link.body]
+        held = np.zeros_like(own) if link.parent == WORLD_INDEX else state[3][:, link.parent]
+        if link.parent != WORLD_INDEX:
+            pull = pull - angular[:, link.parent]
+        back = rotation.conjugate(state[1][:, link.body])
+        spin[:, k] += h * rotation.rotate(back, pull - np.cross(own, own - held))
+    turn = rotation.multiply(links.rotation, rotation.from_vector(h * spin))
+    turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
+    end = to_bodies(
+        mechanism,
+        LinkStates(turn, spin, links.coordinate, links.rate, links.position, links.velocity),
+    )
+    return end.position, end.native, end.velocity, end.angular_velocity
+
+
+STEPPERS: dict[str, Stepper] = {
+    "rk4": rk4,
+    "midpoint": midpoint,
+    "euler_maximal": euler_maximal,
+    "euler_reduced": euler_reduced,
+}
+
+
+def simulate(
+    scene: Scene,
+    batch: Batch,
+    substeps: int,
+    stepper: str = "rk4",
+    *,
+    late: float = 0.0,
+    input_shift: int = 0,
+) -> Trajectory:
+    """Record a scene's motion; `late` seconds before each frame, with inputs shifted in steps."""
+    model, step = Model(scene), STEPPERS[stepper]
+    h = scene.clock.frame / substeps
+    state: State = (
+        batch.position,
+        model.mechanism.native_rotation(batch.orientation),
+        batch.velocity,
+        batch.angular_velocity,
+    )
+    back = round(late / h)
+    recorded = [state]
+    for frame in range(batch.steps):
+        held = max(0, frame - input_shift)
+        force, torque = batch.force[:, held], batch.torque[:, held]
+        for k in range(substeps):
+            if k == substeps - back:
+                recorded.append(state)
+            state = step(model, state, h, force, torque)
+        if back == 0:
+            recorded.append(state)
+    x, q, v, w = (np.stack(parts, axis=1) for parts in zip(*recorded, strict=True))
+    time = np.asarray(scene.clock.frame * np.arange(batch.steps + 1))
+    published = model.mechanism.body_orientation(q)
+    return Trajectory(time, x, published, v, w, (None,) * len(batch))
+
+
+def drawn(scene: Scene, steps: int, rows: int = 3) -> tuple[Scene, Batch]:
+    """Shorten a scene's clock and draw its first trajectories."""
+    scene = msgspec.structs.replace(scene, clock=Clock(scene.clock.frame, steps))
+    return scene, draw_batch(scene, range(rows))
+
+
+def tumbler() -> Scene:
+    """Two bodies on a driven hinge, thrown and spinning, with noise: free of the world."""
+    return Scene(
+        name="tumbler",
+        bodies=(
+            Body("hull", inertia=Inertia(2.0, (0.02, 0.03, 0.04), products=(0.002, 0.0, 0.001))),
+            Body("arm", inertia=Inertia(0.5, (0.004, 0.005, 0.002)), position=(0.2, 0.0, 0.1)),
+        ),
+        joints=(Joint("elbow", "hinge", "hull", "arm", (0.1, 0.0, 0.05), (0.0, 1.0, 1.0)),),
+        length=0.3,
+        noise=0.2,
+        sampling=(
+            Throw(
+                body="hull",
+                displacement=((-0.1, 0.1),) * 3,
+                orientation="uniform",
+                velocity=((-1.0, 1.0),) * 3,
+                angular_velocity=((-3.0, 3.0),) * 3,
+            ),
+            HingeTorque(joints=("elbow",), torque=(0.02, 0.05), hold=5, random_sign=True),
+        ),
+    )
+
+
+def four_bar() -> Scene:
+    """A driven four-bar linkage in the x–z plane with a damped spring: one closed loop, 2D."""
+    return Scene(
+        name="four-bar",
+        dimension=2,
+        bodies=(
+            Body("crank", inertia=Inertia(1.0, (0.01, 0.01, 0.01)), position=(0.0, 0.0, 0.1)),
+            Body("rod", inertia=Inertia(1.5, (0.03, 0.03, 0.03)), position=(0.2, 0.0, 0.3)),
+            Body("rocker", inertia=Inertia(1.0, (0.02, 0.02, 0.02)), position=(0.45, 0.0, 0.2)),
+        ),
+        joints=(
+            Joint("drive", "hinge", "world", "crank", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+            Joint("pin", "hinge", "crank", "rod", (0.0, 0.0, 0.2), (0.0, 1.0, 0.0)),
+            Joint("top", "hinge", "rod", "rocker", (0.4, 0.0, 0.4), (0.0, 1.0, 0.0)),
+            Joint("foot", "hinge", "world", "rocker", (0.5, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        ),
+        springs=(
+            SpringDamper(
+                "stay",
+                ("world", "rod"),
+                ((0.2, 0.0, 0.6), (0.2, 0.0, 0.3)),
+                stiffness=20.0,
+                damping=0.5,
+                rest_length=0.2,
+            ),
+        ),
+        length=0.5,
+        sampling=(HingeTorque(joints=("drive",), torque=(-0.5, 0.5), hold=5),),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Case:
+    """A scene with a batch and its motion, all but exact."""
+
+    scene: Scene
+    batch: Batch
+    exact: Trajectory
+
+
+@pytest.fixture(scope="session")
+def pendulum() -> Case:
+    scene, batch = drawn(load_scene("3pendulum"), 40)
+    return Case(scene, batch, simulate(scene, batch, 10))
+
+
+@pytest.fixture(scope="session")
+def tumbling() -> Case:
+    scene, batch = drawn(tumbler(), 40)
+    return Case(scene, batch, simulate(scene, batch, 10))
+
+
+@pytest.fixture(scope="session")
+def linkage() -> Case:
+    scene, batch = drawn(four_bar(), 40)
+    return Case(scene, batch, simulate(scene, batch, 10))
+
+
+@pytest.fixture(scope="session", name="simulate")
+def simulate_fixture() -> Callable[..., Trajectory]:
+    return simulate
+
+
+@pytest.fixture(scope="session", name="drawn")
+def drawn_fixture() -> Callable[..., tuple[Scene, Batch]]:
+    return drawn

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.integrity import finite, planarity, start
+from mbds_xsim.state import Failure
+
+
+def test_a_good_trajectory_is_finite_and_starts_where_it_was_drawn(pendulum: Any) -> None:
+    record = Record(pendulum.scene, pendulum.batch, pendulum.exact)
+    assert finite(record).passed.all()
+    assert start(record).passed.all()
+    assert finite(record).figure.max() < 1e-14
+
+
+def test_a_number_that_is_not_finite_fails_its_trajectory_alone(pendulum: Any) -> None:
+    velocity = pendulum.exact.velocity.copy()
+    velocity[1, 7:] = np.nan
+    broken = dataclasses.replace(
+        pendulum.exact, velocity=velocity, failures=(None, Failure(7, "it blew up"), None)
+    )
+    finding = finite(Record(pendulum.scene, pendulum.batch, broken))
+    assert finding.passed.tolist() == [True, False, True]
+    assert finding.frame[1] == 7
+    assert finding.worst == 1
+    assert "it blew up" in finding.note
+
+
+def test_a_quaternion_off_unit_length_fails(pendulum: Any) -> None:
+    orientation = pendulum.exact.orientation.copy()
+    orientation[2, 5, 1] *= 1 + 1e-8
+    broken = dataclasses.replace(pendulum.exact, orientation=orientation)
+    finding = finite(Record(pendulum.scene, pendulum.batch, broken))
+    assert finding.passed.tolist() == [True, True, False]
+    assert (finding.frame[2], finding.where[2]) == (5, "link2")
+    assert finding.figure[2] == pytest.approx(1e-8, rel=1e-4)
+
+
+@pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])
+def test_another_start_than_the_drawn_one_fails(pendulum: Any, field: str) -> None:
+    values = getattr(pendulum.exact, field).copy()
+    values[0, 0, 2, 1] += 1e-9
+    broken = dataclasses.replace(pendulum.exact, **{field: values})
+    finding = start(Record(pendulum.scene, pendulum.batch, broken))
+    assert finding.passed.tolist() == [False, True, True]
+    assert finding.where[0] == "link3"
+
+
+def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
+    turned = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
+    assert start(Record(pendulum.scene, pendulum.batch, turned)).passed.all()
+    swapped = dataclasses.replace(
+        pendulum.exact, orientation=np.roll(pendulum.exact.orientation, -1, axis=-1)
+    )
+    assert not start(Record(pendulum.scene, pendulum.batch, swapped)).passed.any()
+
+
+def test_a_flat_mechanism_that_leaves_its_plane_fails(linkage: Any, pendulum: Any) -> None:
+    good = planarity(Record(linkage.scene, linkage.batch, linkage.exact))
+    assert good is not None
+    assert good.passed.all()
+    position = linkage.exact.position.copy()
+    position[1, 20, 2, 1] += 2e-6 * linkage.scene.length
+    broken = planarity(
+        Record(linkage.scene, linkage.batch, dataclasses.replace(linkage.exact, position=position))
+    )
+    assert broken is not None
+    assert broken.passed.tolist() == [True, False, True]
+    assert broken.where[1] == "rocker"
+    assert planarity(Record(pendulum.scene, pendulum.batch, pendulum.exact)) is None
+
+
+def test_sideways_motion_is_measured_over_the_length(pendulum: Any) -> None:
+    # The chain swings in 3D: declared flat, its sideways motion must show.
+    flat = msgspec.structs.replace(pendulum.scene, dimension=2)
+    finding = planarity(Record(flat, pendulum.batch, pendulum.exact))
+    assert finding is not None
+    sideways = np.abs(pendulum.exact.position[..., 1] - pendulum.exact.position[:, :1, :, 1])
+    assert np.allclose(finding.figure, sideways.max(axis=(1, 2)) / flat.length)
