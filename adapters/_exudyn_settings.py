@@ -1,0 +1,74 @@
+"""How a frame is stepped: Exudyn's simulation settings, as text that is run to make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbds_xsim.constraints import degrees_of_freedom
+from mbds_xsim.mechanism import Mechanism
+
+__all__ = ["LINEAR_SOLVERS", "SOLVERS", "Stepping", "has_redundant_constraints"]
+
+SOLVERS = {
+    "trapezoidal": "TrapezoidalIndex2",
+    "generalised-alpha": "GeneralizedAlpha",
+    "RK44": "RK44",
+    "RK67": "RK67",
+}
+LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
+
+_ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
+# From this many bodies on the sparse factorisation is faster.
+_SPARSE_FROM = 8
+
+
+@dataclass(frozen=True)
+class Stepping:
+    """Everything the solver is told."""
+
+    method: str
+    frame: float
+    substeps: int
+    linear_solver: str
+    spectral_radius: float
+    modified_newton: bool
+
+    def listing(self, mechanism: Mechanism) -> str:
+        """Write the program that makes `settings`, and `step_frame` to call once a frame."""
+        redundant = has_redundant_constraints(mechanism)
+        return f"""
+settings = exu.SimulationSettings()
+settings.solution.file.write = False
+settings.solution.sensors.active = False
+stepping = settings.timeIntegration
+stepping.endTime = {self.frame!r}
+stepping.numberOfSteps = {self.substeps}
+stepping.adaptiveStep = False
+stepping.automaticStepSize = False
+stepping.newton.useModifiedNewton = {self.modified_newton}
+stepping.generalizedAlpha.spectralRadius = {self.spectral_radius!r}
+settings.linearSolver.solverType = exu.LinearSolverType.{self._linear_solver(mechanism, redundant)}
+settings.linearSolver.ignoreSingularJacobian = {redundant}
+
+
+def step_frame():
+    mbs.SolveDynamic(
+        settings, solverType=exu.DynamicSolverType.{SOLVERS[self.method]}, updateInitialValues=True
+    )
+"""
+
+    def _linear_solver(self, mechanism: Mechanism, redundant: bool) -> str:
+        if redundant:
+            return "EigenDense"
+        if self.linear_solver != "auto":
+            return self.linear_solver
+        return "EigenSparse" if mechanism.body_count >= _SPARSE_FROM else "EigenDense"
+
+
+def has_redundant_constraints(mechanism: Mechanism) -> bool:
+    """Tell whether constraint rows hang on each other at the reference pose.
+
+    Exudyn's solvers then need its dense solver that ignores a singular Jacobian.
+    """
+    rows = sum(_ROWS[joint.kind] for joint in mechanism.joints) + len(mechanism.distances)
+    return 6 * mechanism.body_count - rows != degrees_of_freedom(mechanism)
