@@ -1,0 +1,92 @@
+"""Results kept on disk by content, so that a reference solution is computed once.
+
+Entries stand in the user's cache directory, or where MBDS_XSIM_CACHE says. Their names are
+hashes of everything that decides the result, the solver's own source among it. They are never
+changed, only replaced whole; one that cannot be read is computed again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import tempfile
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+import mbds_xsim
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+
+__all__ = ["Arrays", "directory", "key_of", "load", "store"]
+
+Arrays = dict[str, NDArray[Any]]
+
+_PHYSICS = ("bodies", "joints", "distance_links", "springs", "gravity", "contacts", "length")
+_CORE = ("mechanism.py", "rotation.py")
+
+
+def directory() -> Path:
+    """Where entries stand."""
+    chosen = os.environ.get("MBDS_XSIM_CACHE")
+    if chosen:
+        return Path(chosen)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "mbds-xsim"
+
+
+def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
+    """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
+    digest = hashlib.sha256(_source())
+    physics = [getattr(scene, key) for key in _PHYSICS]
+    digest.update(msgspec.json.encode([what, rtol, scene.clock.frame, physics]))
+    for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
+        array = np.ascontiguousarray(getattr(batch, key)[row])
+        digest.update(repr(array.shape).encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def load(key: str) -> Arrays | None:
+    """Read an entry; None where there is none that can be read."""
+    try:
+        with np.load(_path(key), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
+
+
+def store(key: str, arrays: Arrays) -> None:
+    """Write an entry; other processes see all of it or nothing."""
+    path = _path(key)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            try:
+                np.savez(file, **arrays)  # type: ignore[arg-type]
+                file.close()
+                os.replace(file.name, path)
+            except BaseException:
+                os.unlink(file.name)
+                raise
+    except OSError as error:
+        warnings.warn(f"reference solutions are not kept: {error}", stacklevel=2)
+
+
+def _path(key: str) -> Path:
+    return directory() / "reference" / key[:2] / f"{key[2:]}.npz"
+
+
+@functools.cache
+def _source() -> bytes:
+    """Hash of the code that makes the results."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    assert mbds_xsim.__file__ is not None
+    files += [Path(mbds_xsim.__file__).parent / name for name in _CORE]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).digest()

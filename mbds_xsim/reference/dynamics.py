@@ -1,0 +1,320 @@
+"""Newton–Euler equations in maximal coordinates with constraints at acceleration level.
+
+M a = f + Jᵀ λ and J a + bias = 0 give (J M⁻¹ Jᵀ) λ = −(J M⁻¹ f + bias). Accelerations and Jacobian
+are scaled by the roots of masses and principal moments, so that M is the identity.
+
+A state is one array of shape (batch, body + world, 13): position of the centre of mass,
+orientation of the principal frame (wxyz), velocity, angular velocity in W.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference.multipliers import multipliers_of
+from mbds_xsim.reference.topology import topology_of
+
+__all__ = ["Dynamics", "dynamics_of"]
+
+Array = NDArray[np.float64]
+
+_X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+_NEXT = np.array([1, 2, 0])
+
+# Rows r × e_i of a joint's arm r, as a linear map of r.
+_ARM = np.array(
+    [
+        [0, 0, 0, 0, 0, 1, 0, -1, 0],
+        [0, 0, -1, 0, 0, 0, 1, 0, 0],
+        [0, 1, 0, -1, 0, 0, 0, 0, 0],
+    ],
+    dtype=float,
+)
+
+
+def _turn_map() -> Array:
+    """Linear map from the products of a quaternion's components to (R − 1) · |q|² / 2."""
+    products = np.zeros((3, 3, 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products[i, i, 1 + j, 1 + j] = products[i, i, 1 + k, 1 + k] = -1.0
+        products[i, j, 1 + i, 1 + j] = products[j, i, 1 + i, 1 + j] = 1.0
+        products[j, i, 0, 1 + k], products[i, j, 0, 1 + k] = 1.0, -1.0
+    return np.ascontiguousarray(products.reshape(9, 16).T)
+
+
+_TURN = _turn_map()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Constraints at some states: residual and bias (batch, row), Jacobian slot by slot."""
+
+    residual: Array
+    bias: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Bodies' rotations, and the body-fixed vectors and spans with two time derivatives."""
+
+    turn: Array
+    vector: tuple[Array, Array, Array]
+    span: tuple[Array, Array, Array]
+
+
+@functools.lru_cache(maxsize=64)
+def dynamics_of(mechanism: Mechanism) -> Dynamics:
+    """Prepare a mechanism (once each)."""
+    return Dynamics(mechanism)
+
+
+class Dynamics:
+    """Equations of motion of one mechanism, vectorised over a batch."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.topology = topology_of(mechanism)
+        self._multipliers = multipliers_of(self.topology)
+        rows = self.topology.row_count
+        self._half = np.zeros((2, rows + 1, 6))
+        points = self.topology.points.stop
+        eye = np.tile(np.eye(3), (points, 1))
+        self._half[0, : 3 * points, :3], self._half[1, : 3 * points, :3] = -eye, eye
+        self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
+        self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
+
+    def pack(self, bodies: BodyStates) -> Array:
+        """States of body states with one leading axis."""
+        count = self.topology.body_count
+        state = np.zeros((len(bodies.position), count + 1, 13))
+        state[:, -1, 3] = 1.0
+        state[:, :count, _X], state[:, :count, _V] = bodies.position, bodies.velocity
+        state[:, :count, _Q] = rotation.multiply(bodies.native, self.topology.principal[:count])
+        state[:, :count, _W] = bodies.angular_velocity
+        return state
+
+    def unpack(self, state: Array) -> BodyStates:
+        """Body states of states with any leading axes."""
+        state = state[..., :-1, :]
+        back = rotation.conjugate(self.topology.principal[:-1])
+        native = rotation.multiply(state[..., _Q], back)
+        return BodyStates(state[..., _X], native, state[..., _V], state[..., _W])
+
+    def derivative(self, state: Array, force: Array, torque: Array) -> Array:
+        """Time derivative of states under forces (batch, body, 3) and torques (batch, hinge)."""
+        motion = self._motion(state)
+        q, w = state[..., _Q], state[..., _W]
+        acceleration = self._constrained(motion, self._applied(motion, state, force, torque))
+        rate = np.empty_like(state)
+        rate[..., _X] = state[..., _V]
+        rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
+        rate[..., 4:7] = 0.5 * (w * q[..., :1] + _cross(w, q[..., 1:]))
+        rate[..., _V] = acceleration[..., :3] * self._inverse_mass_root
+        rate[..., _W] = _times(motion.turn, acceleration[..., 3:] * self._inverse_inertia_root)
+        return rate
+
+    def project(self, state: Array) -> Array:
+        """Put states onto the constraints by least mass-weighted changes; unit quaternions."""
+        if self.topology.row_count:
+            state = self._closed(state)
+            motion = self._motion(state)
+            rows = self._rows(motion)
+            change = self._least(rows.jacobian, self._rates(rows.jacobian, motion, state))
+            state = state.copy()
+            state[..., _V] -= change[..., :3] * self._inverse_mass_root
+            state[..., _W] -= _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
+        return _normalised(state)
+
+    def residual(self, state: Array) -> Array:
+        """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.constraints`."""
+        return self._rows(self._motion(state)).residual
+
+    def touches(self, state: Array) -> NDArray[np.bool_]:
+        """Whether a contact sphere reaches the plane z = 0, shape (batch,)."""
+        top = self.topology
+        down = rotation.rotate(state[:, top.sphere_body, _Q], top.sphere)[..., 2]
+        height = state[:, top.sphere_body, 2] + down - top.sphere_radius
+        return np.asarray((height <= 0.0).any(axis=1))
+
+    def _closed(self, state: Array) -> Array:
+        motion = self._motion(state)
+        rows = self._rows(motion)
+        change = self._least(rows.jacobian, rows.residual)
+        moved = state.copy()
+        moved[..., _X] -= change[..., :3] * self._inverse_mass_root
+        turn = _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
+        moved[..., _Q] = rotation.multiply(rotation.from_vector(-turn), state[..., _Q])
+        return moved
+
+    def _motion(self, state: Array) -> _Motion:
+        top = self.topology
+        q = state[..., _Q]
+        outer = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
+        turn = outer @ _TURN
+        turn *= (2.0 / np.einsum("bni,bni->bn", q, q))[..., None]
+        turn[..., ::4] += 1.0
+        turn = turn.reshape(*q.shape[:-1], 3, 3)
+        u = np.einsum("bvij,vj->bvi", turn[:, top.vector_body], top.vector)
+        w = state[:, top.vector_body, _W]
+        rate = _cross(w, u)
+        bend = _cross(w, rate)
+        first, second = top.span_body
+        count = len(first)
+        a, b = slice(count), slice(count, 2 * count)
+        apart = state[:, second] - state[:, first]
+        span = (
+            apart[..., _X] + u[:, b] - u[:, a],
+            apart[..., _V] + rate[:, b] - rate[:, a],
+            bend[:, b] - bend[:, a],
+        )
+        return _Motion(turn, (u, rate, bend), span)
+
+    def _applied(self, motion: _Motion, state: Array, force: Array, torque: Array) -> Array:
+        """Scaled accelerations without constraints, shape (batch, body + world, 6)."""
+        top = self.topology
+        push = np.zeros((*state.shape[:-1], 3))
+        push[:, :-1] = force
+        twist = np.zeros_like(push)
+        if top.hinge.stop > top.hinge.start:
+            twist += top.hinge_incidence @ (motion.vector[0][:, top.hinge] * torque[..., None])
+        if len(top.stiffness):
+            self._add_springs(motion, push, twist)
+        spin = _times(motion.turn.swapaxes(-1, -2), state[..., _W])
+        moment = _times(motion.turn.swapaxes(-1, -2), twist)
+        moment -= _cross(spin, top.inertia_root**2 * spin)
+        scaled = np.empty((*state.shape[:-1], 6))
+        scaled[..., :3] = push * self._inverse_mass_root
+        scaled[..., :3] += top.gravity * top.mass_root[:, None] * top.weight
+        scaled[..., 3:] = moment * self._inverse_inertia_root
+        return scaled
+
+    def _add_springs(self, motion: _Motion, push: Array, twist: Array) -> None:
+        top = self.topology
+        d, d_rate = (motion.span[k][:, top.springs] for k in (0, 1))
+        distance = np.sqrt(np.einsum("bsi,bsi->bs", d, d))
+        along = d / distance[..., None]
+        stretch = np.einsum("bsi,bsi->bs", along, d_rate)
+        tension = top.stiffness * (distance - top.rest_length) + top.damping * stretch
+        pull = tension[..., None] * along
+        spans = top.span_body.shape[1]
+        for end, sign in ((0, 1.0), (1, -1.0)):
+            first = end * spans + top.springs.start
+            arm = motion.vector[0][:, first : first + len(top.stiffness)]
+            push += top.spring_incidence[end] @ (sign * pull)
+            twist += top.spring_incidence[end] @ _cross(arm, sign * pull)
+
+    def _constrained(self, motion: _Motion, applied: Array) -> Array:
+        if not self.topology.row_count:
+            return applied
+        rows = self._rows(motion)
+        goal = self._sum(rows.jacobian, applied)
+        goal += rows.bias
+        return applied - self._least(rows.jacobian, goal)
+
+    def _least(self, jacobian: Array, goal: Array) -> Array:
+        """Scaled change of least norm with J · change = goal, shape (batch, body + world, 6)."""
+        solver = self._multipliers
+        load = solver.solve(jacobian, goal)[:, solver.slot_row]
+        return np.matmul(load[..., None, :], jacobian)[..., 0, :]
+
+    def _sum(self, jacobian: Array, scaled: Array) -> Array:
+        """J · scaled, shape (batch, row)."""
+        values = np.matmul(jacobian, scaled[..., None]).reshape(len(jacobian), -1)
+        first, second = self._multipliers.row_slot
+        return values[:, first] + values[:, second]
+
+    def _rates(self, jacobian: Array, motion: _Motion, state: Array) -> Array:
+        top = self.topology
+        scaled = np.empty((*state.shape[:-1], 6))
+        scaled[..., :3] = state[..., _V] * top.mass_root[:, None]
+        scaled[..., 3:] = _times(motion.turn.swapaxes(-1, -2), state[..., _W]) * top.inertia_root
+        return self._sum(jacobian, scaled)
+
+    def _rows(self, motion: _Motion) -> _Rows:
+        top = self.topology
+        batch = len(motion.turn)
+        half = np.empty((batch, *self._half.shape))
+        half[:] = self._half
+        arm = motion.vector[0]
+        spans, points = top.span_body.shape[1], top.points.stop
+        half[:, 0, : 3 * points, 3:] = (arm[:, :points] @ -_ARM).reshape(batch, -1, 3)
+        half[:, 1, : 3 * points, 3:] = (arm[:, spans : spans + points] @ _ARM).reshape(batch, -1, 3)
+        residual = [motion.span[0][:, :points].reshape(batch, -1)]
+        bias = [motion.span[2][:, :points].reshape(batch, -1)]
+        done = 3 * points
+        for part in (self._along_rows, self._normal_rows, self._distance_rows):
+            error, curvature = part(motion, half[:, :, done:])
+            residual.append(error)
+            bias.append(curvature)
+            done += error.shape[1]
+        slots = half.reshape(batch, -1, 6)[:, self._multipliers.slot_half]
+        slots[..., :3] *= self._inverse_mass_root[:, None]
+        scale = motion.turn * self._inverse_inertia_root[:, None]
+        slots[..., 3:] = np.matmul(slots[..., 3:], scale)
+        return _Rows(np.concatenate(residual, axis=1), np.concatenate(bias, axis=1), slots)
+
+    def _along_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
+        top = self.topology
+        d, d_rate, d_bend = (part[:, top.along] for part in motion.span)
+        n, n_rate, n_bend = (part[:, top.along_normal] for part in motion.vector)
+        count = d.shape[1]
+        if count:
+            self._fill_line(motion, half[:, :, :count], top.along, n, d)
+        return _dot(n, d), _dot(n, d_bend) + 2.0 * _dot(n_rate, d_rate) + _dot(n_bend, d)
+
+    def _normal_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
+        top = self.topology
+        n, n_rate, n_bend = (part[:, top.normal] for part in motion.vector)
+        a, a_rate, a_bend = (part[:, top.lever] for part in motion.vector)
+        lever = _cross(a, n)
+        half[:, 0, : n.shape[1], 3:], half[:, 1, : n.shape[1], 3:] = -lever, lever
+        return _dot(a, n), _dot(a_bend, n) + 2.0 * _dot(a_rate, n_rate) + _dot(a, n_bend)
+
+    def _distance_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
+        top = self.topology
+        d, d_rate, d_bend = (part[:, top.distances] for part in motion.span)
+        distance = np.sqrt(_dot(d, d))
+        u = d / distance[..., None]
+        count = d.shape[1]
+        if count:
+            self._fill_line(motion, half[:, :, :count], top.distances, u, 0.0 * d)
+        along = _dot(u, d_rate)
+        bias = _dot(u, d_bend) + (_dot(d_rate, d_rate) - along**2) / distance
+        return distance - top.length, bias
+
+    def _fill_line(
+        self, motion: _Motion, half: Array, spans: slice, direction: Array, carried: Array
+    ) -> None:
+        """Half-rows along a direction; `carried` is what the parent's turn carries with it."""
+        arm, count = motion.vector[0], self.topology.span_body.shape[1]
+        first, second = arm[:, spans], arm[:, spans.start + count : spans.stop + count]
+        half[:, 0, :, :3], half[:, 1, :, :3] = -direction, direction
+        half[:, 0, :, 3:] = -_cross(first + carried, direction)
+        half[:, 1, :, 3:] = _cross(second, direction)
+
+
+def _normalised(state: Array) -> Array:
+    state = state.copy()
+    state[..., _Q] /= np.linalg.norm(state[..., _Q], axis=-1, keepdims=True)
+    return state
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products along the last axis; several times faster than numpy's on small arrays."""
+    return (a * b[..., _NEXT] - a[..., _NEXT] * b)[..., _NEXT]
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.einsum("bnij,bnj->bni", matrix, vector)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.einsum("bki,bki->bk", a, b)

@@ -1,0 +1,155 @@
+"""March a batch through its frames: adaptive steps, restarted where the inputs change.
+
+Every state has a clock of its own; they only share the calls that evaluate them. At a frame's
+end a state is put back onto the constraints, which keeps the drift of the acceleration-level
+constraints at the tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
+from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.state import Failure
+
+__all__ = ["Inputs", "Marched", "march"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Progress = Callable[[int, int], None]
+
+_FIRST_STEP = 0.1  # of a frame
+_SMALLEST_STEP = 1e-9  # of a frame
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Held over each frame: forces (batch, frame, body, 3) and torques (batch, frame, hinge)."""
+
+    force: Array
+    torque: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Marched:
+    """Result of a march."""
+
+    states: Array
+    """Shape (batch, frame + 1, body + world, 13); NaN behind a failure."""
+    failures: list[Failure | None]
+
+
+def march(
+    dynamics: Dynamics,
+    start: Array,
+    inputs: Inputs,
+    frame: float,
+    *,
+    rtol: float,
+    companions: int = 1,
+    progress: Progress | None = None,
+) -> Marched:
+    """Integrate states frame by frame.
+
+    Args:
+        dynamics: Equations of motion.
+        start: States, shape (batch, body + world, 13).
+        inputs: What acts.
+        frame: Length of a frame [s].
+        rtol: Allowed error of a step, relative to the size of each component or to the scene's.
+        companions: Consecutive states that share their steps, so that their numerical errors
+            cancel in their difference.
+        progress: Called with the frames that are done and all.
+    """
+    return _March(dynamics, start, inputs, frame, rtol, companions).run(progress)
+
+
+class _March:
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        start: Array,
+        inputs: Inputs,
+        frame: float,
+        rtol: float,
+        companions: int,
+    ) -> None:
+        self.dynamics, self.inputs, self.frame = dynamics, inputs, frame
+        self.rtol, self.companions = rtol, companions
+        batch, self.frames = inputs.force.shape[:2]
+        self.states = np.full((batch, self.frames + 1, *start.shape[1:]), np.nan)
+        self.states[:, 0] = start
+        self.failures: list[Failure | None] = [None] * batch
+        # The states still under way, and their rows in the batch.
+        self.row = np.arange(batch)
+        self.y = dynamics.project(start)
+        self.at = np.zeros(batch, dtype=np.intp)
+        self.left = np.full(batch, frame)
+        self.step = np.full(batch, _FIRST_STEP * frame)
+        self.rate = self._derivative(self.y, self._forces(slice(None)))
+
+    def run(self, progress: Progress | None) -> Marched:
+        while len(self.row):
+            self._advance()
+            if self._finish_frames() and progress is not None:
+                progress(int(np.sum(self.at)) + self._retired(), self.frames * len(self.states))
+        return Marched(self.states, self.failures)
+
+    def _retired(self) -> int:
+        return self.frames * (len(self.states) - len(self.row))
+
+    def _forces(self, pick: slice | Indices) -> tuple[Array, Array]:
+        row, at = self.row[pick], self.at[pick]
+        return self.inputs.force[row, at], self.inputs.torque[row, at]
+
+    def _derivative(self, y: Array, forces: tuple[Array, Array]) -> Array:
+        return self.dynamics.derivative(y, *forces)
+
+    def _advance(self) -> None:
+        """Try a step with every state; those whose error is too large stay where they are."""
+        # Equal steps to the end of the frame, so that none is left over too short.
+        h = self.left / np.ceil(self.left / self.step)
+        forces = self._forces(slice(None))
+        new, stages = try_step(lambda y: self._derivative(y, forces), self.y, self.rate, h)
+        allowed = self.rtol * (1.0 + np.maximum(np.abs(self.y), np.abs(new)))
+        ratio = error_ratio(stages, h, allowed).reshape(-1, self.companions).max(axis=1)
+        ratio = np.repeat(ratio, self.companions)
+        good = ratio <= 1.0
+        self.y[good], self.rate[good] = new[good], stages[-1][good]
+        self.left[good] = np.where(h >= self.left, 0.0, self.left - h)[good]
+        self.step = next_step(h, ratio)
+        self._end(self.step < _SMALLEST_STEP * self.frame, "the solution cannot be continued")
+        self._end(self.dynamics.touches(self.y), "a contact sphere reaches the ground")
+
+    def _finish_frames(self) -> bool:
+        """Project and record the states at the end of a frame and give them their new inputs."""
+        done = np.flatnonzero(self.left <= 0.0)
+        if not len(done):
+            return False
+        self.y[done] = self.dynamics.project(self.y[done])
+        self.at[done] += 1
+        self.left[done] = self.frame
+        self.states[self.row[done], self.at[done]] = self.y[done]
+        under_way = self.at < self.frames
+        done = done[under_way[done]]
+        if len(done):
+            self.rate[done] = self._derivative(self.y[done], self._forces(done))
+        if not under_way.all():
+            self._keep(under_way)
+        return True
+
+    def _end(self, ended: NDArray[np.bool_], reason: str) -> None:
+        """Stop some states before the end of the frame they are in."""
+        if ended.any():
+            for row, at in zip(self.row[ended], self.at[ended], strict=True):
+                self.failures[row] = Failure(int(at) + 1, reason)
+            self._keep(~ended)
+
+    def _keep(self, kept: NDArray[np.bool_]) -> None:
+        for key in ("row", "y", "at", "left", "step", "rate"):
+            setattr(self, key, getattr(self, key)[kept])
