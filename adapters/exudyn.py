@@ -244,13 +244,15 @@ class _Run(Run):
         )
 
     def _gravity(self) -> Array:
-        loads = [self._mbs.GetLoad(k) for k in range(self._mbs.systemData.NumberOfLoads())]
-        held = np.array(
-            [load["loadVector"] for load in loads if load["loadType"] == "MassProportional"]
-        )
-        # One load a body: a body that has another one, or none, must show.
-        alike = len(held) == self._mechanism.body_count and not np.ptp(held, axis=0).any()
-        return held[0] if alike else np.full(3, np.nan)
+        """Sum of the loads per mass on a body; NaN where bodies differ."""
+        mbs, bodies = self._mbs, [int(body) for body in self._native["bodies"]]
+        held = np.zeros((len(bodies), 3))
+        for k in range(mbs.systemData.NumberOfLoads()):
+            load = mbs.GetLoad(k)
+            if load["loadType"] == "MassProportional":
+                body = mbs.GetMarker(load["markerNumber"])["bodyNumber"]
+                held[bodies.index(body)] += load["loadVector"]
+        return held[0] if not np.ptp(held, axis=0).any() else np.full(3, np.nan)
 
     def _joint_axes(self, turn: Array) -> Array:
         """Axes as the parent's marker holds them, in W."""
