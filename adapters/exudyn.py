@@ -250,7 +250,7 @@ class _Run(Run):
         for k in range(mbs.systemData.NumberOfLoads()):
             load = mbs.GetLoad(k)
             if load["loadType"] == "MassProportional":
-                body = mbs.GetMarker(load["markerNumber"])["bodyNumber"]
+                body = int(mbs.GetMarker(load["markerNumber"])["bodyNumber"])
                 held[bodies.index(body)] += load["loadVector"]
         return held[0] if not np.ptp(held, axis=0).any() else np.full(3, np.nan)
 
