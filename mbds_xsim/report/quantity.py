@@ -1,0 +1,53 @@
+"""Quantities as people read them: two digits, a unit that suits the size."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["NONE", "length", "number", "span", "with_unit"]
+
+NONE = "–"
+"""Shown where there is no figure."""
+
+_PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_SMALLEST = 0.1
+
+
+def length(metres: float | None) -> str:
+    """Write a length [m]: `1.2 mm`."""
+    return with_unit(metres, "m")
+
+
+def span(seconds: float | None) -> str:
+    """Write a time [s]: `35 ms`."""
+    return with_unit(seconds, "s")
+
+
+def number(value: float | None) -> str:
+    """Write a plain number; very small and large ones with an exponent: `3.2e-07`, `1.5`, `0`."""
+    if value is None or math.isnan(value):
+        return NONE
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    if 0.01 <= abs(value) < 99.5:
+        return f"{value:.2g}"
+    return f"{value:.0f}" if value == 0 or 1 <= abs(value) < 1e4 else f"{value:.1e}"
+
+
+def with_unit(value: float | None, unit: str) -> str:
+    """Write a value with a prefix before its unit where that is m or s, else as a number."""
+    if value is None or not math.isfinite(value) or value == 0 or unit not in ("m", "s"):
+        text = number(value)
+        return text if text == NONE else f"{text} {unit}".rstrip()
+    scale, prefix = next((p for p in _PREFIXES if abs(value) >= 0.9995 * p[0]), _PREFIXES[-1])
+    scaled = value / scale
+    if abs(scaled) < _SMALLEST:
+        return f"<{_SMALLEST} {prefix}{unit}"
+    return f"{_two_digits(scaled)} {prefix}{unit}"
+
+
+def _two_digits(value: float) -> str:
+    """Two digits or all before the point: `1.2`, `12`, `123`, from 10 000 on `1e+04`."""
+    if abs(value) >= 1e4:
+        return f"{value:.0e}"
+    return f"{value:.1f}" if abs(value) < 9.95 else f"{value:.0f}"

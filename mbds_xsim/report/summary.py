@@ -1,0 +1,167 @@
+"""The main table of a validation and the sentences around it, for terminal and page alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mbds_xsim.report import quantity
+from mbds_xsim.result import EngineResult, Validation
+
+__all__ = [
+    "COLUMNS",
+    "Cell",
+    "Column",
+    "conclusion",
+    "label",
+    "odd_one_out",
+    "reference_line",
+    "sampled",
+]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A figure of the table; `over` marks one beyond its budget."""
+
+    text: str
+    over: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: what it is called, what it says of an engine result, how dear its space is."""
+
+    heading: str
+    meaning: str
+    """One sentence for a tool tip."""
+    cell: Callable[[EngineResult, Validation], Cell]
+    narrow: bool = True
+    """Whether it is kept on a narrow terminal."""
+    text: bool = False
+    """Words rather than a figure: set flush left."""
+
+
+def label(result: EngineResult) -> str:
+    """Name a row: engine and profile."""
+    return f"{result.engine} {result.profile}"
+
+
+def sampled(validation: Validation) -> str:
+    """Say what was drawn: `12 trajectories of seed 0`."""
+    count = len(validation.trajectories)
+    plural = "y" if count == 1 else "ies"
+    return f"{count} trajector{plural} of seed {validation.seed}"
+
+
+def reference_line(validation: Validation) -> str:
+    """Say how good the reference is."""
+    reference = validation.reference
+    if reference is None:
+        return "none: results are compared with each other only"
+    cached = f", {reference.cached} from the cache" if reference.cached else ""
+    return (
+        f"relative tolerance {reference.rtol:.0e}, "
+        f"constraint gap {quantity.length(reference.constraint_gap_m)}, "
+        f"energy balance {quantity.number(reference.energy_balance)}, "
+        f"made in {quantity.span(reference.wall_s)}{cached}"
+    )
+
+
+def odd_one_out(validation: Validation) -> str:
+    """Name the entry that stands apart, or the pair that is furthest apart."""
+    if validation.odd_one_out is not None:
+        return f"{validation.odd_one_out} stands apart from all other method families"
+    pairs = [
+        (distance, validation.names[row], validation.names[column])
+        for row, distances in enumerate(validation.matrix_m)
+        for column, distance in enumerate(distances)
+        if column > row and math.isfinite(distance)
+    ]
+    if not pairs:
+        return "none, nothing to compare"
+    distance, one, other = max(pairs)
+    return f"none; furthest apart at 1 s are {one} and {other}, {quantity.length(distance)}"
+
+
+def conclusion(validation: Validation) -> str:
+    """Say the final verdict in one sentence."""
+    counts = {
+        verdict: sum(result.verdict == verdict for result in validation.engines)
+        for verdict in ("pass", "warn", "fail")
+    }
+    total = len(validation.engines)
+    parts = [
+        f"{count} of {total} {word}"
+        for verdict, word in (("pass", "passed"), ("warn", "with a warning"), ("fail", "failed"))
+        if (count := counts[verdict])
+    ]
+    return f"{', '.join(parts) or 'no engine ran'} ({sampled(validation)})"
+
+
+def _over(value: float | None, budget: float) -> bool:
+    return value is not None and not value <= budget
+
+
+def _budget(validation: Validation, key: str, scale: float = 1.0) -> float:
+    return validation.budget.get(key, math.inf) * scale
+
+
+def _step(result: EngineResult, _: Validation) -> Cell:
+    return Cell(quantity.span(result.step_s))
+
+
+def _cost(result: EngineResult, _: Validation) -> Cell:
+    return Cell(quantity.span(result.wall_per_simulated_s))
+
+
+def _gap(result: EngineResult, validation: Validation) -> Cell:
+    gap = result.constraint_gap_m
+    return Cell(quantity.length(gap), _over(gap, _budget(validation, "gap")))
+
+
+def _energy(result: EngineResult, validation: Validation) -> Cell:
+    key = "energy_first_order" if result.order == 1 else "energy"
+    balance = result.energy_balance
+    return Cell(quantity.number(balance), _over(balance, _budget(validation, key)))
+
+
+def _error_1s(result: EngineResult, validation: Validation) -> Cell:
+    budget = _budget(validation, "error_1s", validation.length_m)
+    return Cell(quantity.length(result.error_1s_m), _over(result.error_1s_m, budget))
+
+
+def _error_max(result: EngineResult, validation: Validation) -> Cell:
+    # What chaos explains is no fault: the error over the growth is what the verdict takes.
+    budget = _budget(validation, "error", validation.length_m)
+    return Cell(quantity.length(result.error_max_m), _over(result.error_weighted_m, budget))
+
+
+def _agreement(result: EngineResult, _: Validation) -> Cell:
+    if result.agreement_time_s is None:
+        return Cell("always" if result.error_max_m is not None else quantity.NONE)
+    return Cell(f"{result.agreement_time_s:.2f} s")
+
+
+COLUMNS = (
+    Column("engine", "Engine", lambda r, _: Cell(r.engine), text=True),
+    Column("profile", "Preset of settings", lambda r, _: Cell(r.profile), text=True),
+    Column("method", "Way of stepping", lambda r, _: Cell(r.method), narrow=False, text=True),
+    Column("step", "Integration step", _step),
+    Column("cost", "Wall time per simulated second and trajectory, set-up apart", _cost),
+    Column("gap", "Worst distance between the anchor points of a joint", _gap),
+    Column("energy", "Worst energy balance over the energy scale", _energy),
+    Column(
+        "err 1 s",
+        "Worst RMS particle error at 1 s over the low and medium trajectories",
+        _error_1s,
+    ),
+    Column(
+        "err max",
+        "Worst RMS particle error over all frames and trajectories; marked where the error divided "
+        "by the sensitivity's growth is over its budget",
+        _error_max,
+    ),
+    Column("agrees", "Until when all errors stay below 1 % of the scene's length", _agreement),
+)
