@@ -16,12 +16,27 @@ from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
-__all__ = ["JOINT_TYPES", "Stepping", "mjcf", "text"]
+__all__ = ["Stepping", "closing_point", "mjcf", "text", "with_start"]
 
 Array = NDArray[np.float64]
 
-JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
+_JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 """MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""
+
+# Points of a loop joint's axis that are kept together, in lengths of the scene from the anchor.
+# Two of a hinge make six rows for five. A fixed joint closes a loop only where the tree has
+# already welded its two bodies.
+_CLOSING_POINTS: dict[str, tuple[float, ...]] = {
+    "ball": (0.0,),
+    "hinge": (-0.5, 0.5),
+    "fixed": (),
+}
+
+
+_NOT_IN_MJCF = (
+    " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl. The keyframe "
+    "is the scene's own start; a drawn one is set in qpos and qvel. "
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +60,7 @@ def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
     tendons, equalities = Element("tendon"), Element("equality")
     softness = _softness(stepping)
     for joint in mechanism.loops:
-        _CLOSURES[joint.kind](equalities, bodies, joint, mechanism.scene.length, softness)
+        _close(equalities, bodies, joint, mechanism.scene.length, softness)
     for link in mechanism.distances:
         _distance(tendons, equalities, bodies, mechanism, link, softness)
     for spring in mechanism.springs:
@@ -60,6 +75,20 @@ def text(root: Element) -> str:
     """Indent and write."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def closing_point(joint: PlacedJoint, k: int) -> str:
+    """Name the k-th point at which a loop joint is closed."""
+    return f"{joint.name} {k}"
+
+
+def with_start(xml: str, qpos: Array, qvel: Array) -> str:
+    """Add the scene's start as a keyframe, and say what MJCF has no place for."""
+    root = ElementTree.fromstring(xml)
+    root.insert(0, ElementTree.Comment(_NOT_IN_MJCF))
+    keyframe = SubElement(root, "keyframe")
+    SubElement(keyframe, "key", name="start", qpos=_numbers(qpos), qvel=_numbers(qvel))
+    return text(root)
 
 
 def _option(root: Element, mechanism: Mechanism, stepping: Stepping) -> None:
@@ -104,7 +133,7 @@ def _body(above: Element, mechanism: Mechanism, link: Link) -> Element:
     if joint is None:
         SubElement(body, "freejoint", name=f"{name} free")
     elif joint.kind != "fixed":
-        element = SubElement(body, "joint", name=joint.name, type=JOINT_TYPES[joint.kind])
+        element = SubElement(body, "joint", name=joint.name, type=_JOINT_TYPES[joint.kind])
         element.set("pos", _numbers(joint.in_child))
         if joint.axis.any():
             element.set("axis", _numbers(joint.axis))
@@ -126,54 +155,18 @@ def _softness(stepping: Stepping) -> dict[str, str]:
     }
 
 
-def _ball_closure(
-    equalities: Element,
-    bodies: dict[int, Element],
-    joint: PlacedJoint,
-    _length: float,
-    softness: dict[str, str],
-) -> None:
-    _connect(equalities, bodies, joint, np.zeros(3), joint.name, softness)
-
-
-def _hinge_closure(
+def _close(
     equalities: Element,
     bodies: dict[int, Element],
     joint: PlacedJoint,
     length: float,
     softness: dict[str, str],
 ) -> None:
-    """Two points of the axis, as far apart as the scene is large: six rows for five."""
-    for end, side in ((-0.5, "start"), (0.5, "end")):
-        offset = end * length * joint.axis
-        _connect(equalities, bodies, joint, offset, f"{joint.name} {side}", softness)
-
-
-def _fixed_closure(
-    equalities: Element,
-    bodies: dict[int, Element],
-    joint: PlacedJoint,
-    _length: float,
-    softness: dict[str, str],
-) -> None:
-    site1, site2 = _sites(bodies, joint, np.zeros(3), joint.name)
-    ends = {"name": joint.name, "site1": site1, "site2": site2}
-    SubElement(equalities, "weld", ends | softness)
-
-
-_CLOSURES = {"ball": _ball_closure, "hinge": _hinge_closure, "fixed": _fixed_closure}
-
-
-def _connect(
-    equalities: Element,
-    bodies: dict[int, Element],
-    joint: PlacedJoint,
-    offset: Array,
-    name: str,
-    softness: dict[str, str],
-) -> None:
-    site1, site2 = _sites(bodies, joint, offset, name)
-    SubElement(equalities, "connect", {"name": name, "site1": site1, "site2": site2} | softness)
+    for k, along in enumerate(_CLOSING_POINTS[joint.kind]):
+        sites = _sites(bodies, joint, along * length * joint.axis, closing_point(joint, k))
+        SubElement(
+            equalities, "connect", dict(zip(("site1", "site2"), sites, strict=True)) | softness
+        )
 
 
 def _sites(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import (
     Adapter,
     Feature,
@@ -26,11 +27,11 @@ from mbds_xsim.engine import (
 )
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-from ._mujoco_model import Stepping, mjcf, text
+from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
 
 __all__ = ["MuJoCo"]
@@ -38,7 +39,12 @@ __all__ = ["MuJoCo"]
 Array = NDArray[np.float64]
 
 _SOLVERS = ("Newton", "CG", "PGS")
+# An ordinary user's [s].
 _DEFAULT_STEP = 0.002
+# Keeps RK4 within the budgets of chains of links of 0.1 m and more [s].
+_CAREFUL_STEP = 0.005
+# Of the reciprocal of a spring's rate: forty steps a period.
+_SPRING_FRACTION = 0.15
 # A body that crosses so many scene lengths in a frame has blown up.
 _LENGTHS_PER_FRAME = 1e3
 
@@ -56,7 +62,7 @@ class MuJoCo(Adapter):
     }
     options: ClassVar = {
         "loop_time_constant": Option(
-            1.0,
+            1.5,
             "time constant of loop constraints in steps; 0 leaves MuJoCo's default solref and "
             "solimp",
         ),
@@ -77,7 +83,8 @@ class MuJoCo(Adapter):
         if profile == "native":
             step = frame / max(1, round(frame / _DEFAULT_STEP))
             return Settings("Euler", step, {"loop_time_constant": 0.0})
-        return Settings("RK4", frame / max(1, round(frame / _DEFAULT_STEP)))
+        longest = min(_CAREFUL_STEP, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
+        return Settings("RK4", frame / math.ceil(frame / longest - 1e-9))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver, steps = (self.option(settings, key) for key in ("solver", "loop_time_constant"))
@@ -217,7 +224,7 @@ class _Run(Run):
                 turned = 1.0 if in_tree[joint.index].parent == joint.parent else -1.0
                 axes.append(turned * data.joint(joint.name).xaxis)
             else:
-                ends = [data.site(f"{joint.name} {end} parent").xpos for end in ("start", "end")]
+                ends = [data.site(f"{closing_point(joint, k)} parent").xpos for k in (0, 1)]
                 axes.append((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
         return np.array(axes).reshape(-1, 3)
 
@@ -245,10 +252,26 @@ class _Run(Run):
         )
 
     def native(self) -> str:
-        return self._xml
+        start = to_links(self._mechanism, BodyStates(**vars(assemble(self._mechanism))))
+        return with_start(self._xml, *self._coordinates.from_links(start))
 
     def close(self) -> None:
         self._model = self._data = None
+
+
+def _spring_rates(scene: Scene) -> list[float]:
+    """Give the fastest rate [rad/s] of each spring–damper, its ends as light as they can be."""
+    mechanism = Mechanism.of(scene)
+    rates = []
+    for spring in mechanism.springs:
+        yielding = sum(
+            1.0 / mechanism.mass[body]
+            + point @ point / np.linalg.eigvalsh(mechanism.inertia[body])[0]
+            for body, point in zip(spring.bodies, spring.in_body, strict=True)
+            if body != WORLD_INDEX
+        )
+        rates.append(float(np.sqrt(spring.stiffness * yielding) + spring.damping * yielding))
+    return [rate for rate in rates if rate > 0]
 
 
 @contextlib.contextmanager
