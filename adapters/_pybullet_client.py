@@ -1,0 +1,99 @@
+"""A connection to Bullet of our own that writes down the calls that build and start a model."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+__all__ = ["Client", "Constant"]
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Send file descriptors 1 and 2 to nowhere: Bullet writes past Python's streams."""
+    saved = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        for number, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
+
+
+with _silent():  # it prints its build time
+    import pybullet
+
+
+class Constant(int):
+    """One of Bullet's numbers that a listing shows by its name."""
+
+    def __new__(cls, name: str) -> Constant:
+        """Look the name up."""
+        constant = super().__new__(cls, getattr(pybullet, name))
+        constant.name = name
+        return constant
+
+    name: str
+
+    def __repr__(self) -> str:
+        return f"p.{self.name}"
+
+
+class Client:
+    """One DIRECT connection, with a world of its own."""
+
+    def __init__(self) -> None:
+        with _silent():
+            self._number: int | None = pybullet.connect(pybullet.DIRECT)
+        self._model: list[str] = []
+        self._start: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+
+    def build(self, name: str, *args: Any, **options: Any) -> Any:
+        """Make a call that belongs to the model, and write it down with its answer."""
+        answer = self.function(name)(*args, **options)
+        noted = "" if answer is None else f"  # gives {answer}"
+        self._model.append(_line(name, args, options) + noted)
+        return answer
+
+    def begin(self) -> None:
+        """Forget the start that was written down: a new one follows."""
+        self._start.clear()
+
+    def put(self, name: str, *args: Any, **options: Any) -> None:
+        """Make a call that belongs to the start of a trajectory, and write it down."""
+        self.function(name)(*args, **options)
+        self._start.append((name, args, options))
+
+    @property
+    def started(self) -> bool:
+        """Whether a start is written down."""
+        return bool(self._start)
+
+    def function(self, name: str) -> Callable[..., Any]:
+        """Give one of the engine's functions, for this connection."""
+        function = getattr(pybullet, name)
+        number = self._number
+        return lambda *args, **options: function(*args, physicsClientId=number, **options)
+
+    def listing(self) -> str:
+        """All that was written down, as a script that runs without the toolkit."""
+        start = [_line(name, args, options) for name, args, options in self._start]
+        return "\n".join(["import pybullet as p", "", "p.connect(p.DIRECT)", *self._model, *start])
+
+    def close(self) -> None:
+        """Disconnect; a second call does nothing."""
+        if self._number is not None:
+            with _silent():
+                pybullet.disconnect(self._number)
+            self._number = None
+
+
+def _line(name: str, args: tuple[Any, ...], options: dict[str, Any]) -> str:
+    given = [repr(value) for value in args] + [f"{key}={value!r}" for key, value in options.items()]
+    return f"p.{name}({', '.join(given)})"

@@ -1,0 +1,94 @@
+"""What acts on the bodies: inputs, springs, and torques about hinges that close loops."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+
+from ._pybullet_client import Client, Constant
+from ._pybullet_model import Model
+
+__all__ = ["Loads"]
+
+Array = NDArray[np.float64]
+
+
+class Loads:
+    """Applies loads for the next call of the engine's step, which forgets them afterwards."""
+
+    def __init__(self, client: Client, model: Model, mechanism: Mechanism) -> None:
+        self._springs = mechanism.springs
+        self._hinges = mechanism.hinges
+        self._closures = {joint.index for joint in model.closures}
+        self._address = model.address
+        self._apply_force = client.function("applyExternalForce")
+        self._apply_torque = client.function("applyExternalTorque")
+        self._drive = client.function("setJointMotorControl2")
+        self._in_world = int(Constant("WORLD_FRAME"))
+        self._as_torque = int(Constant("TORQUE_CONTROL"))
+        tree = [link for link in mechanism.links if link.joint is not None]
+        self._driven = {link.joint.index: link.body for link in tree if link.joint is not None}
+
+    def change_within_frame(self, torque: Array) -> bool:
+        """Whether something follows the motion, so that each step needs it anew.
+
+        Forces on centres of mass and torques in tree joints stay as they are over the sub-steps
+        of one call.
+        """
+        loops = [joint.index in self._closures for joint in self._hinges]
+        return bool(self._springs) or bool(torque[..., loops].any())
+
+    def apply(self, force: Array, torque: Array, state: BodyStates) -> None:
+        """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs at this state."""
+        for body in np.flatnonzero(force.any(axis=-1)):
+            self._push(int(body), force[body], state.position[body])
+        for k in np.flatnonzero(torque):
+            joint = self._hinges[k]
+            if joint.index in self._closures:
+                self._twist(joint, float(torque[k]), state)
+            else:
+                # A tree joint that points the other way has its axis negated and its bodies
+                # exchanged, which leaves the torque as it is.
+                number, link = self._address(self._driven[joint.index])
+                self._drive(number, link, self._as_torque, force=float(torque[k]))
+        for spring in self._springs:
+            self._pull(spring, state)
+
+    def _push(self, body: int, force: Array, point: Array) -> None:
+        if body != WORLD_INDEX:
+            number, link = self._address(body)
+            self._apply_force(number, link, force.tolist(), point.tolist(), self._in_world)
+
+    def _twist(self, joint: PlacedJoint, torque: float, state: BodyStates) -> None:
+        turn = rotation.IDENTITY if joint.parent == WORLD_INDEX else state.native[joint.parent]
+        vector = torque * rotation.rotate(turn, joint.axis)
+        for body, sign in ((joint.child, 1.0), (joint.parent, -1.0)):
+            if body != WORLD_INDEX:
+                number, link = self._address(body)
+                self._apply_torque(number, link, (sign * vector).tolist(), self._in_world)
+
+    def _pull(self, spring: PointPair, state: BodyStates) -> None:
+        (first, first_rate), (second, second_rate) = (
+            _moving_point(state, body, arm)
+            for body, arm in zip(spring.bodies, spring.in_body, strict=True)
+        )
+        apart = second - first
+        length = float(np.linalg.norm(apart))
+        along = apart / length
+        rate = float(along @ (second_rate - first_rate))
+        tension = spring.stiffness * (length - spring.length) + spring.damping * rate
+        self._push(spring.bodies[0], tension * along, first)
+        self._push(spring.bodies[1], -tension * along, second)
+
+
+def _moving_point(state: BodyStates, body: int, in_body: Array) -> tuple[Array, Array]:
+    """Position and velocity of a point fixed in a body, or in the world."""
+    if body == WORLD_INDEX:
+        return in_body, np.zeros(3)
+    arm = rotation.rotate(state.native[body], in_body)
+    velocity = state.velocity[body] + np.cross(state.angular_velocity[body], arm)
+    return state.position[body] + arm, velocity

@@ -1,0 +1,323 @@
+"""Bullet's multibodies and constraints for a mechanism, and the ways in and out of their states.
+
+A link frame sits at its joint and is parallel to W at the reference pose; the inertial frame sits
+at the centre of mass along the principal axes. Bullet's states are about the inertial frames: a
+ball joint's quaternion and rate are those of the native frames turned into the principal axes.
+Quaternions are xyzw in Bullet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import ModelSize
+from mbds_xsim.joint_space import BodyStates, to_links
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+
+from ._pybullet_client import Client, Constant
+from ._pybullet_parts import Part, Place, split
+
+__all__ = ["SPEED_CAP", "Damping", "Model"]
+
+Array = NDArray[np.float64]
+
+SPEED_CAP = 1e6
+"""Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
+# Impulse of a constraint in a step [N·s]; Bullet's own cap is 500.
+_IMPULSE_CAP = 1e12
+# Distance of the two points that close a hinge from its anchor, over the longest arm there.
+_HINGE_ARM = 0.5
+
+_JOINT_TYPES = {
+    "ball": "JOINT_SPHERICAL",
+    "hinge": "JOINT_REVOLUTE",
+    "slider": "JOINT_PRISMATIC",
+    "fixed": "JOINT_FIXED",
+}
+
+
+@dataclass(frozen=True)
+class Damping:
+    """Bullet's drag on every link, as its user sets it [1/s]."""
+
+    linear: float
+    angular: float
+
+
+class Model:
+    """The native model in one connection."""
+
+    def __init__(self, client: Client, mechanism: Mechanism, damping: Damping) -> None:
+        self.client = client
+        self.mechanism = mechanism
+        self.parts, cut = split(mechanism)
+        self.closures = (*mechanism.loops, *cut)
+        self._principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
+        self.places: dict[int, Place] = {}
+        self._ids: list[int] = []
+        self._links = {link.body: link for part in self.parts for link in part.links}
+        for number, part in enumerate(self.parts):
+            self._ids.append(self._add_part(part, damping))
+            if part.base != WORLD_INDEX:
+                self.places[part.base] = Place(number, -1)
+            for k, link in enumerate(part.links):
+                self.places[link.body] = Place(number, k)
+        rows = sum(self._close(joint) for joint in self.closures)
+        self.size = ModelSize(sum(_coordinate_count(part) for part in self.parts), rows)
+        self._base_pose = client.function("getBasePositionAndOrientation")
+        self._base_rate = client.function("getBaseVelocity")
+        self._link_states = client.function("getLinkStates")
+        self._moving = [
+            [k for k, link in enumerate(part.links) if link.joint and link.joint.kind != "fixed"]
+            for part in self.parts
+        ]
+
+    def address(self, body: int) -> tuple[int, int]:
+        """Bullet's body number and link index; −1 of either is the world or the base."""
+        if body == WORLD_INDEX:
+            return -1, -1
+        place = self.places[body]
+        return self._ids[place.part], place.link
+
+    def put(self, bodies: BodyStates) -> None:
+        """Set the state; arrays of shape (body, 3|4), native rotations."""
+        self.client.begin()
+        links = to_links(self.mechanism, bodies)
+        row = {link.body: k for k, link in enumerate(self.mechanism.links)}
+        principal = self._principal
+        inertial = rotation.multiply(bodies.native, principal)
+        order = [link.body for link in self.mechanism.links]
+        back = rotation.conjugate(principal[order])
+        turn = rotation.multiply(rotation.multiply(back, links.rotation), principal[order])
+        spin = rotation.rotate(back, links.angular_velocity)
+        for number, part, moving in zip(self._ids, self.parts, self._moving, strict=True):
+            if part.base != WORLD_INDEX:
+                k = part.base
+                self.client.put(
+                    "resetBasePositionAndOrientation",
+                    number, bodies.position[k].tolist(), _xyzw(inertial[k]),
+                )  # fmt: skip
+                self.client.put(
+                    "resetBaseVelocity",
+                    number, bodies.velocity[k].tolist(), bodies.angular_velocity[k].tolist(),
+                )  # fmt: skip
+            values: list[list[float]] = []
+            rates: list[list[float]] = []
+            for link in (part.links[k] for k in moving):
+                k = row[link.body]
+                ball = link.joint is not None and link.joint.kind == "ball"
+                values.append(_xyzw(turn[k]) if ball else [float(links.coordinate[k])])
+                rates.append(spin[k].tolist() if ball else [float(links.rate[k])])
+            if moving:
+                self.client.put(
+                    "resetJointStatesMultiDof",
+                    number, moving, targetValues=values, targetVelocities=rates,
+                )  # fmt: skip
+
+    def get(self) -> BodyStates:
+        """Read the state."""
+        state = self._state()
+        native = rotation.multiply(state[:, [6, 3, 4, 5]], rotation.conjugate(self._principal))
+        return BodyStates(state[:, 0:3], native, state[:, 7:10], state[:, 10:13])
+
+    def _state(self) -> Array:
+        """Position, xyzw of the inertial frame, velocity, angular velocity; (body, 13)."""
+        state = np.empty((self.mechanism.body_count, 13))
+        for number, part in zip(self._ids, self.parts, strict=True):
+            if part.base != WORLD_INDEX:
+                state[part.base] = self._base_state(number)
+            if part.links:
+                links = self._link_states(number, range(len(part.links)), 1, 1)
+                # Field 5, the link frame's rotation, comes back in single precision; 1 does not.
+                state[[link.body for link in part.links]] = [
+                    (*link[0], *link[1], *link[6], *link[7]) for link in links
+                ]
+        return state
+
+    def _base_state(self, number: int) -> list[float]:
+        position, turn = self._base_pose(number)
+        velocity, rate = self._base_rate(number)
+        return [*position, *turn, *velocity, *rate]
+
+    def mass(self) -> Array:
+        """Of every body [kg], as the engine holds it."""
+        return np.array([self._dynamics(body)[0] for body in range(self.mechanism.body_count)])
+
+    def inertia(self) -> Array:
+        """In native frames [kg·m²], from the moments and the principal axes the engine holds."""
+        count = self.mechanism.body_count
+        still = np.zeros((count, 3))
+        native = np.tile(rotation.IDENTITY, (count, 1))
+        # Native frames are parallel to W at the reference pose, so there the inertial frames'
+        # rotations are the principal axes; getDynamicsInfo has them in single precision only.
+        self.put(BodyStates(self.mechanism.com, native, still, still))
+        axes = rotation.matrix(self._state()[:, [6, 3, 4, 5]])
+        moments = np.array([self._dynamics(body)[2] for body in range(count)])
+        return np.asarray(np.einsum("bij,bj,bkj->bik", axes, moments, axes))
+
+    def joint_axis(self) -> Array:
+        """Of hinges and sliders in scene order, in W at the present state, shape (joint, 3)."""
+        turn = self._state()[:, [6, 3, 4, 5]]
+        closed = {joint.index for joint in self.closures}
+        carried = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
+        axes = []
+        for joint in (j for j in self.mechanism.joints if j.kind in ("hinge", "slider")):
+            if joint.index in closed:
+                axes.append(np.full(3, np.nan))
+                continue
+            body = carried[joint.index]
+            # Bullet tells the axis in the child's inertial frame.
+            local = np.array(self.client.function("getJointInfo")(*self.address(body))[13])
+            sign = 1.0 if body == joint.child else -1.0
+            axes.append(sign * rotation.rotate(turn[body], local))
+        return np.array(axes).reshape(-1, 3)
+
+    def damping(self) -> Array:
+        """Damping and friction of every joint; Bullet does not tell the drag on its links."""
+        info = self.client.function("getJointInfo")
+        joints = [self.address(link.body) for part in self.parts for link in part.links]
+        return np.array([info(*address)[6:8] for address in joints]).reshape(-1)
+
+    def _dynamics(self, body: int) -> Any:
+        return self.client.function("getDynamicsInfo")(*self.address(body))
+
+    def _add_part(self, part: Part, damping: Damping) -> int:
+        build = self.client.build
+        mechanism = self.mechanism
+        mass, com = mechanism.mass, mechanism.com
+        base_mass, base_at, base_turn = 0.0, np.zeros(3), rotation.IDENTITY
+        if part.base != WORLD_INDEX:
+            base_mass, base_at = float(mass[part.base]), com[part.base]
+            base_turn = self._principal[part.base]
+        count = len(part.links)
+        row = {link.body: k for k, link in enumerate(part.links, 1)}
+        joints = [link.joint for link in part.links if link.joint is not None]
+        # Link frames sit at the joints; a free base's frame sits at its centre of mass.
+        origin = {link.body: joint.anchor for link, joint in zip(part.links, joints, strict=True)}
+        origin[part.base] = base_at
+        number = build(
+            "createMultiBody",
+            baseMass=base_mass,
+            basePosition=base_at.tolist(),
+            baseInertialFramePosition=[0.0, 0.0, 0.0],
+            baseInertialFrameOrientation=_xyzw(base_turn),
+            linkMasses=[float(mass[link.body]) for link in part.links],
+            linkCollisionShapeIndices=[-1] * count,
+            linkVisualShapeIndices=[-1] * count,
+            linkPositions=[
+                (joint.anchor - origin[link.parent]).tolist()
+                for link, joint in zip(part.links, joints, strict=True)
+            ],
+            linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * count,
+            linkInertialFramePositions=[(-joint.in_child).tolist() for joint in joints],
+            linkInertialFrameOrientations=[_xyzw(self._principal[k.body]) for k in part.links],
+            linkParentIndices=[row.get(link.parent, 0) for link in part.links],
+            linkJointTypes=[Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
+            linkJointAxis=[_axis(joint) for joint in joints],
+            # Without it Bullet numbers the links depth first.
+            flags=Constant("URDF_MAINTAIN_LINK_ORDER"),
+        )
+        build(
+            "changeDynamics", number, -1, linearDamping=damping.linear,
+            angularDamping=damping.angular, maxJointVelocity=SPEED_CAP,
+        )  # fmt: skip
+        if part.base != WORLD_INDEX:
+            self._set_inertia(number, -1, part.base)
+        for k, (link, joint) in enumerate(zip(part.links, joints, strict=True)):
+            self._set_inertia(number, k, link.body)
+            self._switch_motor_off(number, k, joint)
+        return int(number)
+
+    def _set_inertia(self, number: int, link: int, body: int) -> None:
+        moments, _ = _principal_axes(self.mechanism.inertia[body])
+        self.client.build(
+            "changeDynamics", number, link, localInertiaDiagonal=moments.tolist(), jointDamping=0.0
+        )
+
+    def _switch_motor_off(self, number: int, link: int, joint: PlacedJoint) -> None:
+        if joint.kind == "ball":
+            # The call for several degrees of freedom with a zero force leaves the motor in the
+            # solver past the 30th ball joint; this one takes it out.
+            self.client.build(
+                "setJointMotorControl2", number, link, Constant("POSITION_CONTROL"),
+                targetPosition=0.0, force=0.0,
+            )  # fmt: skip
+        elif joint.kind != "fixed":
+            self.client.build(
+                "setJointMotorControl2", number, link, Constant("VELOCITY_CONTROL"), force=0.0
+            )
+
+    def _close(self, joint: PlacedJoint) -> int:
+        """Close a loop with constraints; give their number of rows."""
+        if joint.kind == "fixed":
+            return self._constrain("JOINT_FIXED", joint, np.zeros(3), 6)
+        if joint.kind == "ball":
+            return self._constrain("JOINT_POINT2POINT", joint, np.zeros(3), 3)
+        arm = _HINGE_ARM * max(np.linalg.norm(joint.in_child), np.linalg.norm(joint.in_parent))
+        ends = (-arm * joint.axis, arm * joint.axis)
+        return sum(self._constrain("JOINT_POINT2POINT", joint, shift, 3) for shift in ends)
+
+    def _constrain(self, kind: str, joint: PlacedJoint, shift: Array, rows: int) -> int:
+        """Tie the points of both bodies that are at the anchor plus a shift."""
+        first, pivot = self._carrier(joint.child, joint.in_child + shift)
+        second, other = self._carrier(joint.parent, joint.in_parent + shift)
+        if first == second:
+            return 0  # rigidly joined in the tree already
+        if first == WORLD_INDEX:
+            first, pivot, second, other = second, other, first, pivot
+        turn_first, turn_second = self._into_principal(first), self._into_principal(second)
+        number = self.client.build(
+            "createConstraint", *self.address(first), *self.address(second), Constant(kind),
+            [0.0, 0.0, 0.0], rotation.rotate(turn_first, pivot).tolist(),
+            rotation.rotate(turn_second, other).tolist(), _xyzw(turn_first), _xyzw(turn_second),
+        )  # fmt: skip
+        self.client.build("changeConstraint", number, maxForce=_IMPULSE_CAP)
+        return rows
+
+    def _carrier(self, body: int, point: Array) -> tuple[int, Array]:
+        """Give the body that the tree's fixed joints weld a body to, and the point in it.
+
+        Bullet takes a link that is welded to a fixed base's first link for static, and silently
+        leaves out the constraints on it (ConvertURDF2BulletInternal stops its search there).
+        """
+        link = self._links.get(body)
+        while link is not None and link.joint is not None and link.joint.kind == "fixed":
+            point = point + link.joint.in_parent - link.joint.in_child
+            body = link.parent
+            link = self._links.get(body)
+        return body, point
+
+    def _into_principal(self, body: int) -> Array:
+        if body == WORLD_INDEX:
+            return rotation.IDENTITY
+        return np.asarray(rotation.conjugate(self._principal[body]))
+
+
+def _principal_axes(tensor: Array) -> tuple[Array, Array]:
+    """Principal moments, and the rotation of the principal axes against the native frame."""
+    moments = np.diag(tensor)
+    if np.abs(tensor - np.diag(moments)).max() <= 1e-14 * moments.max():
+        return moments, rotation.IDENTITY
+    moments, axes = np.linalg.eigh(tensor)
+    axes[:, 2] *= np.linalg.det(axes)
+    return moments, rotation.from_matrix(axes)
+
+
+def _coordinate_count(part: Part) -> int:
+    counts = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
+    base = 0 if part.base == WORLD_INDEX else 6
+    return base + sum(counts[link.joint.kind] for link in part.links if link.joint is not None)
+
+
+def _axis(joint: PlacedJoint) -> list[float]:
+    """Of hinges and sliders; Bullet wants some axis for the others too."""
+    return joint.axis.tolist() if joint.kind in ("hinge", "slider") else [0.0, 0.0, 1.0]
+
+
+def _xyzw(q: Array) -> list[float]:
+    return [float(q[1]), float(q[2]), float(q[3]), float(q[0])]

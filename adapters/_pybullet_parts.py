@@ -1,0 +1,102 @@
+"""The spanning tree cut into the multibodies that Bullet can hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+
+__all__ = ["Part", "Place", "split"]
+
+# Bullet's server passes states in arrays of 128 coordinates, 7 of them the base's; beyond them
+# it reads and writes elsewhere (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
+COORDINATE_LIMIT = 128 - 7
+
+_COORDINATES = {"ball": 4, "hinge": 1, "slider": 1, "fixed": 1}
+# Joints that a constraint can replace, best first.
+_CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a body is in Bullet's terms."""
+
+    part: int
+    link: int
+    """−1 is the base."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One multibody."""
+
+    base: int
+    """The body that is its base; −1: a fixed base at the world's origin."""
+    links: tuple[Link, ...]
+    """Parents before children; their order is Bullet's."""
+
+
+def split(mechanism: Mechanism) -> tuple[tuple[Part, ...], tuple[PlacedJoint, ...]]:
+    """Give the parts, and the tree joints that have to be closed as constraints instead.
+
+    What hangs on the world by one joint, and every free body with what it carries, is a part of
+    its own: a constraint then works on few coordinates. Larger ones are cut further.
+
+    Raises:
+        Unsupported: A body carries more sliders than a multibody can hold.
+    """
+    cut = _cuts(mechanism)
+    root: dict[int, int] = {}
+    for link in mechanism.links:
+        starts = link.parent == WORLD_INDEX or link.body in cut
+        root[link.body] = link.body if starts else root[link.parent]
+    parts = []
+    for first in (link for link in mechanism.links if root[link.body] == link.body):
+        held = first.joint is not None and first.body not in cut
+        parts.append(
+            Part(
+                base=WORLD_INDEX if held else first.body,
+                links=tuple(
+                    link
+                    for link in mechanism.links
+                    if root[link.body] == first.body and (held or link is not first)
+                ),
+            )
+        )
+    joints = [link.joint for link in mechanism.links if link.body in cut and link.joint is not None]
+    return tuple(parts), tuple(joints)
+
+
+def _cuts(mechanism: Mechanism) -> set[int]:
+    """Bodies to be cut off their tree parents, found from the tips inwards."""
+    load: dict[int, int] = {}
+    carried: dict[int, list[Link]] = {link.body: [] for link in mechanism.links}
+    cut: set[int] = set()
+    for link in reversed(mechanism.links):
+        own = 0 if link.joint is None else _COORDINATES[link.joint.kind]
+        outer = carried[link.body]
+        load[link.body] = own + sum(load[child.body] for child in outer)
+        while load[link.body] > COORDINATE_LIMIT:
+            heaviest = _best_cut(mechanism, link, outer, load)
+            outer.remove(heaviest)
+            cut.add(heaviest.body)
+            load[link.body] -= load[heaviest.body]
+        if link.parent != WORLD_INDEX:
+            carried[link.parent].append(link)
+    return cut
+
+
+def _best_cut(mechanism: Mechanism, link: Link, outer: list[Link], load: dict[int, int]) -> Link:
+    choices = [child for child in outer if child.joint and child.joint.kind in _CUT_ORDER]
+    if not choices:
+        name = mechanism.scene.bodies[link.body].name
+        msg = (
+            f"pybullet: body {name!r} carries more sliders than the {COORDINATE_LIMIT} coordinates "
+            "that a multibody can hold, and Bullet has no constraint to replace one"
+        )
+        raise Unsupported(msg)
+    return min(
+        choices,
+        key=lambda child: (_CUT_ORDER[child.joint.kind] if child.joint else 0, -load[child.body]),
+    )

@@ -1,0 +1,238 @@
+"""PyBullet: Featherstone multibodies stepped by semi-implicit Euler, loops by impulses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.assembly import assemble
+from mbds_xsim.engine import (
+    Adapter,
+    Feature,
+    Method,
+    Option,
+    Profile,
+    Readback,
+    Run,
+    Settings,
+)
+from mbds_xsim.errors import InputError
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import package_version
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+from ._pybullet_client import Client
+from ._pybullet_loads import Loads
+from ._pybullet_model import SPEED_CAP, Damping, Model
+
+__all__ = ["PyBullet"]
+
+Array = NDArray[np.float64]
+
+_USUAL_STEP = 1 / 240
+# What the engine takes without a word is more than what means something.
+_OPTION_RANGES = {
+    "solver_iterations": (1, 1_000_000),
+    "residual_threshold": (0.0, math.inf),
+    "erp": (0.0, 1.0),
+    "linear_damping": (0.0, math.inf),
+    "angular_damping": (0.0, math.inf),
+}
+# A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
+_TURN_CAP = math.pi / 4
+# The end of a listing: what a reader of it wants to see.
+_STEPPING = """
+for frame in range({steps}):
+    p.stepSimulation()
+for body in range(p.getNumBodies()):
+    print(body, "base", p.getBasePositionAndOrientation(body), p.getBaseVelocity(body))
+    for link in range(p.getNumJoints(body)):
+        position, turn, *_, velocity, rate = p.getLinkState(body, link, 1, 1)
+        print(body, link, position, turn, velocity, rate)
+"""
+
+
+class PyBullet(Adapter):
+    """Bullet's multibody dynamics through the package `pybullet`."""
+
+    name = "pybullet"
+    package = "pybullet"
+    methods: ClassVar[Mapping[str, Method]] = {
+        "semi-implicit-euler": Method("semi-implicit-euler", "semi-implicit Euler", 1),
+    }
+    options: ClassVar[Mapping[str, Option]] = {
+        "solver_iterations": Option(10, "sweeps over the loop constraints in each step"),
+        "residual_threshold": Option(0.0, "the sweeps stop early below this residual; 0: never"),
+        "erp": Option(0.8, "part of a loop's gap that a step closes (error reduction parameter)"),
+        "linear_damping": Option(0.0, "drag on every link [1/s]; a user of the engine gets 0.04"),
+        "angular_damping": Option(0.0, "the same for its rotation [1/s]"),
+    }
+    limits: ClassVar[Mapping[Feature, str]] = {
+        Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
+        Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
+        Feature.CONTACT: "contact is not translated yet",
+    }
+    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+
+    def version(self) -> str:
+        return package_version(self.package)
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        method = next(iter(self.methods))
+        if profile == "native":
+            count = max(1, round(scene.clock.frame / _USUAL_STEP))
+            usual = {
+                "solver_iterations": 50,
+                "residual_threshold": 1e-7,
+                "erp": 0.2,
+                "linear_damping": 0.04,
+                "angular_damping": 0.04,
+            }
+            return Settings(method, scene.clock.frame / count, usual)
+        return Settings(method, scene.clock.frame / max(1, round(scene.clock.frame / 2e-5)))
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        for name, (low, high) in _OPTION_RANGES.items():
+            value = self.option(settings, name)
+            if not (isinstance(value, int | float) and low <= value <= high):
+                msg = f"option {name} of pybullet: got {value!r}, allowed is {low:g} to {high:g}"
+                raise InputError(msg)
+        return _Run(self, scene, settings)
+
+
+class _Run(Run):
+    """A world of its own in a connection of its own."""
+
+    def __init__(self, adapter: PyBullet, scene: Scene, settings: Settings) -> None:
+        self._client = Client()
+        self._mechanism = mechanism = Mechanism.of(scene)
+        self._frame = scene.clock.frame
+        self._substeps = settings.substeps(self._frame)
+        self._step = _divisible_step(self._frame, self._substeps)
+        self._client.build("setGravity", *scene.gravity)
+        self._client.build(
+            "setPhysicsEngineParameter",
+            numSolverIterations=int(adapter.option(settings, "solver_iterations")),
+            solverResidualThreshold=float(adapter.option(settings, "residual_threshold")),
+            erp=float(adapter.option(settings, "erp")),
+            deterministicOverlappingPairs=1,
+        )
+        damping = Damping(
+            float(adapter.option(settings, "linear_damping")),
+            float(adapter.option(settings, "angular_damping")),
+        )
+        self._model = Model(self._client, mechanism, damping)
+        self._loads = Loads(self._client, self._model, mechanism)
+        self._advance = self._client.function("stepSimulation")
+        self._set_stepping(self._substeps)
+        self.size = self._model.size
+        # Only ball joints and free bodies are integrated as rotations.
+        turning = [link for link in mechanism.links if not link.joint or link.joint.kind == "ball"]
+        self._turning = np.array([link.body for link in turning], dtype=np.int64)
+        self._carrier = np.array([link.parent for link in turning], dtype=np.int64)
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        time = np.arange(batch.steps + 1, dtype=np.float64) * self._frame
+        out = Trajectory.empty(time, len(batch), self._mechanism.body_count)
+        each_step = self._loads.change_within_frame(batch.torque)
+        self._set_stepping(1 if each_step else self._substeps)
+        failures = tuple(self._roll(batch, row, out, each_step) for row in range(len(batch)))
+        return Trajectory(
+            time, out.position, out.orientation, out.velocity, out.angular_velocity, failures
+        )
+
+    def _roll(self, batch: Batch, row: int, out: Trajectory, each_step: bool) -> Failure | None:
+        state = self._start(batch, row)
+        self._record(state, out, row, 0)
+        for k in range(batch.steps):
+            for _ in range(self._substeps if each_step else 1):
+                self._loads.apply(batch.force[row, k], batch.torque[row, k], state)
+                self._advance()
+                state = self._model.get()
+            reason = self._trouble(state)
+            if reason:
+                return Failure(k + 1, reason)
+            self._record(state, out, row, k + 1)
+        return None
+
+    def _start(self, batch: Batch, row: int) -> BodyStates:
+        native = self._mechanism.native_rotation(batch.orientation[row])
+        self._model.put(
+            BodyStates(
+                batch.position[row], native, batch.velocity[row], batch.angular_velocity[row]
+            )
+        )
+        return self._model.get()
+
+    def _record(self, state: BodyStates, out: Trajectory, row: int, frame: int) -> None:
+        out.position[row, frame] = state.position
+        out.orientation[row, frame] = self._mechanism.body_orientation(state.native)
+        out.velocity[row, frame] = state.velocity
+        out.angular_velocity[row, frame] = state.angular_velocity
+
+    def _trouble(self, state: BodyStates) -> str | None:
+        """Say what is wrong with a state: Bullet itself never does."""
+        rates = np.concatenate([state.velocity, state.angular_velocity])
+        if not (np.isfinite(rates).all() and np.isfinite(state.position).all()):
+            return "the state is not finite"
+        if np.abs(rates).max() > 0.5 * SPEED_CAP:
+            return (
+                f"blow-up: {np.abs(rates).max():.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
+            )
+        carried = np.concatenate([state.angular_velocity, np.zeros((1, 3))])
+        relative = carried[self._turning] - carried[self._carrier]
+        turn = self._step * np.linalg.norm(relative, axis=-1).max(initial=0.0)
+        if turn > _TURN_CAP:
+            return f"a body turns by {turn:.3g} rad in a step, the engine cuts that at π/4"
+        return None
+
+    def _set_stepping(self, substeps: int) -> None:
+        # Loads stay as they are over the sub-steps of one call.
+        self._client.build(
+            "setPhysicsEngineParameter", fixedTimeStep=self._step * substeps, numSubSteps=substeps
+        )
+
+    def readback(self, batch: Batch) -> Readback:
+        state = self._start(batch, 0)
+        world = self._client.function("getPhysicsEngineParameters")()
+        joint_axis = self._model.joint_axis()
+        return Readback(
+            mass=self._model.mass(),
+            inertia=self._model.inertia(),
+            com=state.position,
+            orientation=self._mechanism.body_orientation(state.native),
+            velocity=state.velocity,
+            angular_velocity=state.angular_velocity,
+            gravity=np.array([world[f"gravityAcceleration{axis}"] for axis in "XYZ"]),
+            step=world["fixedTimeStep"] / max(1, world["numSubSteps"]),
+            joint_axis=joint_axis,
+            damping=self._model.damping(),
+        )
+
+    def native(self) -> str:
+        """Give the calls that build the model and put it at the latest start, without inputs."""
+        if not self._client.started:
+            start = assemble(self._mechanism)
+            self._model.put(BodyStates(*(getattr(start, field.name) for field in fields(start))))
+        return self._client.listing() + _STEPPING.format(steps=self._mechanism.scene.clock.steps)
+
+    def close(self) -> None:
+        self._client.close()
+
+
+def _divisible_step(frame: float, substeps: int) -> float:
+    """The step without its last bits, so that `substeps` of them add up without rounding.
+
+    Bullet counts the steps of a frame as the whole part of frame / step and carries the rest
+    over: rounded down it takes one too few, now and then.
+    """
+    mantissa, exponent = math.frexp(frame / substeps)
+    bits = 53 - substeps.bit_length()
+    return math.ldexp(round(math.ldexp(mantissa, bits)), exponent - bits)
