@@ -47,8 +47,10 @@ class Stepping:
     timestep: float
     """[s]"""
     solver: str
-    time_constant: float
-    """Of the equality constraints [s]; 0 leaves MuJoCo's default softness."""
+    loop_time_constant: float
+    """Of the constraints that close loops [s]; 0 leaves MuJoCo's default softness."""
+    link_time_constant: float
+    """The same of distance links."""
 
 
 def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
@@ -58,9 +60,10 @@ def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
     _option(root, mechanism, stepping)
     bodies = _bodies(SubElement(root, "worldbody"), mechanism)
     tendons, equalities = Element("tendon"), Element("equality")
-    softness = _softness(stepping)
+    softness = _softness(stepping.loop_time_constant)
     for joint in mechanism.loops:
         _close(equalities, bodies, joint, mechanism.scene.length, softness)
+    softness = _softness(stepping.link_time_constant)
     for link in mechanism.distances:
         _distance(tendons, equalities, bodies, mechanism, link, softness)
     for spring in mechanism.springs:
@@ -140,13 +143,8 @@ def _body(above: Element, mechanism: Mechanism, link: Link) -> Element:
     return body
 
 
-def _softness(stepping: Stepping) -> dict[str, str]:
-    """Tie the constraints' time constant τ to the step: g̈ + 2 ġ/τ + g/τ² = 0.
-
-    MuJoCo's rows leave out J̇·v, so a gap of |J̇·v|·τ² stays, whatever the step, unless τ falls
-    with it. The impedance is the highest that MuJoCo takes.
-    """
-    tau = stepping.time_constant
+def _softness(tau: float) -> dict[str, str]:
+    """Make a constraint's gap g follow g̈ + 2 ġ/τ + g/τ² = 0, as hard as MuJoCo can (0.9999)."""
     if tau == 0:
         return {}
     return {

@@ -38,11 +38,13 @@ __all__ = ["MuJoCo"]
 
 Array = NDArray[np.float64]
 
+_NATIVE_OPTIONS = {"loop_time_constant": 0.0, "link_time_constant": 0.0}
 _SOLVERS = ("Newton", "CG", "PGS")
 # An ordinary user's [s].
 _DEFAULT_STEP = 0.002
 # Keeps RK4 within the budgets of chains of links of 0.1 m and more [s].
 _CAREFUL_STEP = 0.005
+_CAREFUL_LINK_STEP = 0.001
 # Of the reciprocal of a spring's rate: forty steps a period.
 _SPRING_FRACTION = 0.15
 # A body that crosses so many scene lengths in a frame has blown up.
@@ -61,10 +63,14 @@ class MuJoCo(Adapter):
         "implicitfast": Method("implicitfast", "semi-implicit Euler", 1),
     }
     options: ClassVar = {
+        # Shorter, and RK4's stages, which leave the constraint by O(h²), come back as an error of
+        # the velocities; longer, and gaps widen. Euler is unstable below 1.3.
         "loop_time_constant": Option(
-            1.5,
-            "time constant of loop constraints in steps; 0 leaves MuJoCo's default solref and "
-            "solimp",
+            3.0, "of loop constraints, in steps; 0 leaves MuJoCo's default solref and solimp"
+        ),
+        # MuJoCo leaves J̇·v out of a tendon's row, so a gap of |J̇·v|·τ² stays.
+        "link_time_constant": Option(
+            1.5, "of distance links, in steps; 0 leaves MuJoCo's default solref and solimp"
         ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
     }
@@ -82,21 +88,32 @@ class MuJoCo(Adapter):
         frame = scene.clock.frame
         if profile == "native":
             step = frame / max(1, round(frame / _DEFAULT_STEP))
-            return Settings("Euler", step, {"loop_time_constant": 0.0})
-        longest = min(_CAREFUL_STEP, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
+            return Settings("Euler", step, _NATIVE_OPTIONS)
+        longest = _CAREFUL_STEP if not scene.distance_links else _CAREFUL_LINK_STEP
+        longest = min(longest, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
         return Settings("RK4", frame / math.ceil(frame / longest - 1e-9))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
-        solver, steps = (self.option(settings, key) for key in ("solver", "loop_time_constant"))
+        solver = self.option(settings, "solver")
         if solver not in _SOLVERS:
             raise UnknownName.of("solver of mujoco", str(solver), list(_SOLVERS))
-        if not (isinstance(steps, int | float) and 0 <= steps < math.inf):
-            msg = f"loop_time_constant: got {steps!r}, allowed is 0 or more steps"
-            raise InputError(msg)
         substeps = settings.substeps(scene.clock.frame)
         step = scene.clock.frame / substeps
-        stepping = Stepping(settings.method, step, solver, steps * step)
+        stepping = Stepping(
+            settings.method,
+            step,
+            solver,
+            step * self._steps(settings, "loop_time_constant"),
+            step * self._steps(settings, "link_time_constant"),
+        )
         return _Run(Mechanism.of(scene), stepping, substeps)
+
+    def _steps(self, settings: Settings, name: str) -> float:
+        value = self.option(settings, name)
+        if not (isinstance(value, int | float) and 0 <= value < math.inf):
+            msg = f"{name}: got {value!r}, allowed is 0 or more steps"
+            raise InputError(msg)
+        return value
 
 
 class _Run(Run):
