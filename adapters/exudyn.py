@@ -36,7 +36,7 @@ __all__ = ["Exudyn"]
 Array = NDArray[np.float64]
 
 _NATIVE_STEP = 0.001
-_MATCHED_STEP = 0.002
+_MATCHED_STEP = 0.001
 # A body that crosses so many scene lengths in a frame has blown up.
 _LENGTHS_PER_FRAME = 1e3
 # Exudyn keeps the inertia tensor as xx, yy, zz, yz, xz, xy.
@@ -72,7 +72,7 @@ class Exudyn(Adapter):
             "auto", "EXUdense, EigenDense or EigenSparse; auto takes the faster for the size"
         ),
         "modified_newton": Option(
-            False, "whether Newton's method keeps its Jacobian over several steps"
+            True, "whether Newton's method keeps its Jacobian over several steps"
         ),
     }
     limits: ClassVar = {Feature.CONTACT: "contact is not translated yet"}
@@ -89,7 +89,7 @@ class Exudyn(Adapter):
             return Settings(
                 "generalised-alpha",
                 frame / max(1, round(frame / _NATIVE_STEP)),
-                {"linear_solver": "EXUdense", "modified_newton": True},
+                {"linear_solver": "EXUdense"},
             )
         return Settings("trapezoidal", frame / max(1, round(frame / _MATCHED_STEP)))
 
