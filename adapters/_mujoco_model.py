@@ -134,7 +134,7 @@ def _body(above: Element, mechanism: Mechanism, link: Link) -> Element:
     )
     joint = link.joint
     if joint is None:
-        SubElement(body, "freejoint", name=f"{name} free")
+        SubElement(body, "freejoint")
     elif joint.kind != "fixed":
         element = SubElement(body, "joint", name=joint.name, type=_JOINT_TYPES[joint.kind])
         element.set("pos", _numbers(joint.in_child))
