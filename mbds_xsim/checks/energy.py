@@ -29,10 +29,12 @@ _EARTH = 9.81  # sets the floor of scenes without gravity [m/s²]
 class Energy:
     """Kinetic and potential energy (gravity and springs) [J], each (trajectory, frame)."""
 
-    def __init__(self, kinetic: Array, potential: Array, floor: float) -> None:
-        self.kinetic = kinetic
-        self.potential = potential
-        self.total = kinetic + potential
+    def __init__(self, by_body: Array, springs: Array, floor: float) -> None:
+        self.by_body = by_body
+        """Kinetic, then gravitational energies of the bodies, (trajectory, frame, 2 · body)."""
+        self.kinetic, weight = (part.sum(axis=-1) for part in np.split(by_body, 2, axis=-1))
+        self.potential = weight + springs
+        self.total = self.kinetic + self.potential
         self._floor = floor
 
     @property
@@ -78,17 +80,17 @@ def energy_of(record: Record) -> Energy:
     mechanism, bodies = record.mechanism, record.bodies
     gravity = np.array(record.scene.gravity)
     spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
-    turning = np.einsum("tfbi,bij,tfbj->tf", spin, mechanism.inertia, spin, optimize=True)
-    moving = np.sum(bodies.velocity**2, axis=-1) @ mechanism.mass
-    potential = -(bodies.position @ gravity) @ mechanism.mass
+    turning = np.einsum("tfbi,bij,tfbj->tfb", spin, mechanism.inertia, spin, optimize=True)
+    kinetic = 0.5 * (mechanism.mass * np.sum(bodies.velocity**2, axis=-1) + turning)
+    weight = -mechanism.mass * (bodies.position @ gravity)
+    stored = np.zeros(record.finite.shape)
     if mechanism.springs:
         stretch = pair_distance(with_world(bodies), mechanism.springs)
         stretch = stretch - [spring.length for spring in mechanism.springs]
-        stiffness = np.array([spring.stiffness for spring in mechanism.springs])
-        potential = potential + 0.5 * stretch**2 @ stiffness
+        stored = 0.5 * stretch**2 @ np.array([spring.stiffness for spring in mechanism.springs])
     pull = float(np.linalg.norm(gravity)) or _EARTH
     floor = _FLOOR * float(mechanism.mass.sum()) * pull * record.scene.length
-    return Energy(0.5 * (moving + turning), potential, floor)
+    return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
 
 
 def input_work(record: Record) -> Array:

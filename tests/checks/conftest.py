@@ -1,4 +1,4 @@
-"""Small scenes and integrators of known order, written apart from the reference solution."""
+"""Small scenes, and integrators of known order that record them with or without a defect."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.reference.accelerations import accelerations
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import HingeTorque, Throw
@@ -26,72 +26,13 @@ Stepper = Callable[["Model", State, float, Array, Array], State]
 
 
 class Model:
-    """Accelerations of a scene in maximal coordinates, by a dense solve."""
+    """Accelerations of a scene at states of shape (trajectory, body, …)."""
 
     def __init__(self, scene: Scene) -> None:
         self.mechanism = Mechanism.of(scene)
-        self.gravity = np.array(scene.gravity)
 
     def acceleration(self, state: State, force: Array, torque: Array) -> tuple[Array, Array]:
-        mechanism = self.mechanism
-        x, q, v, w = state
-        turn = rotation.matrix(q)
-        inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
-        push = force + mechanism.mass[:, None] * self.gravity
-        twist = -np.cross(w, np.einsum("...ij,...j->...i", inertia, w))
-        for k, joint in enumerate(mechanism.hinges):
-            carrier = rotation.IDENTITY if joint.parent == WORLD_INDEX else q[:, joint.parent]
-            load = torque[:, k, None] * rotation.rotate(carrier, joint.axis)
-            twist[:, joint.child] += load
-            if joint.parent != WORLD_INDEX:
-                twist[:, joint.parent] -= load
-        for spring in mechanism.springs:
-            self._pull(spring, state, push, twist)
-        inverse = np.zeros((len(x), 6 * mechanism.body_count, 6 * mechanism.body_count))
-        for k in range(mechanism.body_count):
-            here = slice(6 * k, 6 * k + 3)
-            inverse[:, here, here] = np.eye(3) / mechanism.mass[k]
-            here = slice(6 * k + 3, 6 * k + 6)
-            inverse[:, here, here] = np.linalg.inv(inertia[:, k])
-        load = np.concatenate([push, twist], axis=-1).reshape(len(x), -1, 1)
-        free = inverse @ load
-        rows = constraint_rows(mechanism, x, q, v, w)
-        if len(rows.parent):
-            jacobian = dense_jacobian(rows, mechanism.body_count)
-            weighted = inverse @ np.swapaxes(jacobian, -1, -2)
-            short = jacobian @ free + rows.bias[..., None]
-            free = free - weighted @ _solve(jacobian @ weighted, short, bool(mechanism.loops))
-        parts = free.reshape(len(x), -1, 6)
-        return parts[..., :3], parts[..., 3:]
-
-    def _pull(self, spring, state: State, push: Array, twist: Array) -> None:  # type: ignore[no-untyped-def]
-        x, q, v, w = state
-        points, speeds, arms = [], [], []
-        for body, offset in zip(spring.bodies, spring.in_body, strict=True):
-            if body == WORLD_INDEX:
-                arm, point = np.zeros((len(x), 3)), np.broadcast_to(offset, (len(x), 3))
-                speed = np.zeros((len(x), 3))
-            else:
-                arm = rotation.rotate(q[:, body], offset)
-                point, speed = x[:, body] + arm, v[:, body] + np.cross(w[:, body], arm)
-            arms.append(arm)
-            points.append(point)
-            speeds.append(speed)
-        apart = points[1] - points[0]
-        length = np.linalg.norm(apart, axis=-1, keepdims=True)
-        along = apart / length
-        rate = np.sum((speeds[1] - speeds[0]) * along, axis=-1, keepdims=True)
-        tension = spring.stiffness * (length - spring.length) + spring.damping * rate
-        for sign, body, arm in zip((1, -1), spring.bodies, arms, strict=True):
-            if body != WORLD_INDEX:
-                push[:, body] += sign * tension * along
-                twist[:, body] += sign * np.cross(arm, tension * along)
-
-
-def _solve(matrix: Array, right: Array, redundant: bool) -> Array:
-    if redundant:
-        return np.asarray(np.linalg.pinv(matrix, rcond=1e-10) @ right)
-    return np.asarray(np.linalg.solve(matrix, right))
+        return accelerations(self.mechanism, BodyStates(*state), force, torque)
 
 
 def _moved(state: State, linear: Array, angular: Array) -> State:

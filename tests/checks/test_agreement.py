@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbds_xsim import rotation
+from mbds_xsim.checks import agreement
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.state import Trajectory
+
+NAN = np.nan
+
+
+def test_the_error_is_the_rms_over_particles(tumbling: Any, pendulum: Any) -> None:
+    mechanism = Mechanism.of(pendulum.scene)
+    position = pendulum.exact.position.copy()
+    position[1, 4, 0] += [3e-3, 0.0, 4e-3]
+    moved = dataclasses.replace(pendulum.exact, position=position)
+    error = agreement.particle_error(mechanism, moved, pendulum.exact)
+    assert error.shape == (3, 41)
+    assert error[1, 4] == pytest.approx(5e-3 / np.sqrt(3))
+    assert np.count_nonzero(error) == 1
+    # Without particles the centres of mass count.
+    own = agreement.particle_error(
+        Mechanism.of(tumbling.scene),
+        dataclasses.replace(tumbling.exact, position=tumbling.exact.position + 0.1),
+        tumbling.exact,
+    )
+    assert np.allclose(own, 0.1 * np.sqrt(3))
+
+
+def test_a_turned_body_shows_in_its_particles() -> None:
+    scene = load_scene("1ladder")
+    batch = draw_batch(scene, [0])
+    one = Trajectory(
+        np.zeros(1),
+        batch.position[:, None],
+        batch.orientation[:, None],
+        batch.velocity[:, None],
+        batch.angular_velocity[:, None],
+        (None,),
+    )
+    turn = rotation.from_vector(np.array([1e-3, 0.0, 0.0]))
+    rung = [body.name for body in scene.bodies].index("rung1")
+    orientation = one.orientation.copy()
+    orientation[0, 0, rung] = rotation.multiply(orientation[0, 0, rung], turn)
+    other = dataclasses.replace(one, orientation=orientation)
+    error = agreement.particle_error(Mechanism.of(scene), other, one)
+    # Five of 17 particles, at ±0.2, ±0.1 and 0 m from the rung's centre.
+    assert error[0, 0] == pytest.approx(1e-3 * np.sqrt(2 * (0.2**2 + 0.1**2) / 17), rel=1e-6)
+
+
+def test_errors_are_read_at_frames_and_instants() -> None:
+    error = np.arange(60.0)[None] * np.ones((2, 1))
+    time = np.linspace(0.0, 1.18, 60)
+    assert sorted(agreement.error_at_horizons(error)) == [1, 10, 20, 50]
+    assert agreement.error_at_horizons(error)[20].tolist() == [20.0, 20.0]
+    assert agreement.error_at(error, time, 1.0).tolist() == [50.0, 50.0]
+
+
+def test_the_agreement_time_is_the_first_crossing_of_one_per_cent() -> None:
+    time = np.array([0.0, 0.1, 0.2, 0.3])
+    error = np.array([[0, 0.01, 0.03, 0.0], [0, 0.01, 0.02, 0.02], [0, NAN, NAN, NAN]])
+    found = agreement.agreement_time(error, time, length=2.0)
+    assert found.tolist() == [pytest.approx(0.2), np.inf, pytest.approx(0.1)]
+
+
+def test_growth_excuses_only_what_it_explains() -> None:
+    growth = np.array([[1.0, 10.0, 50.0, 1e3, 1e6]])
+    explained = 1e-4 * growth
+    assert agreement.growth_weighted(explained, growth)[0] == pytest.approx(1e-4)
+    # A frozen mechanism is far off early, when nothing has grown yet.
+    frozen = np.array([[0.0, 0.4, 0.9, 1.0, 1.0]])
+    assert agreement.growth_weighted(frozen, growth)[0] == pytest.approx(0.04)
+    assert agreement.growth_weighted(np.full((1, 5), NAN), growth)[0] == np.inf
+    lost_in_chaos = np.array([[0.0, 0.0, 0.0, NAN, NAN]])
+    assert agreement.growth_weighted(lost_in_chaos, growth)[0] == 0.0
+
+
+def _distances(errors: list[list[float]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Distances of points in the plane of errors."""
+    points = np.array(errors)
+    return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
+
+
+FAMILIES = ["semi-implicit Euler"] * 3 + ["RK4", "generalised-alpha", "reference"]
+
+
+def test_three_times_the_same_method_is_one_vote() -> None:
+    # Three engines of one method agree with each other and are all off: the family is named.
+    matrix = _distances([[1.0, 0.0]] * 3 + [[1e-6, 0.0], [0.0, 1e-5], [0.0, 0.0]])
+    assert agreement.odd_one_out(matrix, FAMILIES) == (0, 1, 2)
+    assert agreement.odd_one_out(matrix, FAMILIES, tolerance=2.0) == ()
+
+
+def test_the_wrong_model_is_named_beside_a_coarse_family() -> None:
+    coarse = [1e-3, 0.0]
+    matrix = _distances([coarse, [0.5, 0.5], coarse, [1e-6, 0.0], [0.0, 1e-5], [0.0, 0.0]])
+    assert agreement.odd_one_out(matrix, FAMILIES) == (1,)
+    matrix = _distances([coarse, coarse, coarse, [0.5, 0.5], [0.0, 1e-5], [0.0, 0.0]])
+    assert agreement.odd_one_out(matrix, FAMILIES, tolerance=1e-2) == (3,)
+
+
+def test_a_wrong_reference_is_named_too() -> None:
+    coarse = [1e-3, 0.0]
+    matrix = _distances([coarse, coarse, coarse, [0.0, 0.0], [0.0, 1e-5], [0.3, 0.0]])
+    assert agreement.odd_one_out(matrix, FAMILIES) == (5,)
+
+
+def test_nobody_is_named_where_two_stand_against_one_another() -> None:
+    matrix = _distances([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+    assert agreement.odd_one_out(matrix, ["RK4", "RK4", "reference"]) == ()
+    # Two against two: each half has a second family to confirm it.
+    matrix = _distances([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    assert (
+        agreement.odd_one_out(matrix, ["RK4", "trapezoidal", "implicit Euler", "reference"]) == ()
+    )
+
+
+def test_a_lost_run_is_no_vote(pendulum: Any) -> None:
+    lost = dataclasses.replace(pendulum.exact, position=np.full_like(pendulum.exact.position, NAN))
+    near = dataclasses.replace(pendulum.exact, position=pendulum.exact.position + 1e-6)
+    runs = [pendulum.exact, lost, near]
+    matrix = agreement.pairwise(Mechanism.of(pendulum.scene), runs, 0.5)
+    assert np.isnan(matrix[0, 1])
+    assert matrix[0, 2] == pytest.approx(1e-6 * np.sqrt(3), rel=1e-3)
+    assert agreement.odd_one_out(matrix, ["RK4", "trapezoidal", "reference"]) == ()

@@ -1,0 +1,150 @@
+"""Measured on 48 starts of 3pendulum and 5pendulum each, see docs/checks.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.consistency import consistency, extrapolate
+from mbds_xsim.engine import Method
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Trajectory
+
+METHODS = {
+    "euler_reduced": (Method("Euler", "semi-implicit Euler", 1), (2, 4, 8)),
+    "midpoint": (Method("midpoint", "trapezoidal", 2), (2, 4, 8)),
+    "rk4": (Method("RK4", "RK4", 4), (1, 2, 4)),
+}
+
+
+def _lighter(scene: Scene) -> Scene:
+    return msgspec.structs.replace(scene, gravity=(0.0, 0.0, -9.80))
+
+
+def _heavier(scene: Scene) -> Scene:
+    bodies = list(scene.bodies)
+    (particle,) = bodies[1].particles
+    heavy = msgspec.structs.replace(particle, mass=1.01 * particle.mass)
+    bodies[1] = msgspec.structs.replace(bodies[1], particles=(heavy,))
+    return msgspec.structs.replace(scene, bodies=tuple(bodies))
+
+
+def _same(scene: Scene) -> Scene:
+    return scene
+
+
+@pytest.fixture(scope="module")
+def runs(
+    pendulum: Any, simulate: Callable[..., Trajectory]
+) -> Callable[[str, Callable[[Scene], Scene]], list[Trajectory]]:
+    known: dict[tuple[str, Callable[[Scene], Scene]], list[Trajectory]] = {}
+
+    def give(stepper: str, change: Callable[[Scene], Scene]) -> list[Trajectory]:
+        if (stepper, change) not in known:
+            scene = change(pendulum.scene)
+            known[stepper, change] = [
+                simulate(scene, pendulum.batch, count, stepper) for count in METHODS[stepper][1]
+            ]
+        return known[stepper, change]
+
+    return give
+
+
+@pytest.mark.parametrize("stepper", METHODS)
+def test_a_right_model_converges_to_the_reference(pendulum: Any, runs: Any, stepper: str) -> None:
+    found = consistency(
+        pendulum.scene,
+        pendulum.batch,
+        runs(stepper, _same),
+        pendulum.exact,
+        METHODS[stepper][0],
+        resolution=1e-8,
+    )
+    assert [finding.check for finding in found] == [
+        "consistency of positions",
+        "consistency of energy",
+    ]
+    for finding in found:
+        assert finding.passed.all()
+        assert (np.isfinite(finding.series).sum(axis=1) >= 10).all()
+
+
+@pytest.mark.parametrize("change", [_lighter, _heavier])
+@pytest.mark.parametrize("stepper", METHODS)
+def test_a_slightly_wrong_model_shows(
+    pendulum: Any, runs: Any, stepper: str, change: Callable[[Scene], Scene]
+) -> None:
+    """Gravity off by 0.1 %, one particle by 1 %: both within the accuracy budget."""
+    for finding in consistency(
+        pendulum.scene,
+        pendulum.batch,
+        runs(stepper, change),
+        pendulum.exact,
+        METHODS[stepper][0],
+        resolution=1e-8,
+    ):
+        assert not finding.passed.any()
+
+
+def test_two_runs_pass_a_right_model_and_show_a_wrong_one(pendulum: Any, runs: Any) -> None:
+    for change, passes in ((_same, True), (_lighter, False)):
+        for finding in consistency(
+            pendulum.scene,
+            pendulum.batch,
+            runs("rk4", change)[:2],
+            pendulum.exact,
+            METHODS["rk4"][0],
+            resolution=1e-8,
+        ):
+            assert (finding.passed == passes).all()
+
+
+def test_a_method_of_another_order_than_declared_does_not_pass(pendulum: Any, runs: Any) -> None:
+    declared = METHODS["midpoint"][0]
+    for finding in consistency(
+        pendulum.scene, pendulum.batch, runs("euler_reduced", _same), pendulum.exact, declared
+    ):
+        assert not finding.passed.any()
+        assert np.isnan(finding.figure).all()
+        assert finding.where[0].startswith(("order 0.9", "order 1.0"))
+
+
+def test_times_of_large_growth_are_not_judged(pendulum: Any, runs: Any) -> None:
+    growth = np.ones((3, 41))
+    growth[:, 15:] = 200.0
+    for finding in consistency(
+        pendulum.scene,
+        pendulum.batch,
+        runs("midpoint", _same),
+        pendulum.exact,
+        METHODS["midpoint"][0],
+        growth=growth,
+    ):
+        assert np.isnan(finding.series[:, 15:]).all()
+        assert finding.passed.all()
+
+
+def test_the_limit_of_a_series_in_the_step_is_found_within_its_uncertainty() -> None:
+    """Values 1 + h + 0.3 h², of which extrapolation leaves the square."""
+
+    def at(h: float) -> NDArray[np.float64]:
+        return np.full((1, 1, 1), 1.0 + h + 0.3 * h**2)
+
+    floor = np.full((1, 1), 1e-12)
+    found = extrapolate([at(0.1), at(0.05), at(0.025)], 1, floor)
+    error = abs(found.limit[0, 0, 0] - 1.0)
+    assert error == pytest.approx(0.3 * 0.05 * 0.025)  # 0.3 · h · h/2 is what is left
+    assert 0.5 * error < found.uncertainty[0, 0] < 2 * error
+    assert found.asymptotic.all()
+    assert found.order[0, 0] == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_run_cannot_be_extrapolated() -> None:
+    with pytest.raises(InputError, match="allowed are 2 or 3"):
+        extrapolate([np.zeros((1, 1, 1))], 1, np.zeros((1, 1)))
