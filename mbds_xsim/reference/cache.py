@@ -13,6 +13,7 @@ import os
 import tempfile
 import warnings
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,57 @@ import mbds_xsim
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["Arrays", "directory", "key_of", "load", "store"]
+__all__ = ["Arrays", "complete", "directory", "key_of", "load", "store"]
 
 Arrays = dict[str, NDArray[Any]]
+Progress = Callable[[int, int], None]
 
 _PHYSICS = ("bodies", "joints", "distance_links", "springs", "gravity", "contacts", "length")
 _CORE = ("mechanism.py", "rotation.py")
+
+
+def complete(
+    what: str,
+    scene: Scene,
+    batch: Batch,
+    rtol: float,
+    compute: Callable[[list[int], Progress | None], list[Arrays]],
+    *,
+    keep: bool,
+    together: int,
+    progress: Progress | None,
+) -> list[Arrays]:
+    """Give one entry a trajectory, computing and keeping those that are not there.
+
+    Args:
+        what: Kind of result.
+        scene: What is simulated.
+        batch: Starts and inputs.
+        rtol: Tolerance of the result.
+        compute: Makes the entries of some rows of the batch; told where to report its frames.
+        keep: Whether the disk is read and written at all.
+        together: Largest number of rows computed at once.
+        progress: Called with the number of frames done and of all.
+    """
+    keys = [key_of(what, scene, batch, row, rtol) for row in range(len(batch))] if keep else []
+    found = {row: load(key) for row, key in enumerate(keys)}
+    ready = {row: entry for row, entry in found.items() if entry is not None}
+    missing = [row for row in range(len(batch)) if row not in ready]
+    for first in range(0, len(missing), together):
+        rows = missing[first : first + together]
+        report = _shifted(progress, len(ready) * batch.steps, len(rows), batch)
+        ready.update(zip(rows, compute(rows, report), strict=True))
+        for row in rows if keep else ():
+            store(keys[row], ready[row])
+    return [ready[row] for row in range(len(batch))]
+
+
+def _shifted(progress: Progress | None, before: int, rows: int, batch: Batch) -> Progress | None:
+    """Report the progress of some rows as that of the batch."""
+    if progress is None:
+        return None
+    report, part, whole = progress, rows * batch.steps, len(batch) * batch.steps
+    return lambda done, of: report(before + part * done // of, whole)
 
 
 def directory() -> Path:
@@ -45,7 +91,8 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
     digest = hashlib.sha256(_source())
     physics = [getattr(scene, key) for key in _PHYSICS]
-    digest.update(msgspec.json.encode([what, rtol, scene.clock.frame, physics]))
+    # Scenes made in Python may hold numpy's numbers.
+    digest.update(msgspec.json.encode([what, rtol, scene.clock.frame, physics], enc_hook=float))
     for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
         array = np.ascontiguousarray(getattr(batch, key)[row])
         digest.update(repr(array.shape).encode())

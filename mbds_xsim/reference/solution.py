@@ -11,12 +11,13 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import cache as entries
-from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
+from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.marching import Inputs, Marched, march
+from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["checked_tolerance", "solve", "start_states"]
+__all__ = ["checked_tolerance", "integrate", "solve", "start_states"]
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -50,19 +51,19 @@ def solve(
         InputError: The tolerance is out of range.
     """
     rtol = checked_tolerance(rtol)
-    keys = [entries.key_of("solve", scene, batch, row, rtol) for row in range(len(batch))]
-    found = {row: entries.load(key) for row, key in enumerate(keys)} if cache else {}
-    ready = {row: entry for row, entry in found.items() if entry is not None}
-    missing = [row for row in range(len(batch)) if row not in ready]
-    for first in range(0, len(missing), _TOGETHER):
-        rows = missing[first : first + _TOGETHER]
-        report = _shifted(progress, batch.steps, len(ready), len(batch))
-        marched = _integrate(scene, batch[rows], rtol, report)
-        for k, row in enumerate(rows):
-            ready[row] = {"states": marched.states[k], "failure": _encoded(marched.failures[k])}
-            if cache:
-                entries.store(keys[row], ready[row])
-    return _trajectory(scene, batch, [ready[row] for row in range(len(batch))])
+
+    def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
+        start = start_states(Mechanism.of(scene), batch[rows])
+        marched = integrate(scene, start, batch[rows], rtol, progress=report)
+        return [
+            {"states": states, "failure": _encoded(failure)}
+            for states, failure in zip(marched.states, marched.failures, strict=True)
+        ]
+
+    ready = entries.complete(
+        "solve", scene, batch, rtol, compute, keep=cache, together=_TOGETHER, progress=progress
+    )
+    return _trajectory(scene, batch, ready)
 
 
 def checked_tolerance(rtol: float) -> float:
@@ -73,28 +74,42 @@ def checked_tolerance(rtol: float) -> float:
     return rtol
 
 
-def start_states(dynamics: Dynamics, mechanism: Mechanism, batch: Batch) -> Array:
+def start_states(mechanism: Mechanism, batch: Batch) -> Array:
     """States of a batch's starts, shape (trajectory, body + world, 13)."""
     native = mechanism.native_rotation(batch.orientation)
-    return dynamics.pack(BodyStates(batch.position, native, batch.velocity, batch.angular_velocity))
+    bodies = BodyStates(batch.position, native, batch.velocity, batch.angular_velocity)
+    return dynamics_of(mechanism).pack(bodies)
 
 
-def _integrate(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Marched:
-    mechanism = Mechanism.of(scene)
-    dynamics = dynamics_of(mechanism)
-    start = start_states(dynamics, mechanism, batch)
-    inputs = Inputs(batch.force, batch.torque)
-    return march(dynamics, start, inputs, scene.clock.frame, rtol=rtol, progress=progress)
+def integrate(
+    scene: Scene,
+    start: Array,
+    batch: Batch,
+    rtol: float,
+    *,
+    companions: int = 1,
+    progress: Progress | None = None,
+) -> Marched:
+    """Integrate states under a batch's inputs with the method that suits the scene."""
+    dynamics = dynamics_of(Mechanism.of(scene))
+    inputs, frame = Inputs(batch.force, batch.torque), scene.clock.frame
+    method = march_stiff if is_stiff(dynamics, start, inputs, frame) else march
+    return method(
+        dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress
+    )
 
 
 def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Trajectory:
     mechanism = Mechanism.of(scene)
+    time = scene.clock.frame * np.arange(batch.steps + 1, dtype=float)
+    if not ready:
+        return Trajectory.empty(time, 0, mechanism.body_count)
     bodies = dynamics_of(mechanism).unpack(np.stack([entry["states"] for entry in ready]))
     orientation = mechanism.body_orientation(bodies.native)
     # Frame 0 is the start, bit by bit.
     orientation[:, 0] = batch.orientation
     return Trajectory(
-        scene.clock.frame * np.arange(batch.steps + 1, dtype=float),
+        time,
         bodies.position.copy(),
         orientation,
         bodies.velocity.copy(),
@@ -109,13 +124,3 @@ def _encoded(failure: Failure | None) -> NDArray[np.str_]:
 
 def _decoded(text: NDArray[np.str_]) -> Failure | None:
     return Failure(int(text[0]), str(text[1])) if len(text) else None
-
-
-def _shifted(
-    progress: Progress | None, frames: int, done: int, trajectories: int
-) -> Progress | None:
-    """Count the frames of the trajectories that were there before."""
-    if progress is None:
-        return None
-    report = progress
-    return lambda now, _: report(done * frames + now, trajectories * frames)

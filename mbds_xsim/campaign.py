@@ -1,0 +1,267 @@
+"""The simulations of a validation: which there are, carried out side by side, put together.
+
+One work item is one engine at one step over some trajectories, or one trajectory's reference.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import reference, registry
+from mbds_xsim.engine import Profile, Settings
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.matched import settings_for
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Choice", "Contender", "Outcome", "ProgressSink", "ReferenceOutcome", "run_campaign"]
+
+Array = NDArray[np.float64]
+
+_CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
+_REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
+_TIMEOUT = 3600.0
+_RTOL = 1e-11  # of the reference
+
+
+class ProgressSink(Protocol):
+    """Where progress is told."""
+
+    def begin(self, total: int) -> None:
+        """Say how many tasks there are."""
+
+    def advance(self, what: str) -> None:
+        """Count one task as done."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which engines at which settings."""
+
+    engines: tuple[str, ...]
+    profiles: tuple[Profile, ...] = ("matched",)
+    method: str | None = None
+    step: float | None = None
+
+    @staticmethod
+    def parse(
+        *,
+        engines: str | None = None,
+        profiles: str = "matched",
+        method: str | None = None,
+        step: float | None = None,
+    ) -> Choice:
+        """Read the command line's words; no engine named means all installed."""
+        from mbds_xsim.catalogue import as_profile
+
+        names = tuple(dict.fromkeys(engines.split(","))) if engines else ()
+        for name in names:
+            registry.load_adapter(name)
+        names = names or tuple(registry.installed_engines())
+        if not names:
+            msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
+            raise InputError(msg)
+        if method is not None and len(names) != 1:
+            msg = f"--method {method}: methods differ between engines, name one with --engines"
+            raise InputError(msg)
+        return Choice(names, tuple(as_profile(name) for name in profiles.split(",")), method, step)
+
+    def contenders(self, scene: Scene) -> list[Contender]:
+        """Settle the settings of every engine; raise InputError where they are wrong."""
+        found = []
+        for profile in self.profiles:
+            for name in self.engines:
+                adapter = registry.load_adapter(name)
+                preset = settings_for(scene, adapter, profile)
+                settings = Settings(
+                    self.method or preset.method,
+                    self.step or preset.step,
+                    preset.options if self.method in (None, preset.method) else {},
+                )
+                adapter.check(scene, settings)
+                found.append(Contender(name, profile, settings))
+        return found
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of the table to be."""
+
+    engine: str
+    profile: Profile
+    settings: Settings
+
+
+@dataclass
+class Outcome:
+    """What one contender delivered."""
+
+    contender: Contender
+    parts: list[Simulation | Crash] = field(default_factory=list)
+    rows: list[list[int]] = field(default_factory=list)
+    """Rows of the batch of each part."""
+    other_steps: dict[float, tuple[list[int], Trajectory]] = field(default_factory=dict)
+    """Step to the rows and trajectories run at it, for the consistency check."""
+
+    @property
+    def crashes(self) -> list[str]:
+        """Reasons of the parts that crashed."""
+        return list(dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash)))
+
+    @property
+    def simulations(self) -> list[Simulation]:
+        """The parts that came back."""
+        return [part for part in self.parts if isinstance(part, Simulation)]
+
+    def trajectory(self, time: Array, count: int, body_count: int) -> Trajectory | None:
+        """Put the parts together; rows of a crashed part are NaN. None where all crashed."""
+        if not self.simulations:
+            return None
+        whole = Trajectory.empty(time, count, body_count)
+        failures = list(whole.failures)
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                for key in ("position", "orientation", "velocity", "angular_velocity"):
+                    getattr(whole, key)[rows] = getattr(part.trajectory, key)
+                for row, failure in zip(rows, part.trajectory.failures, strict=True):
+                    failures[row] = failure
+        return dataclasses.replace(whole, failures=tuple(failures))
+
+    def failures(self, batch: Batch) -> list[str]:
+        """One line for each crash, and for each trajectory that ended early."""
+        lines = [f"crash: {reason}" for reason in self.crashes]
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                for row, failure in zip(rows, part.trajectory.failures, strict=True):
+                    if failure is not None:
+                        lines.append(
+                            f"trajectory {batch.index[row]} ({batch.interval(row)}) ended at "
+                            f"frame {failure.frame}: {failure.reason}"
+                        )
+        return lines
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceOutcome:
+    """The reference of all trajectories."""
+
+    trajectory: Trajectory
+    growth: Array
+    """Sensitivity G, shape (trajectory, frame)."""
+    rtol: float
+    cached: int
+    wall_s: float
+
+
+def run_campaign(
+    scene: Scene,
+    batch: Batch,
+    contenders: list[Contender],
+    *,
+    cache: bool,
+    workers: int | None,
+    progress: ProgressSink,
+) -> tuple[list[Outcome], ReferenceOutcome]:
+    """Simulate everything.
+
+    Raises:
+        InputError: The reference could not be had; without it nothing can be judged.
+    """
+    outcomes = [Outcome(contender) for contender in contenders]
+    work: list[tuple[str, Task, Callable[[Any], None]]] = []
+    references: list[Any] = []
+    for rows in _chunks(len(batch)):
+        task = Task(_reference, (scene, batch[rows], cache), _TIMEOUT)
+        work.append(("reference", task, references.append))
+    for outcome in outcomes:
+        work += _engine_work(scene, batch, outcome)
+    progress.begin(len(work))
+    labels = [label for label, _, _ in work]
+    answers = run_tasks(
+        [task for _, task, _ in work],
+        workers=workers,
+        finished=lambda place, _: progress.advance(labels[place]),
+    )
+    for (_, _, store), answer in zip(work, answers, strict=True):
+        store(answer)
+    return outcomes, _joined(references)
+
+
+def _engine_work(
+    scene: Scene, batch: Batch, outcome: Outcome
+) -> list[tuple[str, Task, Callable[[Any], None]]]:
+    contender = outcome.contender
+    label = f"{contender.engine} ({contender.profile})"
+    work: list[tuple[str, Task, Callable[[Any], None]]] = []
+    for rows in _chunks(len(batch)):
+        arguments = (scene, batch[rows], contender.engine, contender.settings)
+        outcome.rows.append(rows)
+        work.append((label, Task(simulate, arguments, _TIMEOUT), outcome.parts.append))
+    sample = list(range(min(3, len(batch))))
+    for step in _other_steps(scene, contender.settings):
+        settings = Settings(contender.settings.method, step, contender.settings.options)
+        task = Task(simulate, (scene, batch[sample], contender.engine, settings), _TIMEOUT)
+        work.append((f"{label} consistency", task, _store_step(outcome, step, sample)))
+    return work
+
+
+def _other_steps(scene: Scene, settings: Settings) -> list[float]:
+    """Steps for the consistency check: longer ones where they divide the frame, else shorter."""
+    count = settings.substeps(scene.clock.frame)
+    longer = all(count % factor == 0 for factor in _REFINEMENT)
+    return [
+        scene.clock.frame / (count // factor if longer else count * factor)
+        for factor in _REFINEMENT
+    ]
+
+
+def _chunks(count: int) -> list[list[int]]:
+    return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
+
+
+def _store_step(outcome: Outcome, step: float, rows: list[int]) -> Callable[[Any], None]:
+    def store(answer: Any) -> None:
+        if isinstance(answer, Simulation):
+            outcome.other_steps[step] = (rows, answer.trajectory)
+
+    return store
+
+
+def _reference(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
+    begin = time.perf_counter()
+    trajectory = reference.solve(scene, batch, rtol=_RTOL, cache=cache)
+    growth = reference.sensitivity(scene, batch, cache=cache)
+    return ReferenceOutcome(trajectory, growth, _RTOL, 0, time.perf_counter() - begin)
+
+
+def _joined(parts: list[Any]) -> ReferenceOutcome:
+    crashed = [part.reason for part in parts if isinstance(part, Crash)]
+    crashed += [
+        f.reason
+        for part in parts
+        if not isinstance(part, Crash)
+        for f in part.trajectory.failures
+        if f is not None
+    ]
+    if crashed:
+        msg = f"the reference solution failed, so nothing can be judged: {crashed[0]}"
+        raise InputError(msg)
+    keys = ("position", "orientation", "velocity", "angular_velocity")
+    arrays = {key: np.concatenate([getattr(p.trajectory, key) for p in parts]) for key in keys}
+    failures = tuple(failure for part in parts for failure in part.trajectory.failures)
+    return ReferenceOutcome(
+        trajectory=dataclasses.replace(parts[0].trajectory, **arrays, failures=failures),
+        growth=np.concatenate([part.growth for part in parts]),
+        rtol=_RTOL,
+        cached=sum(part.cached for part in parts),
+        wall_s=sum(part.wall_s for part in parts),
+    )

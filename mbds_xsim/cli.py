@@ -1,0 +1,204 @@
+"""The command line. Every command imports what it needs when it runs: `--help` stays quick."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbds_xsim.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="mbds-xsim",
+    help="Multibody simulation data you can trust: one scene, four engines, cross-checked.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A built-in name, a family with a size, or a file.")
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
+]
+
+
+def main() -> None:
+    """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        print(f"mbds-xsim: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("mbds-xsim: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim validate 3ladder  ·  mbds-xsim validate my.toml --engines mujoco"
+)
+def validate(
+    scene: SceneName,
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    settings: Annotated[
+        str, typer.Option(help="matched, native, or both side by side (matched,native).")
+    ] = "matched",
+    trajectories: Annotated[int, typer.Option(help="Starts of each interval.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    method: Annotated[
+        str | None, typer.Option(help="Step with this method, with --engines of one engine.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Step [s], a divisor of the frame interval.")
+    ] = None,
+    noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
+    inputs: Annotated[bool, typer.Option(help="Drawn inputs: wind, drives.")] = True,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Run a scene in all engines, check every trajectory, and tell which to trust."""
+    from mbds_xsim.report.terminal import print_table
+    from mbds_xsim.result import to_json
+    from mbds_xsim.validate import Choice, validate_with_evidence
+
+    console = _console(json)
+    choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
+    _writable(json)
+    with _progress(console) as progress:
+        validation, _ = validate_with_evidence(
+            _scene(scene),
+            choice=choice,
+            trajectories=trajectories,
+            seed=seed,
+            noise=noise,
+            inputs=inputs,
+            cache=cache,
+            workers=workers,
+            progress=progress,
+            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+        )
+    print_table(validation, console)
+    _write_json(to_json(validation), json)
+    raise typer.Exit(0 if validation.verdict != "fail" else 1)
+
+
+@app.command()
+def engines(json: JsonFile = None) -> None:
+    """List the engines, their methods, and what each cannot do."""
+    from mbds_xsim.catalogue import engine_rows
+    from mbds_xsim.report.lists import print_engines
+
+    rows = engine_rows()
+    print_engines(rows, _console(json))
+    _write_json(_encoded(rows), json)
+
+
+@app.command()
+def scenes(json: JsonFile = None) -> None:
+    """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
+    from mbds_xsim.catalogue import scene_rows
+    from mbds_xsim.report.lists import print_scenes
+
+    rows = scene_rows()
+    print_scenes(rows, _console(json))
+    _write_json(_encoded(rows), json)
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim show 3ladder  ·  "
+    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml"
+)
+def show(
+    scene: SceneName,
+    toml: Annotated[bool, typer.Option("--toml", help="Print it as a scene file.")] = False,
+    native: Annotated[
+        str | None,
+        typer.Option(metavar="ENGINE", help="Print exactly what this engine is given."),
+    ] = None,
+    settings: Annotated[str, typer.Option(help="With --native: matched or native.")] = "matched",
+    json: JsonFile = None,
+) -> None:
+    """Say what a scene is and needs, draw it, or print what an engine is given."""
+    from mbds_xsim.catalogue import native_text, scene_row
+    from mbds_xsim.report.lists import print_scene
+    from mbds_xsim.scene_file import write_scene
+
+    loaded = _scene(scene)
+    _writable(json)
+    if native is not None:
+        print(native_text(loaded, native, settings))
+    elif toml:
+        print(write_scene(loaded), end="")
+    else:
+        row = scene_row(loaded)
+        print_scene(loaded, row, _console(json))
+        _write_json(_encoded(row), json)
+
+
+def _scene(name: str):  # type: ignore[no-untyped-def]
+    from mbds_xsim.registry import load_scene
+
+    return load_scene(name)
+
+
+def _console(json: Path | None) -> Console:
+    """Where people read: standard output, or standard error when JSON goes there."""
+    from rich.console import Console
+
+    return Console(stderr=json is not None and str(json) == "-")
+
+
+def _progress(console: Console):  # type: ignore[no-untyped-def]
+    from mbds_xsim.report.progress import ProgressBar
+
+    return ProgressBar(console)
+
+
+def _writable(*paths: Path | None) -> None:
+    """Refuse, before long work, to write where nothing can be written."""
+    import os
+
+    for path in paths:
+        if path is None or str(path) == "-":
+            continue
+        folder = path.absolute().parent
+        if path.is_dir():
+            msg = f"cannot write {path}: it is a folder; name a file"
+            raise InputError(msg)
+        existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
+        if not existing.is_dir() or not os.access(existing, os.W_OK):
+            msg = f"cannot write {path}: {existing} is not a folder that can be written to"
+            raise InputError(msg)
+
+
+def _write_json(text: bytes, path: Path | None) -> None:
+    if path is None:
+        return
+    if str(path) == "-":
+        print(text.decode())
+        return
+    from mbds_xsim.write import write_whole
+
+    write_whole(path, text + b"\n")
+
+
+def _encoded(value: object) -> bytes:
+    import msgspec
+
+    return msgspec.json.format(msgspec.json.encode(value), indent=2)

@@ -1,0 +1,195 @@
+"""From what an engine delivered to its row of the table: figures, verdict, reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import readback, registry
+from mbds_xsim.campaign import Outcome, ReferenceOutcome
+from mbds_xsim.checks import Finding, agreement, audit
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Row", "judge", "reference_result"]
+
+Array = NDArray[np.float64]
+
+_ONE_SECOND = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """An engine's result and the arrays behind it."""
+
+    result: EngineResult
+    trajectory: Trajectory | None
+    error: Array | None
+    """RMS particle error [m], shape (trajectory, frame)."""
+    series: dict[str, Array]
+
+
+def judge(scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome) -> Row:
+    """Check everything an engine delivered and give the verdict."""
+    truth = reference.trajectory
+    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    if trajectory is None:
+        return Row(_result(scene, batch, outcome, [], None, reference), None, None, {})
+    contender = outcome.contender
+    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
+    error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
+    findings = [
+        *audit(scene, batch, trajectory, method, step=contender.settings.step),
+        *_error_findings(scene, batch, error, truth.time, reference.growth),
+    ]
+    result = _result(scene, batch, outcome, findings, error, reference)
+    return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
+
+
+def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
+    """Hold the reference to the checks that judge the engines."""
+    findings = {finding.check: finding for finding in audit(scene, batch, reference.trajectory)}
+    return ReferenceResult(
+        rtol=reference.rtol,
+        constraint_gap_m=_worst_of(findings, "gap") or 0.0,
+        energy_balance=_worst_of(findings, "energy") or 0.0,
+        cached=reference.cached,
+        wall_s=reference.wall_s,
+    )
+
+
+def _error_findings(
+    scene: Scene, batch: Batch, error: Array, time: Array, growth: Array
+) -> list[Finding]:
+    """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""
+    regular = np.array([batch.interval(row) != "high" for row in range(len(batch))])
+    at_one = np.where(
+        regular[:, None] & (np.abs(time - _ONE_SECOND) < 0.5 * scene.clock.frame), error, np.nan
+    )
+    lost = np.where(np.isfinite(error), error, np.inf)
+    predictable = np.where(growth < agreement.CHAOS, lost / np.maximum(1.0, growth), np.nan)
+    findings = [
+        Finding.of(
+            "error growth-weighted",
+            "m",
+            predictable[:, :, None],
+            budget=scene.budget.error * scene.length,
+        )
+    ]
+    if regular.any() and time[-1] >= _ONE_SECOND:
+        one = Finding.of(
+            "error at 1 s",
+            "m",
+            at_one[regular][:, :, None],
+            budget=scene.budget.error_1s * scene.length,
+        )
+        findings.insert(0, _spread(one, regular))
+    return findings
+
+
+def _spread(finding: Finding, rows: NDArray[np.bool_]) -> Finding:
+    """Give a finding on some trajectories the rows of all; the others have 0, not NaN."""
+    series = np.zeros((len(rows), finding.series.shape[1]))
+    series[rows] = finding.series
+    return Finding.of(finding.check, finding.unit, series[:, :, None], budget=finding.budget)
+
+
+def _result(
+    scene: Scene,
+    batch: Batch,
+    outcome: Outcome,
+    findings: list[Finding],
+    error: Array | None,
+    reference: ReferenceOutcome,
+) -> EngineResult:
+    contender, simulations = outcome.contender, outcome.simulations
+    adapter = registry.load_adapter(contender.engine)
+    method = adapter.methods[contender.settings.method]
+    by_name = {finding.check: finding for finding in findings}
+    failures = tuple(outcome.failures(batch))
+    native = _readback_differences(scene, batch, outcome)
+    reasons = (*failures, *native, *_failed(batch, findings))
+    simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
+    size = simulations[0].size if simulations else None
+    time = reference.trajectory.time
+    agreed = None if error is None else agreement.agreement_time(error, time, scene.length).min()
+    return EngineResult(
+        engine=contender.engine,
+        version=adapter.version(),
+        profile=contender.profile,
+        method=method.name,
+        family=method.family,
+        order=method.order_for(scene),
+        step_s=contender.settings.step,
+        options=dict(contender.settings.options),
+        verdict="fail" if reasons else "pass",
+        reasons=reasons,
+        error_1s_m=_worst_of(by_name, "error at 1 s"),
+        error_max_m=None if error is None else _finite(np.nanmax(error)),
+        error_weighted_m=_worst_of(by_name, "error growth-weighted"),
+        constraint_gap_m=_worst_of(by_name, "gap"),
+        energy_balance=_worst_of(by_name, "energy"),
+        agreement_time_s=None if agreed is None else _finite(agreed),
+        wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
+        if simulated
+        else None,
+        setup_s=float(np.median([s.setup_s for s in simulations])) if simulations else None,
+        coordinates=size.coordinates if size else None,
+        constraints=size.constraints if size else None,
+        findings=tuple(_finding_result(batch, finding) for finding in findings),
+        failures=failures,
+    )
+
+
+def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[str]:
+    for rows, part in zip(outcome.rows, outcome.simulations, strict=False):
+        lines = readback.compare(
+            Mechanism.of(scene), batch[rows], outcome.contender.settings, part.readback
+        )
+        if lines and outcome.contender.profile == "matched":
+            return [f"read-back: {line}" for line in lines]
+    return []
+
+
+def _failed(batch: Batch, findings: list[Finding]) -> list[str]:
+    """One line for each check that failed, the worst trajectory named."""
+    lines = []
+    for finding in findings:
+        if not finding.passed.all():
+            row = finding.worst
+            where = f" ({finding.where[row]})" if finding.where[row] else ""
+            lines.append(
+                f"{finding.check}: {finding.figure[row]:.3g} {finding.unit}, allowed "
+                f"{finding.budget:.3g}{where}, trajectory {batch.index[row]} "
+                f"({batch.interval(row)}), frame {finding.frame[row]}"
+            )
+    return lines
+
+
+def _finding_result(batch: Batch, finding: Finding) -> FindingResult:
+    row = finding.worst
+    return FindingResult(
+        check=finding.check,
+        unit=finding.unit,
+        figure=float(finding.figure[row]),
+        budget=finding.budget,
+        passed=bool(finding.passed.all()),
+        trajectory=int(batch.index[row]),
+        frame=int(finding.frame[row]),
+        where=finding.where[row],
+        figures=tuple(float(figure) for figure in finding.figure),
+    )
+
+
+def _worst_of(findings: dict[str, Finding], check: str) -> float | None:
+    if check not in findings:
+        return None
+    return _finite(float(np.max(findings[check].figure)))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

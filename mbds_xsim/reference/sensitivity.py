@@ -1,0 +1,129 @@
+"""How a trajectory amplifies a small error: the reference run again from a perturbed start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference import cache as entries
+from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
+from mbds_xsim.reference.solution import checked_tolerance, integrate, start_states
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+
+__all__ = ["sensitivity"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Progress = Callable[[int, int], None]
+
+_SIZE = 1e-8  # RMS displacement of the start [m], and RMS change of its velocities [m/s]
+_SEED = 20240607
+_PAIRS_TOGETHER = 8
+
+
+def sensitivity(
+    scene: Scene,
+    batch: Batch,
+    *,
+    rtol: float = 1e-7,
+    cache: bool = True,
+    progress: Progress | None = None,
+) -> Array:
+    """Measure the growth factor G: RMS particle distance of two runs over that at the start.
+
+    The second start is displaced by 1e-8 m, and its velocities are changed by 1e-8 m/s, in random
+    directions that the joints allow, always the same for a trajectory. Both runs share their
+    steps, so that numerical errors cancel in their distance and a loose tolerance is enough.
+
+    Args:
+        scene: What to simulate.
+        batch: Starts and inputs.
+        rtol: Allowed error of a step, as in `solve`.
+        cache: Whether results are taken from disk, and kept there.
+        progress: Called now and then with the number of frames done and of all frames.
+
+    Returns:
+        G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on in which a contact sphere
+        reaches the ground.
+
+    Raises:
+        InputError: The tolerance is out of range.
+    """
+    rtol = checked_tolerance(rtol)
+    what = f"sensitivity {_SIZE} {_SEED}"
+
+    def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
+        growth = _growth(scene, batch[rows], rtol, report)
+        return [{"growth": values} for values in growth]
+
+    ready = entries.complete(
+        what, scene, batch, rtol, compute, keep=cache, together=_PAIRS_TOGETHER, progress=progress
+    )
+    return np.array([entry["growth"] for entry in ready]).reshape(len(batch), batch.steps + 1)
+
+
+def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Array:
+    mechanism = Mechanism.of(scene)
+    dynamics = dynamics_of(mechanism)
+    start = dynamics.project(start_states(mechanism, batch))
+    other = np.array(
+        [_perturbed(mechanism, *pair) for pair in zip(start, batch.index, strict=True)]
+    )
+    pairs = np.stack([start, other], axis=1).reshape(-1, *start.shape[1:])
+    twice = batch[np.repeat(np.arange(len(batch)), 2)]
+    marched = integrate(scene, pairs, twice, rtol, companions=2, progress=progress)
+    bodies = dynamics.unpack(marched.states)
+    markers = _marker_positions(mechanism, bodies.position, bodies.native)
+    distance = _rms(markers[::2] - markers[1::2])
+    return np.asarray(distance / distance[:, :1])
+
+
+def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
+    """Move one state, shape (body + world, 13), as its joints allow."""
+    dynamics = dynamics_of(mechanism)
+    rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
+    shift, rate = (_allowed_twist(mechanism, dynamics, state, rng) for _ in range(2))
+    moved = state.copy()
+    moved[:, :3] += shift[:, :3]
+    moved[:, 3:7] = rotation.multiply(rotation.from_vector(shift[:, 3:]), state[:, 3:7])
+    moved[:, 7:] += rate
+    return np.asarray(dynamics.project(moved[None])[0])
+
+
+def _allowed_twist(
+    mechanism: Mechanism, dynamics: Dynamics, state: Array, rng: np.random.Generator
+) -> Array:
+    """Random twists, shape (body + world, 6), under which the markers move by 1e-8 m (RMS)."""
+    trial = state.copy()
+    trial[:-1, 7:] = rng.standard_normal((len(state) - 1, 6))
+    trial[:-1, 10:] /= mechanism.scene.length
+    trial = dynamics.project(trial[None])[0]
+    bodies = dynamics.unpack(trial)
+    body, offset = _markers(mechanism)
+    arm = rotation.rotate(bodies.native[body], offset)
+    rate = bodies.velocity[body] + np.cross(bodies.angular_velocity[body], arm)
+    return np.asarray(trial[:, 7:] * (_SIZE / _rms(rate)))
+
+
+def _markers(mechanism: Mechanism) -> tuple[Indices, Array]:
+    """The particles; in a body without any, points around its centre at its radii of gyration."""
+    bare = np.flatnonzero(mechanism.particles_per_body == 0)
+    radius = np.sqrt(np.einsum("kii->k", mechanism.inertia[bare]) / (2.0 * mechanism.mass[bare]))
+    star = np.concatenate([np.eye(3), -np.eye(3)])
+    body = np.concatenate([mechanism.particle_body, np.repeat(bare, len(star))])
+    offset = (radius[:, None, None] * star).reshape(-1, 3)
+    return body, np.concatenate([mechanism.particle_offset, offset])
+
+
+def _marker_positions(mechanism: Mechanism, position: Array, native: Array) -> Array:
+    body, offset = _markers(mechanism)
+    return position[..., body, :] + rotation.rotate(native[..., body, :], offset)
+
+
+def _rms(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.sum(vectors**2, axis=-1), axis=-1)))

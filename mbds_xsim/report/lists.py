@@ -1,0 +1,83 @@
+"""Terminal tables of what there is: engines, scenes, one scene."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from mbds_xsim.catalogue import EngineRow, SceneRow
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.sampling_terms import INTERVALS, Levels
+from mbds_xsim.scene import Scene
+
+__all__ = ["print_engines", "print_scene", "print_scenes"]
+
+
+def print_engines(rows: list[EngineRow], console: Console) -> None:
+    """Print one block an engine."""
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in ("engine", "version", "coordinates", "methods", "cannot do"):
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        methods = "\n".join(f"{name}: {what}" for name, what in row.methods.items())
+        limits = "\n".join(f"{what}: {reason}" for what, reason in row.limits.items())
+        table.add_row(row.engine, row.version, row.coordinates, methods, limits)
+    console.print(table)
+
+
+def print_scenes(rows: list[SceneRow], console: Console) -> None:
+    """Print one line a scene, and the mean number of particles."""
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column("scene")
+    for column in ("dim", "bodies", "particles", "joints", "loops", "dof"):
+        table.add_column(column, justify="right")
+    table.add_column("needs", overflow="fold")
+    for row in rows:
+        table.add_row(
+            row.scene,
+            f"{row.dimension}D",
+            str(row.bodies),
+            str(row.particles),
+            str(row.joints),
+            str(row.loops),
+            str(row.degrees_of_freedom),
+            ", ".join(row.needs),
+        )
+    console.print(table)
+    console.print("Families of any size: Npendulum, Nladder; or the path of a scene file.")
+
+
+def print_scene(scene: Scene, row: SceneRow, console: Console) -> None:
+    """Print what a scene is, what it needs and how its starts are drawn."""
+    mechanism = Mechanism.of(scene)
+    clock = scene.clock
+    lines = [
+        f"[bold]{scene.name}[/]  {scene.description}",
+        *([f"source: {scene.source}"] if scene.source else []),
+        f"{row.bodies} bodies, {row.particles} particles, {mechanism.mass.sum():g} kg, "
+        f"{row.degrees_of_freedom} degrees of freedom, {scene.dimension}D",
+        f"{row.joints} joints; loops closed by: "
+        + (", ".join(joint.name for joint in mechanism.loops) or "none"),
+        f"{clock.steps} steps of {clock.frame:g} s ({clock.duration:g} s); length "
+        f"{scene.length:g} m; noise {scene.noise:g} N",
+        f"needs: {', '.join(row.needs) or 'nothing'}",
+        *(f"draws {_term(term)}" for term in scene.sampling),
+    ]
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _term(term: object) -> str:
+    fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
+    parts = []
+    for key, value in fields.items():
+        if isinstance(value, Levels):
+            spans = (f"{name} {list(getattr(value, name))}" for name in INTERVALS)
+            parts.append(f"{key}: " + ", ".join(spans))
+        elif isinstance(value, tuple) and len(value) > 6:
+            parts.append(f"{key}: {value[0]} … {value[-1]}")
+        else:
+            parts.append(f"{key}: {value}")
+    kind = term.__struct_config__.tag  # type: ignore[attr-defined]
+    return f"{kind} ({'; '.join(parts)})"

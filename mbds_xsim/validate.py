@@ -1,0 +1,153 @@
+"""The main job: run a scene in all engines, check every trajectory, give a verdict."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import registry
+from mbds_xsim.campaign import Choice, ProgressSink, ReferenceOutcome, run_campaign
+from mbds_xsim.checks import agreement
+from mbds_xsim.judge import Row, judge, reference_result
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.result import SCHEMA, EngineResult, Evidence, Validation
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+
+__all__ = ["Choice", "validate", "validate_with_evidence"]
+
+Array = NDArray[np.float64]
+
+_ONE_SECOND = 1.0
+_HIGH = INTERVALS.index("high")
+
+
+class _Silent:
+    def begin(self, total: int) -> None:
+        pass
+
+    def advance(self, what: str) -> None:
+        pass
+
+
+def validate(
+    scene: Scene | str,
+    *,
+    engines: Iterable[str] = (),
+    settings: str = "matched",
+    trajectories: int = 1,
+    seed: int = 0,
+    cache: bool = True,
+    workers: int | None = None,
+) -> Validation:
+    """Validate a scene (or the scene of a name or file) and give the figures.
+
+    Args:
+        scene: What to validate.
+        engines: Names; all installed ones when empty.
+        settings: "matched", "native" or "matched,native".
+        trajectories: Starts of each of the intervals low, medium and high.
+        seed: Seed of starts and inputs.
+        cache: Whether stored reference solutions may be used.
+        workers: Processes at a time; all cores when left out.
+
+    Raises:
+        InputError: Something that was given cannot be used.
+    """
+    choice = Choice.parse(engines=",".join(engines) or None, profiles=settings)
+    return validate_with_evidence(
+        registry.load_scene(scene) if isinstance(scene, str) else scene,
+        choice=choice,
+        trajectories=trajectories,
+        seed=seed,
+        cache=cache,
+        workers=workers,
+        command="mbds_xsim.validate.validate",
+    )[0]
+
+
+def validate_with_evidence(
+    scene: Scene,
+    *,
+    choice: Choice,
+    trajectories: int = 1,
+    seed: int = 0,
+    noise: bool = True,
+    inputs: bool = True,
+    cache: bool = True,
+    workers: int | None = None,
+    progress: ProgressSink | None = None,
+    command: str = "",
+) -> tuple[Validation, Evidence]:
+    """Validate, and keep the arrays for a page. See `validate`."""
+    begin = time.perf_counter()
+    contenders = choice.contenders(scene)
+    batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
+    outcomes, reference = run_campaign(
+        scene, batch, contenders, cache=cache, workers=workers, progress=progress or _Silent()
+    )
+    rows = [judge(scene, batch, outcome, reference) for outcome in outcomes]
+    results = [row.result for row in rows]
+    names, matrix, odd = _vote(scene, rows, reference)
+    evidence = Evidence(
+        scene=scene,
+        batch=batch,
+        trajectories=tuple(row.trajectory for row in rows),
+        reference=reference.trajectory,
+        growth=reference.growth,
+        errors=tuple(row.error for row in rows),
+        series=tuple(row.series for row in rows),
+    )
+    failed = any(result.verdict == "fail" for result in results)
+    warned = any(result.verdict == "warn" for result in results)
+    validation = Validation(
+        schema=SCHEMA,
+        scene=scene.name,
+        description=scene.description,
+        verdict="fail" if failed else "warn" if warned else "pass",
+        wall_s=time.perf_counter() - begin,
+        command=command,
+        seed=seed,
+        trajectories=tuple(int(index) for index in batch.index),
+        length_m=scene.length,
+        budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
+        engines=tuple(results),
+        reference=reference_result(scene, batch, reference),
+        names=names,
+        matrix_m=matrix,
+        odd_one_out=odd,
+        versions=_versions(results),
+        machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+    )
+    return validation, evidence
+
+
+def _vote(
+    scene: Scene, rows: list[Row], reference: ReferenceOutcome
+) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
+    """Hold every engine against every other and the reference, at 1 s on predictable starts."""
+    present = [row for row in rows if row.trajectory is not None]
+    names = (*(f"{r.result.engine} {r.result.profile}" for r in present), "reference")
+    families = (*(row.result.family for row in present), "reference")
+    regular = [k for k in range(len(reference.growth)) if k % len(INTERVALS) != _HIGH]
+    runs = [row.trajectory[regular] for row in present if row.trajectory is not None]
+    runs.append(reference.trajectory[regular])
+    instant = min(_ONE_SECOND, scene.clock.duration)
+    matrix = agreement.pairwise(Mechanism.of(scene), runs, instant)
+    allowed = scene.budget.error_1s * scene.length
+    odd = agreement.odd_one_out(matrix, families, tolerance=allowed)
+    told = ", ".join(names[k] for k in odd) or None
+    return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+
+
+def _versions(results: list[EngineResult]) -> dict[str, str]:
+    packages = ("mbds-xsim", "numpy", "scipy")
+    versions = {name: registry.package_version(name) for name in packages}
+    versions["python"] = platform.python_version()
+    return versions | {result.engine: result.version for result in results}
