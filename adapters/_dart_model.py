@@ -34,6 +34,8 @@ class Model:
         self.skeleton = names["skeleton"]
         self.bodies: list[Any] = [names["bodies"][k] for k in range(mechanism.body_count)]
         self.joints: list[Any] = [names["joints"][k] for k in range(mechanism.body_count)]
+        # The listing's functions hold its names in a cycle, which would outlive the run.
+        names.clear()
         self.turning, self.turning_at = self._columns("ball", 0, 3)
         self.free, self.free_turn_at = self._columns(None, 0, 3)
         self.free_shift_at = self._columns(None, 3, 6)[1]

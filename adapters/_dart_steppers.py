@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,16 @@ __all__ = ["ForwardDynamicsRK4", "SemiImplicitEuler", "Stepper"]
 
 Array = NDArray[np.float64]
 
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+# Below it sin(x)/x is 1; squares of smaller numbers vanish.
+_TINY = 1e-150
 
 
 class Stepper(ABC):
     """Moves the skeleton from where it is."""
+
+    calls: ClassVar[str]
+    """The calls of a step, for readers of the listing."""
 
     def __init__(self, model: Model, loads: Loads, step: float) -> None:
         self.model = model
@@ -32,6 +38,8 @@ class Stepper(ABC):
 
 class SemiImplicitEuler(Stepper):
     """DART's own `World.step`: velocities first, constraint impulses, then positions."""
+
+    calls = "world.step(False)"
 
     def advance(self, step_count: int) -> None:
         step, apply = self.model.world.step, self.loads.apply
@@ -48,6 +56,8 @@ class ForwardDynamicsRK4(Stepper):
     for the increments' turning (Munthe-Kaas 1998, BIT 38, 92, with the commutators reduced as in
     Munthe-Kaas and Owren 1999, Phil. Trans. R. Soc. A 357, 957).
     """
+
+    calls = "skeleton.computeForwardDynamics() at each of RK4's four states"
 
     def __init__(self, model: Model, loads: Loads, step: float) -> None:
         super().__init__(model, loads, step)
@@ -108,16 +118,16 @@ def _composed(q: Array, increment: Array, side: Array) -> Array:
 
     Written out, as it is called once a step; shapes (rotation, 3) and (rotation,).
     """
-    a, b = 0.5 * q, 0.5 * increment
-    half_a, half_b = np.sqrt(np.einsum("ij,ij->i", a, a)), np.sqrt(np.einsum("ij,ij->i", b, b))
-    a *= np.sinc(half_a / np.pi)[:, None]
-    b *= np.sinc(half_b / np.pi)[:, None]
-    cos_a, cos_b = np.cos(half_a), np.cos(half_b)
+    count = len(q)
+    half = 0.5 * np.concatenate([q, increment])
+    angle = np.sqrt(np.einsum("ij,ij->i", half, half))
+    half *= (np.sin(angle) / np.maximum(angle, _TINY) + (angle < _TINY))[:, None]
+    cosine = np.cos(angle)
+    a, b, cos_a, cos_b = half[:count], half[count:], cosine[:count], cosine[count:]
     w = cos_a * cos_b - np.einsum("ij,ij->i", a, b)
-    cross = a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT]
-    v = cos_a[:, None] * b + cos_b[:, None] * a + side[:, None] * cross
+    v = cos_a[:, None] * b + cos_b[:, None] * a
+    v += side[:, None] * (a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT])
     sine = np.sqrt(np.einsum("ij,ij->i", v, v))
     # Of the quaternions (w, v) and (−w, −v), the one with w ≥ 0 turns by at most π.
-    angle = 2.0 * np.arctan2(sine, np.abs(w)) * np.copysign(1.0, w)
-    ratio = np.divide(angle, sine, out=np.full_like(w, 2.0), where=sine > 1e-150)
-    return v * ratio[:, None]
+    turned = 2.0 * np.copysign(np.arctan2(sine, np.abs(w)), w)
+    return v * (turned / np.maximum(sine, _TINY) + 2.0 * (sine < _TINY))[:, None]

@@ -1,6 +1,8 @@
 """DART's own ways, and exact answers on small scenes."""
 
+import gc
 import math
+import weakref
 from itertools import pairwise
 
 import numpy as np
@@ -335,3 +337,15 @@ def test_what_it_cannot_do_is_refused() -> None:
         ENGINE.open(load_scene("2ladder"), Settings(RK4, 0.001))
     with pytest.raises(InputError, match="error_reduction"):
         ENGINE.open(load_scene("2ladder"), Settings(EULER, 0.001, {"error_reduction": 1.5}))
+
+
+def test_closing_frees_the_engine_at_once() -> None:
+    run = ENGINE.open(load_scene("2ladder"), Settings(EULER, 0.001))
+    world = weakref.ref(run._model.world)  # type: ignore[attr-defined]
+    gc.disable()
+    try:
+        run.close()
+        assert world() is None
+    finally:
+        gc.enable()
+    run.close()
