@@ -14,6 +14,7 @@ SOLVERS = {
     "generalised-alpha": "GeneralizedAlpha",
     "RK44": "RK44",
     "RK67": "RK67",
+    "tree-RK44": "RK44",
 }
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 

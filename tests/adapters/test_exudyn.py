@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import rotation
+from mbds_xsim import reference, rotation
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.mechanism import Mechanism
@@ -282,31 +283,86 @@ def test_redundant_loop_swings_as_a_pendulum(method: str) -> None:
     )
 
 
-def test_native_model_is_the_scene() -> None:
+def driven_tree() -> Scene:
+    """A branching tree on skew axes, one joint listed child first, with every kind of load."""
     bodies = (
         brick("a", (0.2, 0.0, 0.1)),
         brick("b", (0.5, 0.1, 0.1), orientation=(0.5, 0.5, 0.5, 0.5)),
         brick("c", (0.9, 0.0, 0.1)),
-        brick("free", velocity=(1.0, 2.0, 3.0), angular_velocity=(3.0, 2.0, 1.0)),
     )
     joints = (
         Joint("turn", "hinge", "world", "a", (0, 0, 0), (1.0, 1.0, 0.0), start=0.4, rate=1.0),
-        Joint("push", "slider", "a", "b", (0.3, 0, 0), (0.0, 1.0, 1.0), start=0.1, rate=-0.5),
-        Joint("swing", "ball", "b", "c", (0.7, 0, 0)),
+        Joint("push", "slider", "b", "a", (0.3, 0, 0), (0.0, 1.0, 1.0), start=0.1, rate=-0.5),
+        Joint("swing", "hinge", "a", "c", (0.7, 0, 0), (0.0, 1.0, -1.0), start=-0.3),
     )
-    scene = Scene(name="mixed", bodies=bodies, joints=joints, length=1.0, clock=CLOCK)
-    settings = ENGINE.settings(scene, "matched")
+    springs = (
+        SpringDamper("inner", ("b", "c"), ((0.5, 0, 0.2), (0.9, 0.1, 0)), 40.0, 0.5),
+        SpringDamper("outer", ("world", "a"), ((0, 0, 1), (0.2, 0, 0)), 40.0, 0.5, 0.7),
+    )
+    return Scene(
+        name="driven",
+        bodies=bodies,
+        joints=joints,
+        springs=springs,
+        forces=(Force("b", ((1.0, 0.0, 2.0), (0.0, -3.0, 0.0)), hold=7),),
+        torques=(Torque("swing", (0.4, -0.4, 0.2), hold=5), Torque("turn", (0.5,))),
+        length=1.0,
+        clock=CLOCK,
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "order"), [(method, 2) for method in IMPLICIT] + [("tree-RK44", 4)]
+)
+def test_driven_tree_converges_to_the_reference(method: str, order: int) -> None:
+    scene = driven_tree()
+    exact = reference.solve(scene, draw_batch(scene, [0]), rtol=1e-12, cache=False)
+    coarse, fine = errors(
+        scene, method, lambda motion: motion.position[0] - exact.position[0], (4, 8)
+    )
+    assert math.log2(coarse / fine) == pytest.approx(order, abs=0.2)
+
+
+@pytest.mark.parametrize("method", ["trapezoidal", "tree-RK44"])
+def test_native_model_is_the_scene(method: str) -> None:
+    scene = driven_tree()
+    settings = Settings(method, CLOCK.frame / 4)
     batch = draw_batch(scene, [0])
     with ENGINE.open(scene, settings) as run:
         assert compare(Mechanism.of(scene), batch, settings, run.readback(batch)) == []
-        assert run.size.coordinates == 24
-        listing = run.native()
+        assert run.size.coordinates == (3 if method == "tree-RK44" else 18)
+        listing, size = run.native(), run.size
         motion = run.rollout(batch)
-    names: dict[str, Any] = {}
-    exec(listing, names)
-    assert names["mbs"].systemData.ODE2Size() == 24
-    names["step_frame"]()
     assert np.abs(motion.position[0, 0] - batch.position[0]).max() < 1e-12
+    assert np.abs(motion.velocity[0, 0] - batch.velocity[0]).max() < 1e-12
+    alone: dict[str, Any] = {}
+    exec(listing, alone)
+    alone["step_frame"]()
+    assert alone["mbs"].systemData.ODE2Size() == size.coordinates
+
+
+def test_readback_sees_a_changed_model() -> None:
+    scene = driven_tree()
+    settings = ENGINE.settings(scene, "matched")
+    batch = draw_batch(scene, [0])
+    for method in ("trapezoidal", "tree-RK44"):
+        changed = Settings(method, settings.step)
+        with ENGINE.open(heavier(scene), changed) as run:
+            found = compare(Mechanism.of(scene), batch, changed, run.readback(batch))
+        assert [line.split(" of ")[0] for line in found] == [
+            "mass [kg]",
+            "inertia [kg·m²]",
+            "gravity [m/s²]",
+        ]
+
+
+def heavier(scene: Scene) -> Scene:
+    change = msgspec.structs.replace
+    other = Inertia(2.02, (0.05, 0.08, 0.11), (0.01, -0.005, 0.02), (0.5, 0.1, 0.1))
+    bodies = tuple(
+        change(body, inertia=other) if body.name == "b" else body for body in scene.bodies
+    )
+    return change(scene, bodies=bodies, gravity=(0.0, 0.0, -9.8))
 
 
 def test_batch_rows_do_not_touch_each_other() -> None:
@@ -335,7 +391,7 @@ def test_solver_that_gives_up_ends_its_trajectory_alone(capfd: pytest.CaptureFix
 
 def test_wrong_requests_are_one_clear_line() -> None:
     scene = load_scene("5pendulum")
-    with pytest.raises(Unsupported, match=r"exudyn RK44 cannot do ball joint: .*multipliers"):
+    with pytest.raises(Unsupported, match=r"exudyn RK44 cannot do ball joint: .*constraints"):
         ENGINE.open(scene, Settings("RK44", 0.002))
     with pytest.raises(UnknownName, match=r"linear solver .*'LU'.* EigenSparse"):
         ENGINE.open(scene, Settings("trapezoidal", 0.002, {"linear_solver": "LU"}))

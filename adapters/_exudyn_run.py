@@ -1,0 +1,174 @@
+"""A loaded scene: trajectories frame by frame, and what the engine says of its model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import exudyn
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import ModelSize, Readback, Run
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+from ._exudyn_model import Model
+from ._exudyn_settings import Stepping
+
+__all__ = ["ExudynRun"]
+
+Array = NDArray[np.float64]
+
+# A body that crosses so many scene lengths in a frame has blown up.
+_LENGTHS_PER_FRAME = 1e3
+
+
+class ExudynRun(Run):
+    """Runs the listing, then the solver once a frame."""
+
+    def __init__(self, mechanism: Mechanism, model: Model, stepping: Stepping) -> None:
+        self._mechanism = mechanism
+        self._model = model
+        self._listing = model.listing() + stepping.listing(mechanism)
+        exudyn.config.printToConsole = False
+        exudyn.config.suppressWarnings = True
+        # The listing is the model: running it leaves no call that it does not show.
+        self._names: dict[str, Any] = {}
+        exec(compile(self._listing, "<exudyn model>", "exec"), self._names)
+        self._mbs = self._names["mbs"]
+        data = self._mbs.systemData
+        self.size = ModelSize(coordinates=data.ODE2Size(), constraints=data.AEsize())
+        # Also the multipliers, which a later trajectory would start Newton's method from.
+        self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        start = self._start(batch)
+        shape = (len(batch), batch.steps + 1, self.size.coordinates)
+        positions, velocities = np.full(shape, np.nan), np.full(shape, np.nan)
+        positions[:, 0], velocities[:, 0] = start
+        reasons = [
+            self._record(batch[[row]], positions[row], velocities[row]) for row in range(len(batch))
+        ]
+        return self._trajectory(self._model.to_bodies(positions, velocities), reasons)
+
+    def _start(self, batch: Batch) -> tuple[Array, Array]:
+        native = self._mechanism.native_rotation(batch.orientation)
+        return self._model.from_bodies(
+            BodyStates(batch.position, native, batch.velocity, batch.angular_velocity)
+        )
+
+    def _put(self, coordinates: Array, velocities: Array) -> None:
+        """Start afresh, without the solver's memory of an earlier trajectory."""
+        data = self._mbs.systemData
+        for configuration in (
+            exudyn.ConfigurationType.Initial,
+            exudyn.ConfigurationType.Current,
+        ):
+            data.SetSystemState(self._rest, configuration)
+            data.SetODE2Coordinates(coordinates, configuration)
+            data.SetODE2Coordinates_t(velocities, configuration)
+            data.SetODE2Coordinates_tt(np.zeros_like(velocities), configuration)
+
+    def _record(self, row: Batch, positions: Array, velocities: Array) -> str | None:
+        """Step through one trajectory; tell what the solver stumbled over, if it did.
+
+        Every frame is a run of the solver that begins with the accelerations of its own loads:
+        carried on from the last frame's, a jump of the loads would cost an order of accuracy.
+        """
+        self._put(positions[0], velocities[0])
+        data = self._mbs.systemData
+        for k in range(row.steps):
+            self._load(row.force[0, k], row.torque[0, k])
+            try:
+                self._names["step_frame"]()
+            except Exception as error:
+                return _reason(self._mbs.sys["dynamicSolver"], error)
+            positions[k + 1] = data.GetODE2Coordinates()
+            velocities[k + 1] = data.GetODE2Coordinates_t()
+            if not np.isfinite(velocities[k + 1]).all():
+                return "a velocity is not a number"
+        return None
+
+    def _load(self, force: Array, torque: Array) -> None:
+        put = self._mbs.SetLoadParameter
+        for load, value in zip(self._names["forces"], force, strict=True):
+            put(load, "loadVector", value)
+        for joint, pair, moment in zip(
+            self._mechanism.hinges, self._names["torques"], torque, strict=True
+        ):
+            for load, sign in zip(pair, (1.0, -1.0), strict=True):
+                if load is not None:
+                    put(load, "loadVector", sign * moment * joint.axis)
+
+    def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
+        """Cut every trajectory off at its first frame that is not a number or a blow-up."""
+        scene = self._mechanism.scene
+        fastest = np.linalg.norm(bodies.velocity, axis=-1).max(axis=-1)
+        limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
+        failures: list[Failure | None] = []
+        for row, reason in enumerate(reasons):
+            # Written so that NaN counts as bad.
+            bad = np.flatnonzero(~(fastest[row] < limit))
+            if not len(bad):
+                failures.append(None)
+                continue
+            blow_up = f"a body's speed passes {limit:.3g} m/s or is not a number"
+            failures.append(Failure(int(bad[0]), reason or blow_up))
+            for values in vars(bodies).values():
+                values[row, bad[0] :] = np.nan
+        return Trajectory(
+            scene.clock.frame * np.arange(fastest.shape[1]),
+            bodies.position,
+            self._mechanism.body_orientation(bodies.native),
+            bodies.velocity,
+            bodies.angular_velocity,
+            tuple(failures),
+        )
+
+    def readback(self, batch: Batch) -> Readback:
+        coordinates, velocities = self._start(batch[:1])
+        self._put(coordinates[0], velocities[0])
+        held = self._model.held(self._names)
+        turn = self._output("RotationMatrix").reshape(-1, 3, 3)
+        spin = self._output("AngularVelocity")
+        arm = np.einsum("kij,kj->ki", turn, held.com)
+        alike = not np.ptp(held.gravity, axis=0).any()
+        stepping = self._names["settings"].timeIntegration
+        return Readback(
+            mass=held.mass,
+            inertia=held.inertia,
+            com=self._output("Position") + arm,
+            orientation=self._mechanism.body_orientation(rotation.from_matrix(turn)),
+            velocity=self._output("Velocity") + np.cross(spin, arm),
+            angular_velocity=spin,
+            gravity=held.gravity[0] if alike else np.full(3, np.nan),
+            step=(stepping.endTime - stepping.startTime) / stepping.numberOfSteps,
+            joint_axis=self._model.joint_axes(self._names, turn),
+            damping=None,
+        )
+
+    def _output(self, name: str) -> Array:
+        """What the engine says of the markers at the centres of mass."""
+        variable = getattr(exudyn.OutputVariableType, name)
+        frames = self._names["frames"]
+        return np.array([self._mbs.GetMarkerOutput(frame, variable) for frame in frames])
+
+    def native(self) -> str:
+        return self._listing
+
+    def close(self) -> None:
+        self._names.clear()
+        self._mbs = None
+
+
+def _reason(solver: Any, error: Exception) -> str:
+    """One line out of what a solver that gave up knows."""
+    state = solver.conv
+    if state.linearSolverFailed:
+        return "the linear solver failed: the system is singular"
+    if not state.newtonConverged:
+        count = solver.it.newtonSteps
+        return f"Newton's method stopped at a residual of {state.residual:.3g} after {count} steps"
+    return f"{type(error).__name__}: {solver.GetErrorString() or error}"

@@ -1,0 +1,142 @@
+"""An open tree of hinges and sliders in its own coordinates, for the explicit solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+
+from ._exudyn_model import HEAD, Held, inertia_text, loads_listing
+
+__all__ = ["KinematicTree"]
+
+Array = NDArray[np.float64]
+
+_TYPES = {"hinge": "RevoluteZ", "slider": "PrismaticZ"}
+
+
+class KinematicTree:
+    """Coordinates: the angle or displacement of each link of the spanning tree.
+
+    Exudyn puts a link's frame at its joint; here its z axis is the joint's, so that one joint
+    type serves every axis.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism = mechanism
+        self._order = [link.body for link in mechanism.links]
+
+    def listing(self) -> str:
+        return "\n".join([HEAD, *self._statements(), "mbs.Assemble()", ""])
+
+    def _statements(self) -> Iterator[str]:
+        mechanism = self._mechanism
+        yield "links = []"
+        for link in mechanism.links:
+            yield from self._link(link)
+        gravity = list(mechanism.scene.gravity)
+        yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r})"
+        for k in range(mechanism.body_count):
+            yield f"frames.append({self._marker(k, np.zeros(3))})"
+        for spring in mechanism.springs:
+            yield (
+                f"mbs.CreateSpringDamper(itemNumbers=[{self._ends(spring)}], "
+                f"referenceLength={spring.length!r}, "
+                f"stiffness={spring.stiffness!r}, damping={spring.damping!r})"
+            )
+        yield from loads_listing(mechanism)
+
+    def _link(self, link: Link) -> Iterator[str]:
+        mechanism, joint = self._mechanism, _joint(link)
+        frame, above = _frame(joint), np.eye(3)
+        offset, parent = joint.anchor, -1
+        if link.parent != WORLD_INDEX:
+            parent = self._order.index(link.parent)
+            holder = _joint(mechanism.links[parent])
+            above, offset = _frame(holder), joint.anchor - holder.anchor
+        inertia = frame.T @ mechanism.inertia[link.body] @ frame
+        com = frame.T @ -joint.in_child
+        yield f"# {mechanism.scene.bodies[link.body].name!r} on {joint.name!r}"
+        yield (
+            f"links.append(TreeLink({inertia_text(mechanism.mass[link.body], inertia, com)}, "
+            f"jointType=exu.JointType.{_TYPES[joint.kind]}, parent={parent}, "
+            f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]))"
+        )
+
+    def _marker(self, body: int, point: Array) -> str:
+        """Write a marker at a point of the native frame, parallel to it."""
+        number = self._order.index(body)
+        joint = _joint(self._mechanism.links[number])
+        back = _frame(joint).T
+        return (
+            "mbs.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=tree, "
+            f"linkNumber={number}, localHT={_placed(back, back @ (point - joint.in_child))}))"
+        )
+
+    def _ends(self, pair: PointPair) -> str:
+        return ", ".join(
+            f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition={at.tolist()}))"
+            if body == WORLD_INDEX
+            else self._marker(body, at)
+            for body, at in zip(pair.bodies, pair.in_body, strict=True)
+        )
+
+    def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
+        links = to_links(self._mechanism, bodies)
+        return links.coordinate, links.rate
+
+    def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
+        still = np.zeros((*coordinates.shape, 3))
+        turn = np.broadcast_to(rotation.IDENTITY, (*coordinates.shape, 4))
+        links = LinkStates(turn, still, coordinates, velocities, still, still)
+        return to_bodies(self._mechanism, links)
+
+    def held(self, names: Mapping[str, Any]) -> Held:
+        tree = names["mbs"].GetObject(names["tree"])
+        back = self._back(names)
+        link = [self._order.index(body) for body in range(self._mechanism.body_count)]
+        inertia = np.array([np.array(tree["linkInertiasCOM"][k]) for k in link])
+        markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
+        off = np.array([tree["linkCOMs"][k] for k in link]) - [m["localPosition"] for m in markers]
+        return Held(
+            mass=np.array(tree["linkMasses"])[link],
+            inertia=np.swapaxes(back, -1, -2) @ inertia @ back,
+            com=np.einsum("kji,kj->ki", back, off),
+            gravity=np.tile(tree["gravity"], (len(link), 1)),
+        )
+
+    def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
+        link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
+        axes = np.zeros((len(self._mechanism.joints), 3))
+        for link in self._mechanism.links:
+            joint = _joint(link)
+            sign = 1.0 if self._mechanism.joints[joint.index].parent == joint.parent else -1.0
+            axes[joint.index] = sign * link_frames[link.body][:, 2]
+        return axes
+
+    def _back(self, names: Mapping[str, Any]) -> Array:
+        """Native frames as seen in link frames, from the markers; shape (body, 3, 3)."""
+        markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
+        return np.array([marker["localHT"][:3, :3] for marker in markers])
+
+
+def _joint(link: Link) -> PlacedJoint:
+    assert link.joint is not None  # free bodies are refused
+    return link.joint
+
+
+def _frame(joint: PlacedJoint) -> Array:
+    """Axes of a link's frame in W at the reference pose, z along the joint's axis."""
+    return np.column_stack([*rotation.normal_to(joint.axis), joint.axis])
+
+
+def _placed(turn: Array, offset: Array) -> str:
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = turn, offset
+    return f"np.array({place.tolist()!r})"
