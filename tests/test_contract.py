@@ -1,0 +1,16 @@
+"""The shipped contract suite on every registered adapter."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbds_xsim.engine import Adapter
+from mbds_xsim.testing import AdapterContract
+
+
+class TestContract(AdapterContract):
+    @pytest.fixture
+    def adapter(self, request: pytest.FixtureRequest, engine: str) -> Adapter:
+        del engine
+        adapter: Adapter = request.getfixturevalue("adapter")
+        return adapter
