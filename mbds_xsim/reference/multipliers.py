@@ -67,7 +67,8 @@ class Multipliers:
                 self.slot_half[body, k] = end * (rows + 1) + row
                 self.slot_row[body, k] = row
                 self.row_slot[end, row] = body * self.slot_count + k
-        self._order(touching)
+        if rows:
+            self._order(touching)
 
     def _order(self, touching: list[list[tuple[int, int]]]) -> None:
         """Find the row order and, for each element of the band, the products that make it."""

@@ -1,0 +1,113 @@
+"""Reference solutions kept on disk."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.reference import cache, sensitivity, solve
+from mbds_xsim.reference.marching import Marched, march
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+
+SCENE = load_scene("5pendulum")
+BATCH = draw_batch(SCENE, [0, 1]).truncated(3)
+
+
+@pytest.fixture(autouse=True)
+def _directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+
+
+@pytest.fixture
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Record the sizes of the batches that are integrated."""
+    sizes: list[int] = []
+
+    def counted(*args: Any, **options: Any) -> Marched:
+        result = march(*args, **options)
+        sizes.append(len(result.states))
+        return result
+
+    monkeypatch.setattr("mbds_xsim.reference.solution.march", counted)
+    return sizes
+
+
+def files(directory: Path) -> list[Path]:
+    return [path for path in directory.rglob("*") if path.is_file()]
+
+
+def test_second_call_reads_what_the_first_wrote(tmp_path: Path, computed: list[int]) -> None:
+    first, second = solve(SCENE, BATCH), solve(SCENE, BATCH)
+    assert computed == [2]
+    assert len(files(tmp_path)) == 2
+    for field in ("time", "position", "orientation", "velocity", "angular_velocity", "failures"):
+        np.testing.assert_array_equal(getattr(first, field), getattr(second, field))
+
+
+def test_only_missing_trajectories_are_computed(computed: list[int]) -> None:
+    solve(SCENE, BATCH[[1]])
+    both = solve(SCENE, BATCH)
+    assert computed == [1, 1]
+    np.testing.assert_array_equal(both.position[:, 0], BATCH.position)
+
+
+def test_nothing_is_kept_where_it_is_forbidden(tmp_path: Path, computed: list[int]) -> None:
+    solve(SCENE, BATCH)
+    before = files(tmp_path)
+    solve(SCENE, BATCH, cache=False, rtol=1e-10)
+    solve(SCENE, BATCH, cache=False)
+    assert computed == [2, 2, 2]
+    assert files(tmp_path) == before
+
+
+def test_damaged_entries_are_computed_again(tmp_path: Path, computed: list[int]) -> None:
+    whole = solve(SCENE, BATCH)
+    cut, flipped = files(tmp_path)
+    cut.write_bytes(cut.read_bytes()[:500])
+    content = bytearray(flipped.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    flipped.write_bytes(bytes(content))
+    again = solve(SCENE, BATCH)
+    assert computed == [2, 2]
+    np.testing.assert_array_equal(whole.position, again.position)
+    solve(SCENE, BATCH)
+    assert computed == [2, 2]
+
+
+def test_key_follows_physics_start_inputs_and_tolerance() -> None:
+    def key(scene: Scene = SCENE, batch: Batch = BATCH, rtol: float = 1e-11) -> str:
+        return cache.key_of("solve", scene, batch, 0, rtol)
+
+    heavier = msgspec.structs.replace(SCENE, gravity=(0.0, 0.0, -9.8))
+    renamed = msgspec.structs.replace(SCENE, name="other", noise=0.5)
+    blown = dataclasses.replace(BATCH, force=BATCH.force + 1e-15)
+    moved = dataclasses.replace(BATCH, velocity=-BATCH.velocity)
+    different = {key(), key(scene=heavier), key(batch=blown), key(batch=moved), key(rtol=1e-12)}
+    assert len(different) == 5
+    assert key(scene=renamed) == key()
+
+
+def test_sensitivity_is_kept_beside_solutions(tmp_path: Path, computed: list[int]) -> None:
+    first = sensitivity(SCENE, BATCH)
+    np.testing.assert_array_equal(first, sensitivity(SCENE, BATCH))
+    assert computed == [4]
+    assert len(files(tmp_path)) == 2
+
+
+def test_a_directory_that_cannot_be_written_only_warns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a directory")
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(blocked))
+    with pytest.warns(UserWarning, match="not kept"):
+        result = solve(SCENE, BATCH)
+    assert np.isfinite(result.position).all()
