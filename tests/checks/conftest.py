@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.reference.accelerations import accelerations
+from mbds_xsim.reference import accelerations
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import HingeTorque, Throw
