@@ -11,6 +11,7 @@ NONE = "–"
 
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SMALLEST = 0.1
+_PLAIN = ("", "1")
 
 
 def length(metres: float | None) -> str:
@@ -38,7 +39,7 @@ def with_unit(value: float | None, unit: str) -> str:
     """Write a value with a prefix before its unit where that is m or s, else as a number."""
     if value is None or not math.isfinite(value) or value == 0 or unit not in ("m", "s"):
         text = number(value)
-        return text if text == NONE else f"{text} {unit}".rstrip()
+        return text if text == NONE or unit in _PLAIN else f"{text} {unit}"
     scale, prefix = next((p for p in _PREFIXES if abs(value) >= 0.9995 * p[0]), _PREFIXES[-1])
     scaled = value / scale
     if abs(scaled) < _SMALLEST:

@@ -245,7 +245,7 @@ def _validation(
         seed=0,
         trajectories=tuple(range(TRAJECTORIES)),
         length_m=scene.length,
-        budget=msgspec.to_builtins(scene.budget) | {"error_1s": 1e-3, "gap": 1e-4, "energy": 1e-3},
+        budget=msgspec.structs.asdict(scene.budget),
         engines=results,
         reference=ReferenceResult(1e-10, 3e-10, 2e-11, 2, 4.1),
         names=(*(f"{result.engine} {result.profile}" for result in results), "reference"),

@@ -1,0 +1,134 @@
+"""Motions packed for the viewer in the page: small, and exact where engines nearly agree.
+
+All motions share one *base* (the reference, or the first engine where there is none), in 16 bits
+over its box. Each engine is its deviation from the base, in 16 bits on a cubic scale: a deviation
+of a micrometre keeps two digits beside one of a metre, so that the viewer can magnify it.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.report.palette import Style
+from mbds_xsim.report.skeleton import Skeleton, skeleton
+from mbds_xsim.result import Evidence
+
+__all__ = ["pack"]
+
+Array = NDArray[np.float64]
+
+_BYTES = 3_000_000
+"""What the positions may take before base64."""
+_LARGEST_STRIDE = 4
+_REACH = 4.0
+"""A point further from the base than this many times the motion's extent has left the view."""
+
+
+def pack(
+    evidence: Evidence, names: tuple[str, ...], styles: tuple[Style, ...], *, limit: int = _BYTES
+) -> dict[str, Any]:
+    """Give what the viewer reads, ready for JSON.
+
+    Args:
+        evidence: Motions of the engines and the reference.
+        names: Of the engine results.
+        styles: Of the engine results.
+        limit: Bytes that positions may take; frames are thinned out, then trajectories left out.
+    """
+    bones = skeleton(evidence.scene)
+    stride, count = _thinning(evidence, len(bones.body), limit)
+    motions = [
+        None if motion is None else bones.positions(motion[:count])[:, ::stride]
+        for motion in (evidence.reference, *evidence.trajectories)
+    ]
+    base = _base([motion for motion in motions if motion is not None])
+    low, high = base.min(axis=(0, 1, 2)), base.max(axis=(0, 1, 2))
+    size = max(float(np.linalg.norm(high - low)), evidence.scene.length)
+    reach = _REACH * size
+    errors = (None, *evidence.errors)
+    entries = [
+        _entry(name, style, motion, base, reach)
+        | {"error": None if error is None else _base64(error[:count, ::stride], "<f4")}
+        for name, style, motion, error in zip(
+            ("reference", *names), (None, *styles), motions, errors, strict=True
+        )
+        if motion is not None
+    ]
+    return _scenery(evidence, bones, count) | {
+        "frames": base.shape[1],
+        "step": float(evidence.reference.time[1] - evidence.reference.time[0]) * stride,
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "base": _base64(65535 * (base - low) / np.where(high > low, high - low, 1.0), "<u2"),
+        "reach": reach,
+        "entries": entries,
+    }
+
+
+def _thinning(evidence: Evidence, points: int, limit: int) -> tuple[int, int]:
+    """Stride over frames and number of trajectories that keep to the limit."""
+    count, frames = evidence.reference.position.shape[:2]
+    streams = 1 + sum(motion is not None for motion in evidence.trajectories)
+    frame_bytes = streams * points * 3 * 2
+    wanted = -(-count * frames * frame_bytes // limit)
+    stride = min(max(1, wanted), _LARGEST_STRIDE, max(1, frames - 1))
+    fitting = limit // (frame_bytes * -(-frames // stride))
+    return stride, max(1, min(count, fitting))
+
+
+def _base(motions: list[Array]) -> Array:
+    """Take the first motion that is finite, frame by frame; where none is, the last that was."""
+    base = motions[0].copy()
+    for motion in motions[1:]:
+        base = np.where(_finite(base)[..., None, None], base, motion)
+    for frame in range(1, base.shape[1]):
+        gone = ~_finite(base[:, frame])
+        base[gone, frame] = base[gone, frame - 1]
+    return np.nan_to_num(base)
+
+
+def _finite(positions: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(positions).all(axis=(-1, -2)))
+
+
+def _entry(
+    name: str, style: Style | None, motion: Array, base: Array, reach: float
+) -> dict[str, Any]:
+    deviation = motion - base
+    with np.errstate(invalid="ignore"):
+        seen = (np.abs(deviation) <= reach).all(axis=(-1, -2))
+    shown = np.logical_and.accumulate(seen, axis=1)
+    scaled = np.cbrt(np.where(shown[..., None, None], deviation, 0.0) / reach)
+    return {
+        "name": name,
+        "colour": None if style is None else style.colour,
+        "dashed": style is not None and style.dashed,
+        "shown": shown.sum(axis=1).tolist(),
+        "deviation": None if style is None else _base64(32767 * scaled, "<i2"),
+    }
+
+
+def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
+    batch = evidence.batch
+    return {
+        "trajectories": [
+            {"index": int(batch.index[row]), "interval": batch.interval(row)}
+            for row in range(count)
+        ],
+        "left_out": len(evidence.reference) - count,
+        "points": len(bones.body),
+        "radius": bones.radius.tolist(),
+        "fixed": bones.fixed.tolist(),
+        "edges": bones.edges,
+        "ground": evidence.scene.ground is not None,
+        "dimension": evidence.scene.dimension,
+    }
+
+
+def _base64(values: Array, kind: str) -> str:
+    array = values if kind.endswith("f4") else np.rint(values)
+    return base64.b64encode(np.ascontiguousarray(array.astype(kind)).tobytes()).decode()

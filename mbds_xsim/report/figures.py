@@ -1,0 +1,280 @@
+"""Plots of a validation as SVG that goes straight into the page and follows its colours."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from mbds_xsim.report import quantity, summary
+from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.result import EngineResult, Evidence, Validation
+from mbds_xsim.sampling_terms import INTERVALS
+
+__all__ = ["check_series", "consistency", "error_growth", "matrix", "plotted_checks"]
+
+Array = NDArray[np.float64]
+
+_INK = "#010203"
+_PAPER = "#fefdfc"
+_GREY = "#7f7f7f"
+_SIZE = (4.5, 3.1)
+_FLOOR = 1e-16
+"""Zero is drawn here on the log axis."""
+_GROWTH_LIMIT = 100.0
+"""Beyond this growth an error is chaos and not judged."""
+_AGREEMENT = 0.01
+"""Part of the scene's length up to which trajectories agree."""
+
+
+def error_growth(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...]
+) -> list[tuple[str, Markup]]:
+    """Plot error against time, worst of each sampling interval: interval and figure."""
+    of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
+    return [
+        (interval, _error_figure(validation, evidence, styles, rows))
+        for interval in INTERVALS
+        if (rows := [row for row, name in enumerate(of_row) if name == interval])
+    ]
+
+
+def plotted_checks(evidence: Evidence) -> list[str]:
+    """Checks with a series over time that no figure of its own shows, as the audit lists them."""
+    checks = dict.fromkeys(check for series in evidence.series for check in series)
+    return [
+        check
+        for check in checks
+        if not check.startswith(("error", "consistency")) and _has_course(evidence, check)
+    ]
+
+
+def check_series(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...], check: str
+) -> Markup:
+    """Plot a check's series against time, worst of all trajectories, with its budgets."""
+    findings = [f for result in validation.engines for f in result.findings if f.check == check]
+    unit = next((finding.unit for finding in findings), "")
+
+    def draw(axes: Any) -> None:
+        for place, (series, style) in enumerate(zip(evidence.series, styles, strict=True)):
+            if check in series:
+                _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
+        for budget in sorted({f.budget for f in findings if f.budget}):
+            _level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
+        _log_axis(axes, "" if unit in ("", "1") else unit)
+
+    return _figure(f"{check} over time", draw)
+
+
+def matrix(validation: Validation, styles: tuple[Style, ...]) -> Markup:
+    """Draw the distances between all pairs as a heat map with its numbers."""
+    values = np.array(validation.matrix_m, dtype=np.float64)
+    count = len(values)
+    shown = np.where(np.eye(count, dtype=bool) | ~np.isfinite(values), np.nan, values)
+    colours = [*(LIGHT[style.colour] for style in styles), _INK]
+    size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
+    return _figure(
+        "distances between all pairs", lambda a: _heat(a, validation, shown, colours), size
+    )
+
+
+def consistency(validation: Validation, styles: tuple[Style, ...]) -> Markup | None:
+    """Plot every trajectory's consistency over its budget; None where no engine has any."""
+    rows = [
+        (place, result, [f for f in result.findings if f.check.startswith("consistency")])
+        for place, result in enumerate(validation.engines)
+    ]
+    checks = dict.fromkeys(f.check for _, _, findings in rows for f in findings if f.budget)
+    if not checks:
+        return None
+    marker = dict(zip(checks, "osD^v<>" * 9, strict=False))
+
+    def draw(axes: Any) -> None:
+        for place, _, findings in rows:
+            for f in findings:
+                if f.budget:
+                    ratio = _clipped(np.array(f.figures, dtype=np.float64) / f.budget)
+                    colour = LIGHT[styles[place].colour]
+                    height = np.full(len(ratio), -place - 0.12 * list(checks).index(f.check))
+                    axes.plot(
+                        ratio,
+                        height,
+                        marker[f.check],
+                        color=colour,
+                        alpha=0.8,
+                        ms=5,
+                        mfc="none" if styles[place].dashed else colour,
+                    )
+        _consistency_axes(axes, validation.engines, marker)
+
+    return _figure("consistency over its budget", draw, (7.2, 1.3 + 0.34 * len(rows)))
+
+
+def _error_figure(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...], rows: list[int]
+) -> Markup:
+    time, length = evidence.reference.time, validation.length_m
+    judged_at_1s = any(evidence.batch.interval(row) != INTERVALS[-1] for row in rows)
+
+    def draw(axes: Any) -> None:
+        _sensitivity_band(axes, time, evidence.growth[rows], validation.budget["error"] * length)
+        for place, (error, style) in enumerate(zip(evidence.errors, styles, strict=True)):
+            if error is not None:
+                _curve(axes, time, _worst(error[rows]), style, place)
+        _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
+        if judged_at_1s and time[-1] >= 1.0:
+            axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=_INK, ms=7)
+        _log_axis(axes, "RMS particle error [m]")
+
+    return _figure("error growth", draw)
+
+
+def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> None:
+    """Shade what the budget allows, grown as a disturbance of the start grows."""
+    grown = np.maximum(1.0, growth)
+    allowed = np.fmax.reduce(np.where(grown < _GROWTH_LIMIT, budget * grown, np.nan))
+    axes.fill_between(time, _FLOOR, allowed, color=_GREY, alpha=0.14, linewidth=0)
+    axes.plot(time, allowed, color=_GREY, linewidth=1.0)
+
+
+def _has_course(evidence: Evidence, check: str) -> bool:
+    """Whether a check has more than one frame to plot, and anything but zero."""
+    return any(
+        np.isfinite(series[check]).any(axis=0).sum() > 1 and np.nanmax(np.abs(series[check])) > 0
+        for series in evidence.series
+        if check in series
+    )
+
+
+def _worst(series: Array) -> Array:
+    return _clipped(np.fmax.reduce(np.abs(series)))
+
+
+def _clipped(values: Array) -> Array:
+    return np.where(np.isnan(values), np.nan, np.maximum(np.abs(values), _FLOOR))
+
+
+def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> None:
+    (line,) = axes.plot(
+        time,
+        values,
+        color=LIGHT[style.colour],
+        linestyle=(0, (4, 2)) if style.dashed else "-",
+        linewidth=1.6,
+    )
+    # The gid becomes a class, by which the page's legend hides the curve.
+    line.set_gid(f"result-{place}")
+
+
+def _level(axes: Any, value: float, text: str) -> None:
+    axes.axhline(value, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.annotate(
+        text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-3, 3),
+        textcoords="offset points", ha="right", fontsize=8, color=_INK,
+        bbox={"facecolor": _PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
+    )  # fmt: skip
+
+
+def _log_axis(axes: Any, ylabel: str) -> None:
+    axes.set_yscale("log")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(ylabel)
+    axes.margins(x=0.0)
+    _cut_off_starts(axes)
+
+
+def _cut_off_starts(axes: Any) -> None:
+    """Begin the log axis where curves go on, not at their first frames next to zero."""
+    curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
+    values = np.concatenate([*curves, np.empty(0)])
+    seen = values[values > _FLOOR]
+    if len(seen):
+        axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(seen, 0.02))))
+
+
+def _heat(axes: Any, validation: Validation, shown: Array, colours: list[str]) -> None:
+    logs = np.log10(np.where(shown > 0, shown, np.nan))
+    image = axes.pcolormesh(logs, cmap="cividis", edgecolor="none")
+    image.set_rasterized(False)
+    for row, column in np.ndindex(*shown.shape):
+        value = logs[row, column]
+        light = image.norm(value) > 0.5 if np.isfinite(value) else None
+        colour = _INK if light is None else "#111111" if light else "#fafafa"
+        text = "" if row == column else quantity.length(float(shown[row, column]))
+        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=8, color=colour)
+    ticks = np.arange(len(shown)) + 0.5
+    axes.xaxis.tick_top()
+    axes.set_xticks(ticks, [name.replace(" ", "\n") for name in validation.names], fontsize=8)
+    axes.set_yticks(ticks, validation.names, fontsize=8)
+    for labels in (axes.get_xticklabels(), axes.get_yticklabels()):
+        for label, colour in zip(labels, colours, strict=True):
+            label.set_color(colour)
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+
+
+def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
+    axes.axvline(1.0, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.set_xscale("log")
+    axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
+    axes.set_yticks(-np.arange(len(results)), [summary.label(result) for result in results])
+    for check, symbol in marker.items():
+        axes.plot([], [], symbol, color=_GREY, label=check)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
+
+
+def _figure(title: str, draw: Callable[[Any], None], size: tuple[float, float] = _SIZE) -> Markup:
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    settings = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": title,
+        "font.size": 9,
+        "text.color": _INK,
+        "axes.labelcolor": _INK,
+        "axes.edgecolor": _GREY,
+        "xtick.color": _GREY,
+        "ytick.color": _GREY,
+        "xtick.labelcolor": _INK,
+        "ytick.labelcolor": _INK,
+        "axes.grid": True,
+        "grid.color": _GREY,
+        "grid.alpha": 0.25,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    }
+    with matplotlib.rc_context(settings):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.add_subplot())
+        stream = io.StringIO()
+        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+    return _themed(stream.getvalue(), title)
+
+
+def _themed(svg: str, title: str) -> Markup:
+    """Cut what only a file needs; colours become those of the page, ids that clash go."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' id="(result-\d+)"', r' class="\1"', svg)
+    svg = re.sub(r' id="[\w.]+_\d+"', "", svg)
+    svg = re.sub(r"font(-family)?: ([\d.]+px )?[^;\"]*sans-serif[^;\"]*", _short_font, svg)
+    svg = svg.replace(_INK, "var(--ink)").replace(_PAPER, "var(--paper)")
+    for place, colour in enumerate(LIGHT):
+        svg = svg.replace(colour, f"var(--c{place})")
+    opening = Markup('<svg role="img" aria-label="{}" ').format(title)
+    return Markup(re.sub(r"<svg ", lambda _: str(opening), svg, count=1))
+
+
+def _short_font(match: re.Match[str]) -> str:
+    """Leave the choice of the font to the page."""
+    size = (match[2] or "").strip()
+    return f"font-size: {size}" if size else "font-family: inherit"

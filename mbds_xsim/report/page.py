@@ -1,0 +1,80 @@
+"""A validation as one HTML file that needs nothing else: verdict, motions, plots, all settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from mbds_xsim.report import animation, figures, palette, quantity, summary
+from mbds_xsim.report.palette import Style
+from mbds_xsim.result import Evidence, Validation
+
+__all__ = ["write_page"]
+
+
+def write_page(validation: Validation, evidence: Evidence, path: Path) -> None:
+    """Write the page.
+
+    Args:
+        validation: The figures.
+        evidence: The arrays behind them.
+        path: Where to; an existing file is replaced.
+    """
+    styles = palette.styles(validation.engines)
+    names = tuple(summary.label(result) for result in validation.engines)
+    page = (
+        _environment()
+        .get_template("page.html")
+        .render(
+            v=validation,
+            columns=summary.COLUMNS,
+            names=names,
+            styles=styles,
+            light=palette.LIGHT,
+            dark=palette.DARK,
+            conclusion=summary.conclusion(validation),
+            odd_one_out=summary.odd_one_out(validation),
+            reference=summary.reference_line(validation),
+            intervals=_intervals(evidence),
+            viewer=animation.pack(evidence, names, styles),
+            growth=figures.error_growth(validation, evidence, styles),
+            checks=list(_check_figures(validation, evidence, styles)),
+            matrix=figures.matrix(validation, styles),
+            consistency=figures.consistency(validation, styles),
+        )
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("mbds_xsim", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "metres": quantity.length,
+        "seconds": quantity.span,
+        "number": quantity.number,
+        "with_unit": quantity.with_unit,
+    }
+    return environment
+
+
+def _check_figures(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...]
+) -> Iterator[tuple[str, Markup]]:
+    for check in figures.plotted_checks(evidence):
+        yield check, figures.check_series(validation, evidence, styles, check)
+
+
+def _intervals(evidence: Evidence) -> dict[int, Any]:
+    """Sampling interval of every trajectory, by its index."""
+    batch = evidence.batch
+    return {int(batch.index[row]): batch.interval(row) for row in range(len(batch))}

@@ -1,0 +1,112 @@
+"""What is drawn of a scene: points fixed in bodies, fixed points of W, lines between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Trajectory
+
+__all__ = ["Skeleton", "skeleton"]
+
+Array = NDArray[np.float64]
+Edge = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Points numbered moving first, then fixed."""
+
+    mechanism: Mechanism
+    body: NDArray[np.int64]
+    """Body of each moving point, shape (point,)."""
+    offset: Array
+    """In the native frame of its body [m], shape (point, 3)."""
+    radius: Array
+    """True radius of a contact sphere, 0 for a dot, −1 for a bare end of a line [m]; (point,)."""
+    fixed: Array
+    """In W [m], shape (fixed point, 3)."""
+    edges: tuple[Edge, ...]
+
+    def positions(self, motion: Trajectory) -> Array:
+        """Moving points in W [m], shape (trajectory, frame, point, 3)."""
+        turn = self.mechanism.native_rotation(motion.orientation)[..., self.body, :]
+        return motion.position[..., self.body, :] + rotation.rotate(turn, self.offset)
+
+
+def skeleton(scene: Scene) -> Skeleton:
+    """Take particles, anchors and edges as the scene gives them.
+
+    A body without particles shows its centre of mass. A scene without edges gets lines from the
+    centres of its bodies to their joints, and along its distance links and springs.
+    """
+    mechanism = Mechanism.of(scene)
+    drawing = _Drawing()
+    for body, offset in zip(mechanism.particle_body, mechanism.particle_offset, strict=True):
+        drawing.point(int(body), offset)
+    for anchor in scene.anchors:
+        drawing.point(WORLD_INDEX, np.array(anchor))
+    centres = {
+        body: drawing.point(body, np.zeros(3))
+        for body, count in enumerate(mechanism.particles_per_body)
+        if count == 0
+    }
+    if scene.edges:
+        drawing.edges += scene.edges
+    else:
+        _mechanical_edges(mechanism, drawing, centres)
+    for body, offset, radius in zip(
+        mechanism.sphere_body, mechanism.sphere_offset, mechanism.sphere_radius, strict=True
+    ):
+        drawing.point(int(body), offset, float(radius))
+    return drawing.finish(mechanism)
+
+
+class _Drawing:
+    """A skeleton while it is put together, its points in the order they came."""
+
+    def __init__(self) -> None:
+        self.body: list[int] = []
+        self.offset: list[Array] = []
+        self.radius: list[float] = []
+        self.edges: list[Edge] = []
+
+    def point(self, body: int, offset: Array, radius: float = 0.0) -> int:
+        self.body.append(body)
+        self.offset.append(offset)
+        self.radius.append(radius)
+        return len(self.body) - 1
+
+    def finish(self, mechanism: Mechanism) -> Skeleton:
+        body = np.array(self.body, dtype=np.int64)
+        offset, radius = np.array(self.offset).reshape(-1, 3), np.array(self.radius)
+        moving = body != WORLD_INDEX
+        number = np.empty(len(body), dtype=np.int64)
+        number[np.argsort(~moving, kind="stable")] = np.arange(len(body))
+        edges = tuple((int(number[a]), int(number[b])) for a, b in self.edges)
+        return Skeleton(
+            mechanism, body[moving], offset[moving], radius[moving], offset[~moving], edges
+        )
+
+
+def _mechanical_edges(mechanism: Mechanism, drawing: _Drawing, centres: dict[int, int]) -> None:
+    bare_end = -1.0
+    for joint in mechanism.joints:
+        end = drawing.point(joint.child, joint.in_child, bare_end)
+        for body in (joint.parent, joint.child):
+            if body != WORLD_INDEX:
+                centre = centres.get(body)
+                if centre is None:
+                    centre = centres[body] = drawing.point(body, np.zeros(3), bare_end)
+                drawing.edges.append((centre, end))
+    for pair in (*mechanism.distances, *mechanism.springs):
+        ends = [
+            drawing.point(body, offset, bare_end)
+            for body, offset in zip(pair.bodies, pair.in_body, strict=True)
+        ]
+        drawing.edges.append((ends[0], ends[1]))

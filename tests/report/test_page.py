@@ -1,0 +1,259 @@
+"""What the page of a validation contains; a browser is not needed."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import html.parser
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.report import animation, palette
+from mbds_xsim.report.page import write_page
+from mbds_xsim.report.skeleton import skeleton
+from mbds_xsim.scene import Body, Inertia, Joint, Scene
+
+from .conftest import Case, Fake, make_case
+
+
+@pytest.fixture(scope="module")
+def page(case: Case, tmp_path_factory: pytest.TempPathFactory) -> str:
+    return written(case, tmp_path_factory.mktemp("page"))
+
+
+def written(case: Case, folder: Path) -> str:
+    write_page(case.validation, case.evidence, folder / "page.html")
+    return (folder / "page.html").read_text(encoding="utf-8")
+
+
+def viewer(page: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def numbers(text: str, kind: str) -> NDArray[np.float64]:
+    return np.frombuffer(base64.b64decode(text), kind).astype(np.float64)
+
+
+def unpacked(data: dict[str, Any], entry: dict[str, Any]) -> NDArray[np.float64]:
+    """Read positions as the page's script does, (trajectory, frame, point, 3)."""
+    shape = (len(data["trajectories"]), data["frames"], data["points"], 3)
+    low, high = np.array(data["low"]), np.array(data["high"])
+    base = low + numbers(data["base"], "<u2").reshape(shape) / 65535 * (high - low)
+    if entry["deviation"] is None:
+        return base
+    part = numbers(entry["deviation"], "<i2").reshape(shape) / 32767
+    return np.asarray(base + data["reach"] * part**3)
+
+
+def test_the_page_asks_nothing_of_the_network(page: str) -> None:
+    assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
+    assert "@import" not in page
+    assert "url(http" not in page
+
+
+def test_its_tags_are_balanced(page: str) -> None:
+    assert _unclosed(page) == []
+
+
+class _Tags(html.parser.HTMLParser):
+    void = frozenset({"meta", "input", "br", "link", "hr", "img"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:  # noqa: ARG002
+        if tag not in self.void:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> without a start"
+        assert self.open.pop() == tag
+
+
+def _unclosed(page: str) -> list[str]:
+    parser = _Tags()
+    parser.feed(page)
+    parser.close()
+    return parser.open
+
+
+def test_it_names_verdict_command_versions_and_options(page: str, case: Case) -> None:
+    validation = case.validation
+    for text in (validation.command, validation.machine, *validation.versions, "1.2.3"):
+        assert text in page
+    for key in validation.engines[0].options:
+        assert f"{key} = " in page
+    assert 'class="verdict fail"' in page
+
+
+def test_every_finding_is_listed(page: str, case: Case) -> None:
+    rows = page.split('<section id="findings">')[1].split("</section>")[0].count("<tr")
+    findings = sum(len(result.findings) for result in case.validation.engines)
+    assert rows == findings + len(case.validation.engines)  # and a head each
+
+
+def test_every_engine_has_its_curve_in_every_plot_over_time(page: str, case: Case) -> None:
+    errors_and_checks = 3 + 3
+    for place in range(len(case.validation.engines)):
+        assert page.count(f'class="result-{place}"') == errors_and_checks
+
+
+def test_plots_take_the_colours_of_the_page(page: str) -> None:
+    svg = "".join(re.findall(r"<svg role.*?</svg>", page, re.DOTALL))
+
+    assert "var(--c0)" in svg
+    assert "var(--ink)" in svg
+    assert not any(colour in svg for colour in palette.LIGHT)
+
+
+def test_no_id_is_used_twice_for_different_things(page: str) -> None:
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    again = {name for name in ids if ids.count(name) > 1}
+    # Definitions of matplotlib carry the hash of their content.
+    assert all(re.fullmatch(r"[a-z][0-9a-f]{10}", name) for name in again)
+
+
+def test_text_of_the_scene_is_escaped(one_engine: Case, tmp_path: Path) -> None:
+    (result,) = one_engine.validation.engines
+    evil = "</script><script>alert(1)</script>"
+    validation = msgspec.structs.replace(
+        one_engine.validation,
+        description=evil,
+        engines=(msgspec.structs.replace(result, reasons=(evil,), engine=evil),),
+        names=(evil, "reference"),
+    )
+
+    page = written(dataclasses.replace(one_engine, validation=validation), tmp_path)
+
+    assert "<script>alert" not in page
+    assert _unclosed(page) == []
+
+
+def test_the_viewer_gets_the_motion_back(page: str, case: Case) -> None:
+    data = viewer(page)
+    bones = skeleton(case.evidence.scene)
+    reference = bones.positions(case.evidence.reference)
+
+    entries = {entry["name"]: entry for entry in data["entries"]}
+    assert list(entries) == [
+        "reference",
+        *(f"{r.engine} {r.profile}" for r in case.validation.engines),
+    ]
+    np.testing.assert_allclose(unpacked(data, entries["reference"]), reference, atol=1e-4)
+
+
+def test_small_deviations_survive_the_packing(page: str, case: Case) -> None:
+    data = viewer(page)
+    bones = skeleton(case.evidence.scene)
+    place = next(
+        k
+        for k, result in enumerate(case.validation.engines)
+        if (result.engine, result.profile) == ("mujoco", "matched")
+    )
+    motion = case.evidence.trajectories[place]
+    assert motion is not None
+    wanted = bones.positions(motion) - bones.positions(case.evidence.reference)
+
+    entries = data["entries"]
+    got = unpacked(data, entries[1 + place]) - unpacked(data, entries[0])
+
+    large = np.abs(wanted) > 1e-7
+    assert large.sum() > 50
+    np.testing.assert_allclose(got[large], wanted[large], rtol=0.02)
+
+
+def test_a_blow_up_is_shown_as_far_as_it_goes(page: str) -> None:
+    entry = next(e for e in viewer(page)["entries"] if e["name"] == "pybullet native")
+
+    assert entry["shown"] == [101, 101, 60]
+
+
+def test_a_motion_out_of_reach_ends_in_the_view(case: Case) -> None:
+    motion = case.evidence.trajectories[1]
+    assert motion is not None
+    flown = dataclasses.replace(motion, position=motion.position.copy())
+    flown.position[0, 20:] += 1e6
+    evidence = dataclasses.replace(case.evidence, trajectories=(flown,), errors=(None,))
+
+    packed = animation.pack(evidence, ("x",), (palette.Style(0, False),))
+
+    assert packed["entries"][1]["shown"] == [20, 101, 101]
+
+
+def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
+    reference = case.evidence.reference
+    cut = dataclasses.replace(reference, position=reference.position.copy())
+    cut.position[:, 30:] = np.nan
+    motion = case.evidence.trajectories[1]
+    evidence = dataclasses.replace(
+        case.evidence, reference=cut, trajectories=(motion,), errors=(None,)
+    )
+
+    packed = animation.pack(evidence, ("x",), (palette.Style(0, False),))
+
+    assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
+
+
+def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
+    style = (palette.Style(0, False),) * len(case.evidence.trajectories)
+    names = tuple(f"n{k}" for k in range(len(style)))
+
+    frames = animation.pack(case.evidence, names, style, limit=20_000)
+    trajectories = animation.pack(case.evidence, names, style, limit=3_000)
+
+    assert (frames["frames"], frames["left_out"]) == (51, 0)
+    assert frames["step"] == pytest.approx(0.08)
+    assert (trajectories["frames"], trajectories["left_out"]) == (26, 2)
+    assert len(frames["base"]) * (len(style) + 1) * 3 / 4 <= 20_000 * 1.01
+
+
+@pytest.mark.parametrize("name", ["one_engine", "with_crash"])
+def test_other_validations_make_a_page(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    case: Case = request.getfixturevalue(name)
+
+    page = written(case, tmp_path)
+
+    assert _unclosed(page) == []
+    assert len(viewer(page)["entries"]) == 2
+    assert ("signal 11" in page) == (name == "with_crash")
+
+
+def test_bodies_without_particles_and_edges_are_drawn_by_their_joints(tmp_path: Path) -> None:
+    plate = Inertia(2.0, (0.1, 0.1, 0.15), com=(0.0, 0.0, -0.5))
+    scene = Scene(
+        name="plate",
+        bodies=(Body("plate", inertia=plate),),
+        joints=(Joint("hang", "ball", "world", "plate", (0.0, 0.0, 0.0)),),
+        length=0.5,
+    )
+    case = make_case(scene, (Fake("mujoco"),), frames=21)
+
+    bones = skeleton(scene)
+    places = bones.positions(case.evidence.reference)
+
+    assert bones.edges == ((0, 1),)
+    np.testing.assert_allclose(places[..., 0, :], case.evidence.reference.position[..., 0, :])
+    np.testing.assert_allclose(places[..., 1, :], 0.0, atol=1e-12)
+    assert _unclosed(written(case, tmp_path)) == []
+
+
+def test_anchors_are_numbered_behind_all_moving_points(scene: Scene) -> None:
+    bones = skeleton(scene)
+
+    assert bones.edges == scene.edges
+    np.testing.assert_array_equal(bones.fixed, scene.anchors)
+    np.testing.assert_array_equal(bones.body, Mechanism.of(scene).particle_body)
