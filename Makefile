@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS = 1
 .PHONY: validate test lint package clean
 
 validate: $(VENV)/ready
-	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json
+	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
 
 test: $(VENV)/ready
 	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn $(BIN)/python -m pytest

@@ -31,6 +31,7 @@ _CHUNKS = 6  # an engine's trajectories are spread over at most so many processe
 _REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
 _TIMEOUT = 3600.0
 _RTOL = 1e-11  # of the reference
+_SAMPLE = 3  # trajectories that run at other steps too
 
 
 class ProgressSink(Protocol):
@@ -109,8 +110,10 @@ class Outcome:
     parts: list[Simulation | Crash] = field(default_factory=list)
     rows: list[list[int]] = field(default_factory=list)
     """Rows of the batch of each part."""
-    other_steps: dict[float, tuple[list[int], Trajectory]] = field(default_factory=dict)
-    """Step to the rows and trajectories run at it, for the consistency check."""
+    sample: list[int] = field(default_factory=list)
+    """Rows of the batch that run at other steps too, for the consistency check."""
+    other_steps: dict[float, Trajectory] = field(default_factory=dict)
+    """The sample at each other step [s]."""
 
     @property
     def crashes(self) -> list[str]:
@@ -206,11 +209,11 @@ def _engine_work(
         arguments = (scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
         work.append((label, Task(simulate, arguments, _TIMEOUT), outcome.parts.append))
-    sample = list(range(min(3, len(batch))))
+    outcome.sample = list(range(min(_SAMPLE, len(batch))))
     for step in _other_steps(scene, contender.settings):
         settings = Settings(contender.settings.method, step, contender.settings.options)
-        task = Task(simulate, (scene, batch[sample], contender.engine, settings), _TIMEOUT)
-        work.append((f"{label} consistency", task, _store_step(outcome, step, sample)))
+        task = Task(simulate, (scene, batch[outcome.sample], contender.engine, settings), _TIMEOUT)
+        work.append((f"{label} consistency", task, _store_step(outcome, step)))
     return work
 
 
@@ -228,10 +231,10 @@ def _chunks(count: int) -> list[list[int]]:
     return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
 
 
-def _store_step(outcome: Outcome, step: float, rows: list[int]) -> Callable[[Any], None]:
+def _store_step(outcome: Outcome, step: float) -> Callable[[Any], None]:
     def store(answer: Any) -> None:
         if isinstance(answer, Simulation):
-            outcome.other_steps[step] = (rows, answer.trajectory)
+            outcome.other_steps[step] = answer.trajectory
 
     return store
 

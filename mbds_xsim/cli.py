@@ -71,6 +71,9 @@ def validate(
         int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
     ] = None,
     json: JsonFile = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None,
 ) -> None:
     """Run a scene in all engines, check every trajectory, and tell which to trust."""
     from mbds_xsim.report.terminal import print_table
@@ -79,9 +82,9 @@ def validate(
 
     console = _console(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
-    _writable(json)
+    _writable(json, html)
     with _progress(console) as progress:
-        validation, _ = validate_with_evidence(
+        validation, evidence = validate_with_evidence(
             _scene(scene),
             choice=choice,
             trajectories=trajectories,
@@ -94,6 +97,11 @@ def validate(
             command=f"mbds-xsim {' '.join(sys.argv[1:])}",
         )
     print_table(validation, console)
+    if html is not None:
+        from mbds_xsim.report.page import write_page
+
+        write_page(validation, evidence, html)
+        console.print(f"page: {html}")
     _write_json(to_json(validation), json)
     raise typer.Exit(0 if validation.verdict != "fail" else 1)
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from mbds_xsim import readback, registry
 from mbds_xsim.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.checks import Finding, agreement, audit
+from mbds_xsim.checks.consistency import consistency
+from mbds_xsim.engine import Method
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
@@ -45,6 +47,7 @@ def judge(scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutc
     findings = [
         *audit(scene, batch, trajectory, method, step=contender.settings.step),
         *_error_findings(scene, batch, error, truth.time, reference.growth),
+        *_consistency(scene, batch, outcome, trajectory, reference, method),
     ]
     result = _result(scene, batch, outcome, findings, error, reference)
     return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
@@ -59,6 +62,30 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
         energy_balance=_worst_of(findings, "energy") or 0.0,
         cached=reference.cached,
         wall_s=reference.wall_s,
+    )
+
+
+def _consistency(
+    scene: Scene,
+    batch: Batch,
+    outcome: Outcome,
+    trajectory: Trajectory,
+    reference: ReferenceOutcome,
+    method: Method,
+) -> list[Finding]:
+    """Extrapolate the sample that ran at several steps to a vanishing step."""
+    rows = outcome.sample
+    runs = {step: run for step, run in outcome.other_steps.items()}
+    runs[outcome.contender.settings.step] = trajectory[rows]
+    if len(runs) < 2:
+        return []
+    return consistency(
+        scene,
+        batch[rows],
+        [runs[step] for step in sorted(runs, reverse=True)],
+        reference.trajectory[rows],
+        method,
+        growth=reference.growth[rows],
     )
 
 
