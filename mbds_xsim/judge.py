@@ -35,12 +35,27 @@ class Row:
     series: dict[str, Array]
 
 
-def judge(scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome) -> Row:
-    """Check everything an engine delivered and give the verdict."""
+def judge(
+    scene: Scene,
+    batch: Batch,
+    outcome: Outcome,
+    reference: ReferenceOutcome,
+    *,
+    native: bool = True,
+) -> Row:
+    """Check everything an engine delivered and give the verdict.
+
+    Args:
+        scene: What was simulated.
+        batch: Its starts and inputs.
+        outcome: What the engine delivered.
+        reference: The solution to hold it against.
+        native: Whether a native model that differs from the scene counts too, or the motion alone.
+    """
     truth = reference.trajectory
     trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
     if trajectory is None:
-        return Row(_result(scene, batch, outcome, [], None, reference), None, None, {})
+        return Row(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
     contender = outcome.contender
     method = registry.load_adapter(contender.engine).methods[contender.settings.method]
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
@@ -49,7 +64,7 @@ def judge(scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutc
         *_error_findings(scene, batch, error, truth.time, reference.growth),
         *_consistency(scene, batch, outcome, trajectory, reference, method),
     ]
-    result = _result(scene, batch, outcome, findings, error, reference)
+    result = _result(scene, batch, outcome, findings, error, reference, native)
     return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
 
 
@@ -132,14 +147,15 @@ def _result(
     findings: list[Finding],
     error: Array | None,
     reference: ReferenceOutcome,
+    native: bool,
 ) -> EngineResult:
     contender, simulations = outcome.contender, outcome.simulations
     adapter = registry.load_adapter(contender.engine)
     method = adapter.methods[contender.settings.method]
     by_name = {finding.check: finding for finding in findings}
     failures = tuple(outcome.failures(batch))
-    native = _readback_differences(scene, batch, outcome)
-    reasons = (*failures, *native, *_failed(batch, findings))
+    differences = _readback_differences(scene, batch, outcome) if native else []
+    reasons = (*failures, *differences, *_failed(batch, findings))
     simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
     size = simulations[0].size if simulations else None
     time = reference.trajectory.time

@@ -55,7 +55,7 @@ def validate(
         trajectories: Starts of each of the intervals low, medium and high.
         seed: Seed of starts and inputs.
         cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
 
     Raises:
         InputError: Something that was given cannot be used.
@@ -82,17 +82,21 @@ def validate_with_evidence(
     inputs: bool = True,
     cache: bool = True,
     workers: int | None = None,
+    readback: bool = True,
     progress: ProgressSink | None = None,
     command: str = "",
 ) -> tuple[Validation, Evidence]:
-    """Validate, and keep the arrays for a page. See `validate`."""
+    """Validate, and keep the arrays for a page. See `validate`.
+
+    Without `readback` the verdict is on the motion alone, whatever the native model is.
+    """
     begin = time.perf_counter()
     contenders = choice.contenders(scene)
     batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
     outcomes, reference = run_campaign(
         scene, batch, contenders, cache=cache, workers=workers, progress=progress or _Silent()
     )
-    rows = [judge(scene, batch, outcome, reference) for outcome in outcomes]
+    rows = [judge(scene, batch, outcome, reference, native=readback) for outcome in outcomes]
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
     evidence = Evidence(

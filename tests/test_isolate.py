@@ -62,3 +62,18 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     run_tasks([Task(os.getcwd, ()), Task(os.abort, ())])
 
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_workers_run_the_tasks_here_and_raise_their_errors() -> None:
+    seen: list[int] = []
+
+    answers = run_tasks(
+        [Task(os.getpid, ()), Task(math.factorial, (4,))],
+        workers=0,
+        finished=lambda place, _: seen.append(place),
+    )
+
+    assert answers == [os.getpid(), 24]
+    assert seen == [0, 1]
+    with pytest.raises(ValueError, match="negative"):
+        run_tasks([Task(math.factorial, (-1,))], workers=0)
