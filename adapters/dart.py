@@ -27,6 +27,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.steps import careful_step, nearest_step
 
 from ._dart_listing import build_listing
 from ._dart_loads import Loads
@@ -41,8 +42,8 @@ Array = NDArray[np.float64]
 # A joint rate [rad/s or m/s] that only a blow-up reaches.
 _BLOW_UP = 1e5
 _NATIVE_STEP = 1e-3
-# Measured on the pendulums and ladders: an eighth of the budgets or less.
-_TREE_STEP, _LOOP_STEP = 5e-3, 1e-3
+# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+_CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
 # The gap falls up to 1, where an error that is put right too late would be put right twice.
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
@@ -65,6 +66,9 @@ class Dart(Adapter):
     package = "dartpy"
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
     methods: ClassVar[Mapping[str, Method]] = {
+        "semi-implicit-euler": Method(
+            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
+        ),
         "forward-dynamics-RK4": Method(
             "forward-dynamics-RK4",
             "toolkit RK4",
@@ -74,9 +78,6 @@ class Dart(Adapter):
                 Feature.LOOP_HINGE: _NO_LOOPS,
                 Feature.LOOP_FIXED: _NO_LOOPS,
             },
-        ),
-        "semi-implicit-euler": Method(
-            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
         ),
     }
     options: ClassVar[Mapping[str, Option]] = {
@@ -94,13 +95,14 @@ class Dart(Adapter):
         return package_version(self.package)
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
-        euler = "semi-implicit-euler"
+        method, frame = next(iter(self.methods)), scene.clock.frame
         if profile == "native":
-            return Settings(euler, _divisor(scene.clock.frame, _NATIVE_STEP))
-        if self.refusals(scene, "forward-dynamics-RK4"):
-            step = _divisor(scene.clock.frame, _LOOP_STEP)
-            return Settings(euler, step, {_ERROR_REDUCTION: _LOOP_ERROR_REDUCTION})
-        return Settings("forward-dynamics-RK4", _divisor(scene.clock.frame, _TREE_STEP))
+            return Settings(method, nearest_step(frame, _NATIVE_STEP))
+        return Settings(
+            method,
+            careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT),
+            {_ERROR_REDUCTION: _LOOP_ERROR_REDUCTION} if Mechanism.of(scene).loops else {},
+        )
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         share = float(self.option(settings, _ERROR_REDUCTION))
@@ -255,8 +257,3 @@ def _continuous(orientation: Array, start: Array) -> Array:
     path = np.concatenate([start[:, None], orientation], axis=1)
     jumps = np.sum(path[:, 1:] * path[:, :-1], axis=-1) < 0
     return orientation * np.where(np.cumsum(jumps, axis=1) % 2, -1.0, 1.0)[..., None]
-
-
-def _divisor(frame: float, step: float) -> float:
-    """Return the step that divides a frame and is nearest to a wanted one."""
-    return frame / max(1, round(frame / step))

@@ -10,6 +10,7 @@ from mbds_xsim.engine import Adapter, Feature, Method, Option, Profile, Run, Set
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
+from mbds_xsim.steps import careful_step, nearest_step
 
 from ._exudyn_bodies import RigidBodies
 from ._exudyn_model import Model
@@ -19,7 +20,9 @@ from ._exudyn_tree import KinematicTree
 
 __all__ = ["Exudyn"]
 
-_STEP = 0.001
+_USUAL_STEP = 1e-3
+# Keeps the budgets of the pendulums; in a scene that moves faster, a twentieth of a frame.
+_CAREFUL_STEP, _CAREFUL_COUNT = 6.25e-4, 20
 _LOOPS = (
     Feature.LOOP_BALL,
     Feature.LOOP_HINGE,
@@ -72,10 +75,11 @@ class Exudyn(Adapter):
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         # `SolveDynamic` knows no step, it makes 100 of any time; the engine's examples of such
         # mechanisms mostly take 1 ms.
-        step = scene.clock.frame / max(1, round(scene.clock.frame / _STEP))
+        frame = scene.clock.frame
         if profile == "native":
+            step = nearest_step(frame, _USUAL_STEP)
             return Settings("generalised-alpha", step, {"linear_solver": "EXUdense"})
-        return Settings("trapezoidal", step)
+        return Settings("trapezoidal", careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver, radius = (

@@ -30,6 +30,7 @@ from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.steps import careful_step, nearest_step
 
 from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
@@ -45,6 +46,7 @@ _DEFAULT_STEP = 0.002
 # Keeps RK4 within the budgets of chains of links of 0.1 m and more [s].
 _CAREFUL_STEP = 0.005
 _CAREFUL_LINK_STEP = 0.001
+_CAREFUL_COUNT = 4
 # Of the reciprocal of a spring's rate: forty steps a period.
 _SPRING_FRACTION = 0.15
 # A body that crosses so many scene lengths in a frame has blown up.
@@ -87,11 +89,10 @@ class MuJoCo(Adapter):
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         frame = scene.clock.frame
         if profile == "native":
-            step = frame / max(1, round(frame / _DEFAULT_STEP))
-            return Settings("Euler", step, _NATIVE_OPTIONS)
+            return Settings("Euler", nearest_step(frame, _DEFAULT_STEP), _NATIVE_OPTIONS)
         longest = _CAREFUL_STEP if not scene.distance_links else _CAREFUL_LINK_STEP
         longest = min(longest, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
-        return Settings("RK4", frame / math.ceil(frame / longest - 1e-9))
+        return Settings("RK4", careful_step(frame, longest, _CAREFUL_COUNT))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver = self.option(settings, "solver")

@@ -27,6 +27,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.steps import careful_step, nearest_step
 
 from ._pybullet_client import Client
 from ._pybullet_loads import Loads
@@ -37,6 +38,8 @@ __all__ = ["PyBullet"]
 Array = NDArray[np.float64]
 
 _USUAL_STEP = 1 / 240
+# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+_CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
 # What the engine takes without a word is more than what means something.
 _OPTION_RANGES = {
     "solver_iterations": (1, 1_000_000),
@@ -87,7 +90,6 @@ class PyBullet(Adapter):
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         method = next(iter(self.methods))
         if profile == "native":
-            count = max(1, round(scene.clock.frame / _USUAL_STEP))
             usual = {
                 "solver_iterations": 50,
                 "residual_threshold": 1e-7,
@@ -95,8 +97,9 @@ class PyBullet(Adapter):
                 "linear_damping": 0.04,
                 "angular_damping": 0.04,
             }
-            return Settings(method, scene.clock.frame / count, usual)
-        return Settings(method, scene.clock.frame / max(1, round(scene.clock.frame / 2e-5)))
+            return Settings(method, nearest_step(scene.clock.frame, _USUAL_STEP), usual)
+        step = careful_step(scene.clock.frame, _CAREFUL_STEP, _CAREFUL_COUNT)
+        return Settings(method, step)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         for name, (low, high) in _OPTION_RANGES.items():

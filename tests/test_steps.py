@@ -1,0 +1,29 @@
+"""Steps that divide a frame."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbds_xsim.engine import Settings
+from mbds_xsim.steps import careful_step, nearest_step
+
+INTERVALS = st.floats(1e-6, 10.0)
+
+
+@given(INTERVALS, INTERVALS, st.integers(1, 1000))
+def test_careful_steps_keep_both_bounds(frame: float, longest: float, fewest: int) -> None:
+    step = careful_step(frame, longest, fewest)
+    count = Settings("any", step).substeps(frame)
+    assert step <= longest * (1 + 1e-8)
+    assert count >= fewest
+    assert count % 4 == 0
+    # No finer than the bounds and the multiple ask for.
+    coarser = count - 4
+    assert coarser < fewest or frame / coarser > longest
+
+
+@pytest.mark.parametrize(("usual", "count"), [(1 / 240, 5), (0.002, 10), (0.001, 20), (1.0, 1)])
+def test_usual_steps_are_moved_to_the_nearest_divisor(usual: float, count: int) -> None:
+    assert nearest_step(0.02, usual) == pytest.approx(0.02 / count)
