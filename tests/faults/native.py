@@ -1,0 +1,69 @@
+"""Faults inside an adapter, where no scene, settings or recording could bring them about."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+__all__ = ["force_off_center", "motors_left_on"]
+
+_OFFSET = [0.0, 0.0, 0.05]
+"""[m]"""
+
+
+def motors_left_on(_engine: str) -> AbstractContextManager[object]:
+    """Leave PyBullet's joint motors as `createMultiBody` makes them."""
+    return mock.patch.object(_adapter("_pybullet_model").Model, "_switch_motor_off")
+
+
+def force_off_center(engine: str) -> AbstractContextManager[object]:
+    """Push bodies beside their centres of mass."""
+    return {"pybullet": _pybullet, "dart": _dart, "exudyn": _exudyn}[engine]()
+
+
+def _pybullet() -> AbstractContextManager[object]:
+    loads = _adapter("_pybullet_loads").Loads
+    push = loads._push
+
+    def push_beside(self: Any, body: int, force: Any, point: Any) -> None:
+        push(self, body, force, point + np.array(_OFFSET))
+
+    return mock.patch.object(loads, "_push", push_beside)
+
+
+def _dart() -> AbstractContextManager[object]:
+    loads = _adapter("_dart_loads").Loads
+    hold = loads.hold
+
+    def hold_beside(self: Any, force: Any, torque: Any) -> None:
+        hold(self, force, torque)
+        self._forces = [(_beside(put), value) for put, value in self._forces]
+
+    return mock.patch.object(loads, "hold", hold_beside)
+
+
+def _beside(put: Any) -> Any:
+    return lambda force: put(force, _OFFSET)
+
+
+def _exudyn() -> AbstractContextManager[object]:
+    bodies = _adapter("_exudyn_bodies")
+    listing = bodies.loads_listing
+
+    def listed_beside(mechanism: Any) -> Iterator[str]:
+        for line in listing(mechanism):
+            if line.startswith("forces"):
+                yield line.replace("frames", "bodies").replace("])", f"], localPosition={_OFFSET})")
+            else:
+                yield line
+
+    return mock.patch.object(bodies, "loads_listing", listed_beside)
+
+
+def _adapter(module: str) -> Any:
+    return importlib.import_module(f"mbds_xsim_adapters.{module}")

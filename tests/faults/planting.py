@@ -1,0 +1,127 @@
+"""A fault, and how it gets into one engine while all the others stay as they are."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from unittest import mock
+
+from mbds_xsim.engine import Adapter, Profile, Readback, Run, Settings
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Fault", "planted"]
+
+
+def _same_model(scene: Scene) -> Scene:
+    return scene
+
+
+def _same_settings(settings: Settings) -> Settings:
+    return settings
+
+
+def _same_inputs(batch: Batch) -> Batch:
+    return batch
+
+
+def _same_motion(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
+    return motion
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A user's mistake, as a change of what reaches an engine or of what comes back from it."""
+
+    name: str
+    scene: str
+    """Where it can be seen at all."""
+    engines: tuple[str, ...]
+    """Into which it is planted, one at a time."""
+    checks: tuple[str, ...]
+    """Those it is for: one of them must fail."""
+    told: str = ""
+    """How the line of the read-back that tells it begins; empty where no engine could know."""
+    unseen: str = ""
+    """Why no check can see it; empty where one must."""
+    model: Callable[[Scene], Scene] = _same_model
+    settings: Callable[[Settings], Settings] = _same_settings
+    inputs: Callable[[Batch], Batch] = _same_inputs
+    motion: Callable[[Scene, Batch, float, Trajectory], Trajectory] = _same_motion
+    """Of the true scene, the true batch, the step [s] and the true recording."""
+    native: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext
+    """What is changed in the adapter of an engine itself while it runs."""
+
+
+@contextlib.contextmanager
+def planted(fault: Fault | None, engine: str) -> Iterator[None]:
+    """Plant a fault into the simulations that a validation in this process makes.
+
+    A simulation of the same engine with the same fault, or none, is made only once.
+    """
+
+    def run(scene: Scene, batch: Batch, name: str, settings: Settings) -> Simulation:
+        bug = fault if name == engine else None
+        key = (bug, scene, name, repr(settings), batch.index.tobytes(), batch.force.tobytes())
+        if key not in _DONE:
+            _DONE[key] = _simulated(bug, scene, batch, name, settings)
+        return _DONE[key]
+
+    with mock.patch("mbds_xsim.campaign.simulate", run):
+        yield
+
+
+_DONE: dict[tuple[object, ...], Simulation] = {}
+
+
+def _simulated(
+    fault: Fault | None, scene: Scene, batch: Batch, engine: str, settings: Settings
+) -> Simulation:
+    if fault is None:
+        return simulate(scene, batch, engine, settings)
+    adapter = _Faulty(load_adapter(engine), fault)
+    loading = mock.patch("mbds_xsim.simulate.load_adapter", return_value=adapter)
+    with fault.native(engine), loading:
+        return simulate(scene, batch, engine, settings)
+
+
+class _Faulty(Adapter):
+    """An adapter with a fault."""
+
+    def __init__(self, adapter: Adapter, fault: Fault) -> None:
+        self._adapter, self._fault = adapter, fault
+        for claim in ("name", "package", "methods", "options", "limits", "coordinates"):
+            setattr(self, claim, getattr(adapter, claim))
+
+    def version(self) -> str:
+        return self._adapter.version()
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        return self._adapter.settings(scene, profile)
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        run = self._adapter.load(self._fault.model(scene), self._fault.settings(settings))
+        return _FaultyRun(run, self._fault, scene, settings.step)
+
+
+class _FaultyRun(Run):
+    def __init__(self, run: Run, fault: Fault, scene: Scene, step: float) -> None:
+        self._run, self._fault, self._scene, self._step = run, fault, scene, step
+        self.size = run.size
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        motion = self._run.rollout(self._fault.inputs(batch))
+        return self._fault.motion(self._scene, batch, self._step, motion)
+
+    def readback(self, batch: Batch) -> Readback:
+        return self._run.readback(self._fault.inputs(batch))
+
+    def native(self) -> str:
+        return self._run.native()
+
+    def close(self) -> None:
+        self._run.close()

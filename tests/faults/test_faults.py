@@ -1,0 +1,83 @@
+"""Every planted fault fails the engine that has it, by a fitting check, and no other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.result import EngineResult, Validation
+
+from .bench import ENGINES, SCENES, checked
+from .faults import FAULTS
+from .planting import Fault
+
+pytestmark = pytest.mark.slow
+
+_THERE = [name for name in SCENES if name != "workbench" or name in registry.scene_names()]
+_PLANTED = [
+    (fault, engine) for fault in FAULTS for engine in fault.engines if fault.scene in _THERE
+]
+_SEEN = [
+    pytest.param(fault, engine, id=f"{fault.name}, {engine}")
+    for fault, engine in _PLANTED
+    if not fault.unseen
+]
+_UNSEEN = [
+    pytest.param(fault, engine, id=f"{fault.name}, {engine}")
+    for fault, engine in _PLANTED
+    if fault.unseen
+]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _all_engines_and_references_of_this_run(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[None]:
+    missing = set(ENGINES) - set(registry.installed_engines())
+    if missing and not os.environ.get("MBDS_XSIM_MUST_RUN"):
+        pytest.skip(f"not installed: {', '.join(sorted(missing))}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("references")))
+        yield
+
+
+@pytest.mark.parametrize("scene", _THERE)
+def test_without_a_fault_every_engine_passes(scene: str) -> None:
+    validation = checked(scene, readback=True)
+
+    assert [row.reasons for row in validation.engines] == [()] * len(ENGINES)
+    assert validation.verdict == "pass"
+    assert validation.odd_one_out is None
+
+
+@pytest.mark.parametrize(("fault", "faulty"), _SEEN)
+def test_the_motion_shows_a_fault(fault: Fault, faulty: str) -> None:
+    validation = checked(fault.scene, fault, faulty)
+
+    assert [row.engine for row in validation.engines if row.verdict == "fail"] == [faulty]
+    failed = {found.check for found in _row(validation, faulty).findings if not found.passed}
+    assert failed & set(fault.checks), failed
+    assert validation.odd_one_out in (None, f"{faulty} matched")
+
+
+@pytest.mark.parametrize(
+    ("fault", "faulty"), [p for p in _SEEN if isinstance(p.values[0], Fault) and p.values[0].told]
+)
+def test_reading_the_model_back_tells_a_fault(fault: Fault, faulty: str) -> None:
+    validation = checked(fault.scene, fault, faulty, readback=True)
+
+    reasons = _row(validation, faulty).reasons
+    assert any(reason.startswith(f"read-back: {fault.told}") for reason in reasons), reasons
+
+
+@pytest.mark.parametrize(("fault", "faulty"), _UNSEEN)
+def test_what_is_said_to_be_unseen_is(fault: Fault, faulty: str) -> None:
+    """A check that learns to see one moves it to those that must be seen."""
+    assert checked(fault.scene, fault, faulty).verdict == "pass"
+
+
+def _row(validation: Validation, engine: str) -> EngineResult:
+    return next(row for row in validation.engines if row.engine == engine)
