@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from unittest import mock
 
 from mbds_xsim.engine import Adapter, Profile, Readback, Run, Settings
@@ -33,7 +33,7 @@ def _same_motion(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory)
     return motion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fault:
     """A user's mistake, as a change of what reaches an engine or of what comes back from it."""
 
@@ -46,8 +46,8 @@ class Fault:
     """Those it is for: one of them must fail."""
     told: str = ""
     """How the line of the read-back that tells it begins; empty where no engine could know."""
-    unseen: str = ""
-    """Why no check can see it; empty where one must."""
+    unseen: Mapping[str, str] = field(default_factory=dict)
+    """Engines in whose motion no check sees it, with the reason."""
     model: Callable[[Scene], Scene] = _same_model
     settings: Callable[[Settings], Settings] = _same_settings
     inputs: Callable[[Batch], Batch] = _same_inputs

@@ -23,12 +23,12 @@ _PLANTED = [
 _SEEN = [
     pytest.param(fault, engine, id=f"{fault.name}, {engine}")
     for fault, engine in _PLANTED
-    if not fault.unseen
+    if engine not in fault.unseen
 ]
-_UNSEEN = [
+_TOLD = [
     pytest.param(fault, engine, id=f"{fault.name}, {engine}")
     for fault, engine in _PLANTED
-    if fault.unseen
+    if fault.told
 ]
 
 
@@ -63,20 +63,12 @@ def test_the_motion_shows_a_fault(fault: Fault, faulty: str) -> None:
     assert validation.odd_one_out in (None, f"{faulty} matched")
 
 
-@pytest.mark.parametrize(
-    ("fault", "faulty"), [p for p in _SEEN if isinstance(p.values[0], Fault) and p.values[0].told]
-)
+@pytest.mark.parametrize(("fault", "faulty"), _TOLD)
 def test_reading_the_model_back_tells_a_fault(fault: Fault, faulty: str) -> None:
     validation = checked(fault.scene, fault, faulty, readback=True)
 
     reasons = _row(validation, faulty).reasons
     assert any(reason.startswith(f"read-back: {fault.told}") for reason in reasons), reasons
-
-
-@pytest.mark.parametrize(("fault", "faulty"), _UNSEEN)
-def test_what_is_said_to_be_unseen_is(fault: Fault, faulty: str) -> None:
-    """A check that learns to see one moves it to those that must be seen."""
-    assert checked(fault.scene, fault, faulty).verdict == "pass"
 
 
 def _row(validation: Validation, engine: str) -> EngineResult:
