@@ -21,8 +21,17 @@ __all__ = [
     "scene_names",
 ]
 
-# The paper's sizes; every other size of a family is found by its name too.
-PAPER_SCENES = ("5pendulum", "6pendulum", "2ladder", "3ladder")
+# In the paper's order; every other size of a family is found by its name too.
+PAPER_SCENES = (
+    "ballscroll",
+    "balldrop",
+    "5pendulum",
+    "6pendulum",
+    "2ladder",
+    "3ladder",
+    "particlecar",
+    "simplecubli",
+)
 
 
 def engine_names() -> list[str]:
@@ -67,8 +76,9 @@ def load_adapter(name: str) -> Adapter:
 
 
 def scene_names() -> list[str]:
-    """Names of the built-in scenes: the paper's and the scene files that are shipped."""
-    return [*PAPER_SCENES, *sorted(_scene_files())]
+    """Names of the built-in scenes: the paper's, then other single ones and scene files."""
+    others = _points("mbds_xsim.single_scenes").keys() | _scene_files().keys()
+    return [*PAPER_SCENES, *sorted(others - set(PAPER_SCENES))]
 
 
 def load_scene(name: str) -> Scene:
@@ -82,6 +92,10 @@ def load_scene(name: str) -> Scene:
 
     if name.endswith(".toml") or "/" in name:
         return read_scene(Path(name))
+    singles = _points("mbds_xsim.single_scenes")
+    if name in singles:
+        single: Callable[[], Scene] = singles[name].load()
+        return single()
     if name in _scene_files():
         return read_scene(_scene_files()[name])
     match = re.fullmatch(r"([1-9]\d*)([a-z]\w*)", name)

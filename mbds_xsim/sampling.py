@@ -25,6 +25,7 @@ from mbds_xsim.sampling_terms import (
     HingeRate,
     HingeTorque,
     Interval,
+    Roll,
     Span,
     Swing,
     Throw,
@@ -41,6 +42,7 @@ Array = NDArray[np.float64]
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
 _NOISE_FRAME = 0.02
+_CENTRED = 1e-9  # of a contact sphere at a centre of mass [m]
 
 
 def draw_batch(
@@ -254,9 +256,25 @@ def _throw(term: Throw, drawing: _Drawing) -> None:
     drawing.add_twist(carried, center, rate)
 
 
+def _roll(term: Roll, drawing: _Drawing) -> None:
+    mechanism = drawing.mechanism
+    body = [body.name for body in mechanism.scene.bodies].index(term.body)
+    carried = _carried(mechanism, body)
+    own = mechanism.sphere_body == body
+    if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
+        msg = (
+            f"sampling: {term.body!r} has {own.sum()} contact spheres; to roll it needs one, "
+            "centred at its centre of mass"
+        )
+        raise SceneError(msg)
+    rolling = np.cross([0.0, 0.0, 1.0], drawing.velocity[body]) / mechanism.sphere_radius[own]
+    drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
+
+
 def _hinge_rate(term: HingeRate, drawing: _Drawing) -> None:
     mechanism = drawing.mechanism
     links = {link.joint.name: link for link in mechanism.links if link.joint is not None}
+    rates, driven = [], set()
     for name in term.joints:
         if name not in links:
             msg = f"sampling: the hinge {name!r} closes a loop; its rate follows from the others"
@@ -265,8 +283,13 @@ def _hinge_rate(term: HingeRate, drawing: _Drawing) -> None:
         assert joint is not None
         parent = drawing.native[joint.parent] if joint.parent != WORLD_INDEX else rotation.IDENTITY
         point, _ = _point_of(drawing, joint.parent, joint.in_parent)
-        rate = drawing.uniform(term.rate) * rotation.rotate(parent, joint.axis)
-        drawing.add_twist(_outboard(mechanism, joint.child), point, rate)
+        rates.append(drawing.uniform(term.rate))
+        twist = rates[-1] * rotation.rotate(parent, joint.axis)
+        drawing.add_twist(_outboard(mechanism, joint.child), point, twist)
+        driven.add(joint.child)
+    if rates and any(term.travel):
+        moved = {other for body in driven for other in _carried(mechanism, body)}
+        drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
 
 
 def _hinge_torque(term: HingeTorque, drawing: _Drawing) -> None:
@@ -330,6 +353,7 @@ _DRAWS: dict[type, Callable[[Any, _Drawing], None]] = {
     Swing: _swing,
     Turn: _turn,
     Throw: _throw,
+    Roll: _roll,
     HingeRate: _hinge_rate,
     HingeTorque: _hinge_torque,
     Wind: _wind,

@@ -21,6 +21,7 @@ __all__ = [
     "HingeTorque",
     "Interval",
     "Levels",
+    "Roll",
     "Span",
     "Swing",
     "Throw",
@@ -123,15 +124,33 @@ class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
                 _ordered(key, span)
 
 
+class Roll(_Draw, frozen=True, tag_field="kind", tag="roll"):
+    """Spin a free body by a share of the rate at which it would roll at the velocity it has.
+
+    The share is drawn: 0 slides without spin, 1 rolls without slip. The body carries one contact
+    sphere, at its centre of mass; what the body's joints carry turns with it.
+    """
+
+    body: str
+    share: Span
+
+    def __post_init__(self) -> None:
+        _ordered("share", self.share)
+
+
 class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
 
     joints: tuple[str, ...]
     rate: Span
     """[rad/s]"""
+    travel: Vector = (0.0, 0.0, 0.0)
+    """Velocity in W of the free bodies that carry the hinges, and of all that is jointed to them,
+    over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
 
     def __post_init__(self) -> None:
         _ordered("rate", self.rate)
+        bounds.finite("travel", self.travel)
 
 
 class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
@@ -173,7 +192,7 @@ class Wind(_Draw, frozen=True, tag_field="kind", tag="wind"):
         bounds.positive("correlation_time", self.correlation_time)
 
 
-Draw = Swing | Turn | Throw | HingeRate | HingeTorque | Wind
+Draw = Swing | Turn | Throw | Roll | HingeRate | HingeTorque | Wind
 
 
 def _ordered(key: str, span: Span) -> None:

@@ -19,7 +19,7 @@ import msgspec
 
 from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
-from mbds_xsim.sampling_terms import Draw, Throw
+from mbds_xsim.sampling_terms import Draw, Roll, Throw
 
 __all__ = [
     "GRAVITY",
@@ -46,6 +46,8 @@ WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
 PARTICLE_MASS = 1.0
 PARTICLE_INERTIA = 6.17e-4
+PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
+"""Of the solid sphere that has this mass and inertia [m]."""
 
 
 class Particle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -378,7 +380,7 @@ class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
                 _known(f"sampling[{k}].bodies", body, bodies)
             for joint_name in getattr(draw, "joints", ()):
                 _known(f"sampling[{k}].joints", joint_name, hinges, what="hinge")
-            if isinstance(draw, Throw):
+            if isinstance(draw, Throw | Roll):
                 _known(f"sampling[{k}].body", draw.body, bodies)
 
     def _check_edges(self) -> None:

@@ -110,7 +110,13 @@ def _scenes(draw: st.DrawFn) -> Table:
             velocity=_SPANS,
             angular_velocity=_SPANS,
         ),
-        _optional({"kind": st.just("hinge_rate"), "joints": some_hinges, "rate": _SPAN}),
+        _optional(
+            {"kind": st.just("roll"), "body": st.sampled_from(names), "share": _SPAN},
+        ),
+        _optional(
+            {"kind": st.just("hinge_rate"), "joints": some_hinges, "rate": _SPAN},
+            travel=_VECTOR,
+        ),
         _optional(
             {"kind": st.just("hinge_torque"), "joints": some_hinges, "torque": _SPAN},
             hold=st.integers(1, 50),
@@ -282,7 +288,7 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "wrong kind of draw": (
         _set("sampling", 0, "kind", to="hinge"),
-        "sampling[0].kind: got 'hinge', allowed is 'swing' or 'turn' or 'throw' or 'hinge_rate'",
+        "sampling[0].kind: got 'hinge', allowed is 'swing' or 'turn' or 'throw' or 'roll' or 'hin",
     ),
     "neither range nor levels": (
         _set("sampling", 0, "rate", to=3.0),

@@ -1,0 +1,22 @@
+"""What the scenes with contact take from the paper."""
+
+from __future__ import annotations
+
+import math
+
+from mbds_xsim.scene import Ground
+
+NOISE = 0.1
+"""Standard deviation of the noise force on a particle [N]; the paper has noise, this figure is
+the project's."""
+DAMPING_RATIO = 0.022
+"""The paper's ζ, read as that of the contact: a half-period of a damped oscillator."""
+GROUND = Ground(
+    friction=0.43,
+    restitution=math.exp(-math.pi * DAMPING_RATIO / math.sqrt(1.0 - DAMPING_RATIO**2)),
+)
+"""The restitution is what is left of the velocity after half a period of such an oscillator."""
+SOURCE = (
+    "MBDS paper (particles, gravity, frames, friction, damping ratio); geometry, intervals and "
+    "reading the damping ratio as restitution: mbds-xsim"
+)
