@@ -70,14 +70,32 @@ def print_scene(scene: Scene, row: SceneRow, console: Console) -> None:
 
 def _term(term: object) -> str:
     fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
-    parts = []
-    for key, value in fields.items():
-        if isinstance(value, Levels):
-            spans = (f"{name} {list(getattr(value, name))}" for name in INTERVALS)
-            parts.append(f"{key}: " + ", ".join(spans))
-        elif isinstance(value, tuple) and len(value) > 6:
-            parts.append(f"{key}: {value[0]} … {value[-1]}")
-        else:
-            parts.append(f"{key}: {value}")
+    parts = [f"{key}: {_shown(value)}" for key, value in fields.items() if not _nothing(value)]
     kind = term.__struct_config__.tag  # type: ignore[attr-defined]
     return f"{kind} ({'; '.join(parts)})"
+
+
+def _nothing(value: object) -> bool:
+    """Whether a value switches nothing on, or a vector or range is zero all over."""
+    return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
+
+
+def _flat(value: object) -> list[object]:
+    return [w for v in value for w in _flat(v)] if isinstance(value, tuple) else [value]
+
+
+def _shown(value: object) -> str:
+    """Give ranges, by interval and by component, in few words."""
+    if isinstance(value, Levels):
+        return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)
+    if isinstance(value, float):
+        return f"{value:g}"
+    if not isinstance(value, tuple):
+        return str(value)
+    if len(value) > 6:
+        return f"{value[0]} … {value[-1]}"
+    if isinstance(value[0], tuple | Levels):
+        spans = zip("xyz", value, strict=True)
+        return ", ".join(f"{name} {_shown(span)}" for name, span in spans if not _nothing(span))
+    inner = ", ".join(map(_shown, value))
+    return inner if isinstance(value[0], str) else f"[{inner}]"
