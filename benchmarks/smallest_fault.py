@@ -1,0 +1,99 @@
+"""Find the smallest errors of a mass and of gravity that `validate` catches, engine by engine.
+
+    PYTHONPATH=tests python benchmarks/smallest_fault.py [SCENE ...]
+
+Everything is what `validate` does by default, one engine at a time, but the native model is not
+read back: the verdict is on the motion alone. Where an engine fails without a fault, its steps are
+halved until it passes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import sys
+from collections.abc import Callable, Iterator
+
+from faults.bench import ENGINES
+from faults.faults import gravity, heavier
+from faults.planting import Fault, planted
+
+from mbds_xsim import registry
+from mbds_xsim.campaign import Choice
+from mbds_xsim.result import EngineResult
+from mbds_xsim.scene import Scene
+from mbds_xsim.validate import validate_with_evidence
+
+__all__ = ["SCENES", "table"]
+
+SCENES = ("5pendulum", "2ladder")
+
+_BODIES = {"pendulum": "link2", "ladder": "rung1"}
+_EARTH = 9.81
+_LARGEST = 0.1
+_REFINEMENTS = 5
+_HALVINGS = 3  # of a decade, by ratio: to 1/8 of it, a third
+
+
+def table(scenes: tuple[str, ...] = SCENES) -> Iterator[str]:
+    """Give the lines of a table in Markdown."""
+    yield "| scene | engine | method | step | mass of one body | gravity |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for name in scenes:
+        scene = registry.load_scene(name)
+        body = next(body for family, body in _BODIES.items() if name.endswith(family))
+        for engine in ENGINES:
+            choice = _passing(scene, engine)
+            row = _verdict(scene, choice, None)
+            mass = _smallest(scene, choice, functools.partial(heavier, body))
+            pull = _smallest(scene, choice, lambda share: gravity(_EARTH * (1 + share)))
+            step = f"{1e3 * row.step_s:.4g} ms" + (" (halved)" if choice.step else "")
+            figures = f"{_percent(mass)} of {body} | {_percent(pull)}"
+            yield f"| {name} | {engine} | {row.method} | {step} | {figures} |"
+
+
+def _passing(scene: Scene, engine: str) -> Choice:
+    choice = Choice.parse(engines=engine)
+    for _ in range(_REFINEMENTS):
+        row = _verdict(scene, choice, None)
+        if row.verdict == "pass":
+            return choice
+        choice = dataclasses.replace(choice, step=row.step_s / 2)
+    msg = f"{engine} fails on {scene.name} without a fault: {row.reasons}"
+    raise SystemExit(msg)
+
+
+def _smallest(
+    scene: Scene, choice: Choice, model: Callable[[float], Callable[[Scene], Scene]]
+) -> float | None:
+    """Go down by decades to the first share that passes, then halve the last decade."""
+
+    def caught(share: float) -> bool:
+        fault = Fault("", scene.name, choice.engines, (), model=model(share))
+        return _verdict(scene, choice, fault).verdict == "fail"
+
+    seen = _LARGEST
+    if not caught(seen):
+        return None
+    while caught(seen / 10):
+        seen /= 10
+    unseen = seen / 10
+    for _ in range(_HALVINGS):
+        middle = (seen * unseen) ** 0.5
+        seen, unseen = (middle, unseen) if caught(middle) else (seen, middle)
+    return seen
+
+
+def _verdict(scene: Scene, choice: Choice, fault: Fault | None) -> EngineResult:
+    with planted(fault, *choice.engines):
+        validation, _ = validate_with_evidence(scene, choice=choice, workers=0, readback=False)
+    return validation.engines[0]
+
+
+def _percent(share: float | None) -> str:
+    return f"{100 * share:.2g} %" if share is not None else f"above {100 * _LARGEST:g} %"
+
+
+if __name__ == "__main__":
+    for line in table(tuple(sys.argv[1:]) or SCENES):
+        print(line, flush=True)
