@@ -45,7 +45,7 @@ def balldrop() -> Scene:
             ),
         ),
         edges=tuple(neighbours(cells, apart=2)),
-        budget=Budget(error=2e-2),
+        budget=Budget(error_1s=2e-2, error=2e-2),
     )
 
 

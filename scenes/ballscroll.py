@@ -31,5 +31,5 @@ def ballscroll() -> Scene:
             Throw("ball", velocity=(Levels((1.0, 3.0), (3.0, 7.0), (7.0, 10.0)), _NONE, _NONE)),
             Roll("ball", share=(0.0, 1.0)),
         ),
-        budget=Budget(error=2e-3),
+        budget=Budget(error_1s=2e-3, error=2e-3),
     )

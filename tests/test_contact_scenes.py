@@ -119,6 +119,16 @@ def test_ground_has_the_papers_friction_and_damping(name: str) -> None:
     assert decrement / math.hypot(math.pi, decrement) == pytest.approx(0.022, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "allowed"), [("ballscroll", 2e-3), ("balldrop", 2e-2), ("simplecubli", 5e-4)]
+)
+def test_budget_of_the_error_in_metres(name: str, allowed: float) -> None:
+    scene = load_scene(name)
+
+    assert scene.budget.error * scene.length == pytest.approx(allowed)
+    assert scene.budget.error_1s <= scene.budget.error
+
+
 def test_ball_is_one_solid_particle_on_the_ground() -> None:
     scene = load_scene("ballscroll")
     mechanism = Mechanism.of(scene)
