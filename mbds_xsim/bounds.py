@@ -8,11 +8,15 @@ import numpy as np
 
 from mbds_xsim.errors import SceneError
 
+_MOST = 10**9
+"""More frames than this fit into no memory."""
+
 
 def held_series(length: int, hold: int) -> None:
     """Raise unless a held series has rows and lasts."""
-    if length < 1 or hold < 1:
-        msg = f"series needs one row or more and hold ≥ 1, got {length} rows, hold = {hold}"
+    at_least_one("hold", hold)
+    if length < 1:
+        msg = "series: got no row, allowed is one or more"
         raise SceneError(msg)
 
 
@@ -38,9 +42,10 @@ def at_least_zero(key: str, value: float) -> None:
 
 
 def at_least_one(key: str, value: int) -> None:
-    """Raise unless 1 or more."""
-    if value < 1:
-        msg = f"{key}: got {value}, allowed is a whole number, 1 or more"
+    """Raise unless 1 or more, and few enough to count."""
+    if not 1 <= value <= _MOST:
+        allowed = "1 or more" if value < 1 else f"at most {_MOST}"
+        msg = f"{key}: got {value}, allowed is a whole number, {allowed}"
         raise SceneError(msg)
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import reference, registry
-from mbds_xsim.engine import Profile, Settings
-from mbds_xsim.errors import InputError
+from mbds_xsim.engine import Adapter, Profile, Settings
+from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
 from mbds_xsim.scene import Scene
@@ -64,7 +64,7 @@ class Choice:
         """Read the command line's words; no engine named means all installed."""
         from mbds_xsim.catalogue import as_profile
 
-        names = tuple(dict.fromkeys(engines.split(","))) if engines else ()
+        names = _words(engines) if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         names = names or tuple(registry.installed_engines())
@@ -74,7 +74,7 @@ class Choice:
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, tuple(as_profile(name) for name in profiles.split(",")), method, step)
+        return Choice(names, tuple(map(as_profile, _words(profiles))), method, step)
 
     def contenders(self, scene: Scene) -> list[Contender]:
         """Settle the settings of every engine; raise InputError where they are wrong."""
@@ -85,10 +85,10 @@ class Choice:
                 preset = settings_for(scene, adapter, profile)
                 settings = Settings(
                     self.method or preset.method,
-                    self.step or preset.step,
+                    preset.step if self.step is None else self.step,
                     preset.options if self.method in (None, preset.method) else {},
                 )
-                adapter.check(scene, settings)
+                _check(adapter, scene, settings, self.engines)
                 found.append(Contender(name, profile, settings))
         return found
 
@@ -225,6 +225,28 @@ def _other_steps(scene: Scene, settings: Settings) -> list[float]:
         scene.clock.frame / (count // factor if longer else count * factor)
         for factor in _REFINEMENT
     ]
+
+
+def _check(adapter: Adapter, scene: Scene, settings: Settings, engines: tuple[str, ...]) -> None:
+    """Raise as `Adapter.check` does, and say what can do it."""
+    try:
+        adapter.check(scene, settings)
+    except Unsupported as error:
+        methods = _able_methods(adapter, scene)
+        able = [name for name in engines if _able_methods(registry.load_adapter(name), scene)]
+        hint = f"use --method {' or '.join(methods)}" if methods else "no engine given here can"
+        if able and not methods:
+            hint = f"use --engines {','.join(able)}"
+        raise Unsupported(f"{error}; {hint}") from error
+
+
+def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
+    return [name for name in adapter.methods if not adapter.refusals(scene, name)]
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Split at commas, each word once."""
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
 
 
 def _chunks(count: int) -> list[list[int]]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,10 +18,11 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
+_INTERRUPTED = 130
+
 app = typer.Typer(
     name="mbds-xsim",
     help="Multibody simulation data you can trust: one scene, four engines, cross-checked.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -35,14 +39,49 @@ JsonFile = Annotated[
 
 def main() -> None:
     """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
+    # A request to end is as good as Ctrl-C: no process and no partial file may be left.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    sys.exit(_run(sys.argv[1:] or ["--help"]))
+
+
+def _run(words: list[str]) -> int:
+    """Carry out one command line; what goes wrong is told in one line."""
     try:
-        app(standalone_mode=True)
+        code = app(words, standalone_mode=False) or 0
+        print(end="", flush=True)
+    except typer.TyperException as error:
+        return _complain(_usage(error), 2)
     except InputError as error:
-        print(f"mbds-xsim: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
+        return _complain(str(error), 2)
+    except MemoryError as error:
+        return _complain(f"out of memory: {error}; ask for less at a time", 2)
+    except OSError as error:
+        _drop_output()
+        return _complain(str(error), 2)
     except KeyboardInterrupt:
-        print("mbds-xsim: interrupted", file=sys.stderr)
-        sys.exit(130)
+        code = _INTERRUPTED
+    return _complain("interrupted", code) if code == _INTERRUPTED else int(code)
+
+
+def _usage(error: typer.TyperException) -> str:
+    """Say what is wrong with the words of a command line, and where to read on."""
+    text = getattr(error, "format_message", error.__str__)()
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "mbds-xsim"
+    return f"{text.rstrip('.')}; see {command} --help"
+
+
+def _drop_output() -> None:
+    """Standard output cannot be written to: keep the interpreter from trying again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(text: str, code: int) -> int:
+    print(f"mbds-xsim: {' '.join(text.split())}", file=sys.stderr)
+    return code
 
 
 @app.command(
@@ -82,7 +121,7 @@ def validate(
 
     console = _console(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
-    _writable(json, html)
+    _writable(json=json, html=html)
     with _progress(console) as progress:
         validation, evidence = validate_with_evidence(
             _scene(scene),
@@ -112,6 +151,7 @@ def engines(json: JsonFile = None) -> None:
     from mbds_xsim.catalogue import engine_rows
     from mbds_xsim.report.lists import print_engines
 
+    _writable(json=json)
     rows = engine_rows()
     print_engines(rows, _console(json))
     _write_json(_encoded(rows), json)
@@ -123,6 +163,7 @@ def scenes(json: JsonFile = None) -> None:
     from mbds_xsim.catalogue import scene_rows
     from mbds_xsim.report.lists import print_scenes
 
+    _writable(json=json)
     rows = scene_rows()
     print_scenes(rows, _console(json))
     _write_json(_encoded(rows), json)
@@ -148,7 +189,7 @@ def show(
     from mbds_xsim.scene_file import write_scene
 
     loaded = _scene(scene)
-    _writable(json)
+    _writable(json=json)
     if native is not None:
         print(native_text(loaded, native, settings))
     elif toml:
@@ -178,21 +219,18 @@ def _progress(console: Console):  # type: ignore[no-untyped-def]
     return ProgressBar(console)
 
 
-def _writable(*paths: Path | None) -> None:
+def _writable(**paths: Path | None) -> None:
     """Refuse, before long work, to write where nothing can be written."""
-    import os
+    from mbds_xsim.write import check_writable
 
-    for path in paths:
-        if path is None or str(path) == "-":
-            continue
-        folder = path.absolute().parent
-        if path.is_dir():
-            msg = f"cannot write {path}: it is a folder; name a file"
-            raise InputError(msg)
-        existing = next(parent for parent in (folder, *folder.parents) if parent.exists())
-        if not existing.is_dir() or not os.access(existing, os.W_OK):
-            msg = f"cannot write {path}: {existing} is not a folder that can be written to"
-            raise InputError(msg)
+    files = {option: path for option, path in paths.items() if path is not None}
+    if str(files.get("json")) == "-":
+        del files["json"]
+    for option, path in files.items():
+        check_writable(path, f"--{option}")
+    if len({path.absolute() for path in files.values()}) < len(files):
+        msg = f"{' and '.join(f'--{option}' for option in files)} both name {path}; give two files"
+        raise InputError(msg)
 
 
 def _write_json(text: bytes, path: Path | None) -> None:

@@ -98,7 +98,7 @@ def load_scene(name: str) -> Scene:
         return single()
     if name in _scene_files():
         return read_scene(_scene_files()[name])
-    match = re.fullmatch(r"([1-9]\d*)([a-z]\w*)", name)
+    match = re.fullmatch(r"([1-9][0-9]{0,3})([a-z]\w*)", name)
     families = _points("mbds_xsim.families")
     if match and match[2] in families:
         family: Callable[[int], Scene] = families[match[2]].load()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from mbds_xsim.errors import SceneError
@@ -34,11 +35,14 @@ def read_scene(path: Path) -> Scene:
     data = _load(path)
     try:
         scene = msgspec.convert(data, Scene)
-        draw_batch(scene, range(len(INTERVALS)))
+        _check_starts(scene)
     except msgspec.ValidationError as error:
         raise SceneError(f"{path}: {explain(error, data)}") from error
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
+    except MemoryError as error:
+        msg = f"{path}: out of memory with {scene.clock.steps} clock.steps: {error}; take fewer"
+        raise SceneError(msg) from error
     return scene
 
 
@@ -50,6 +54,16 @@ def write_scene(scene: Scene) -> str:
 def save_scene(scene: Scene, path: Path) -> None:
     """Write a scene file."""
     path.write_text(write_scene(scene), encoding="utf-8", newline="\n")
+
+
+def _check_starts(scene: Scene) -> None:
+    """Draw a trajectory of each interval; raise SceneError where a number runs out of range."""
+    with np.errstate(all="ignore"):
+        batch = draw_batch(scene, range(len(INTERVALS)))
+    for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
+        if not np.isfinite(getattr(batch, key)).all():
+            msg = f"a start's {key} is not finite: numbers are too large or too small; use SI units"
+            raise SceneError(msg)
 
 
 def _load(path: Path) -> Mapping[str, Any]:
@@ -66,9 +80,10 @@ def _load(path: Path) -> Mapping[str, Any]:
             f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
         )
         raise SceneError(msg) from error
-    except tomllib.TOMLDecodeError as error:
-        msg = f"{path}: this is not TOML: {error}"
-        raise SceneError(msg) from error
+    except RecursionError as error:
+        raise SceneError(f"{path}: this is not TOML: brackets without end") from error
+    except ValueError as error:  # also from a number of too many digits
+        raise SceneError(f"{path}: this is not TOML: {error}") from error
 
 
 def _compact(text: str) -> str:

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from mbds_xsim.report import animation, figures, palette, quantity, summary
 from mbds_xsim.report.palette import Style
 from mbds_xsim.result import Evidence, Validation
+from mbds_xsim.write import write_whole
 
 __all__ = ["write_page"]
 
@@ -47,7 +48,7 @@ def write_page(validation: Validation, evidence: Evidence, path: Path) -> None:
             consistency=figures.consistency(validation, styles),
         )
     )
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page.encode())
 
 
 def _environment() -> Environment:

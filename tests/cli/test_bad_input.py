@@ -1,0 +1,281 @@
+"""Whatever is typed or stands in a file: one clear line, exit code 2, nothing written."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from mbds_xsim.errors import SceneError
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.scene_file import read_scene
+
+Table = dict[str, Any]
+
+_WORDS: dict[str, tuple[str, list[str]]] = {
+    "no such command": ("simulate", ["No such command 'simulate'", "mbds-xsim --help"]),
+    "no such option": (
+        "validate 2pendulum --engine mujoco",
+        ["No such option: --engine", "--engines", "mbds-xsim validate --help"],
+    ),
+    "no scene": ("validate", ["Missing argument 'SCENE'", "mbds-xsim validate --help"]),
+    "two scenes": ("show 2pendulum 3pendulum", ["unexpected extra argument", "3pendulum"]),
+    "not a number": ("validate 2pendulum --seed one", ["--seed", "valid integer"]),
+    "option without a value": ("scenes --json", ["--json", "requires an argument"]),
+    "negative trajectories": ("validate 2pendulum --trajectories -1", ["--trajectories", "to 1"]),
+    "no workers": ("validate 2pendulum --workers 0", ["--workers", "to 1"]),
+    "negative seed": ("validate 2pendulum --seed -1", ["--seed", "to 0"]),
+    "unknown scene": ("validate teapot", ["'teapot'", "3ladder", "Npendulum", ".toml"]),
+    "scene of size 0": ("show 0ladder", ["'0ladder'", "Nladder"]),
+    "scene of no size that ends": ("show " + "9" * 5000 + "ladder", ["no scene", "Nladder"]),
+    "unknown engine": ("validate 2pendulum --engines mujoco,ode", ["'ode'", "mujoco, pybullet"]),
+    "no engine named": ("validate 2pendulum --engines=", ["no engine is called ''", "mujoco"]),
+    "unknown engine to show": ("show 2pendulum --native ode", ["'ode'", "mujoco, pybullet"]),
+    "unknown method": (
+        "validate 2pendulum --engines mujoco --method RK5",
+        ["no method of mujoco is called 'RK5'", "RK4"],
+    ),
+    "a method for all": ("validate 2pendulum --method RK4", ["--method RK4", "--engines"]),
+    "a method that cannot": (
+        "validate 2pendulum --engines exudyn --method RK44",
+        ["exudyn RK44 cannot do ball joint", "use --method trapezoidal"],
+    ),
+    "unknown profile": (
+        "validate 2pendulum --settings fast",
+        ["no settings profile is called 'fast'", "matched, native"],
+    ),
+    "unknown profile to show": (
+        "show 2pendulum --native mujoco --settings fast",
+        ["no settings profile is called 'fast'", "matched, native"],
+    ),
+    "step that does not divide the frame": (
+        "validate 2pendulum --engines mujoco --step 0.003",
+        ["step: got 0.003 s", "0.02 s divided by a whole number"],
+    ),
+    "step of 0": ("validate 2pendulum --engines mujoco --step 0", ["step: got 0.0 s"]),
+    "step that is no number": ("validate 2pendulum --engines mujoco --step nan", ["got nan s"]),
+    "negative step": ("validate 2pendulum --engines mujoco --step=-0.01", ["got -0.01 s"]),
+    "file that is not there": ("validate none.toml", ["none.toml", "No such file"]),
+    "folder for a file": ("show ./", ["cannot be read (Is a directory)", "mbds-xsim scenes"]),
+    "folder as output": ("validate 2pendulum --json .", ["--json", "it is a folder"]),
+    "file for a folder": ("scenes --json scene.toml/x.json", ["--json", "scene.toml", "folder"]),
+    "no place to write to": ("validate 2pendulum --html /proc/x", ["--html: cannot write /proc/x"]),
+    "one file for two": ("validate 2pendulum --json x --html x", ["--json and --html both name x"]),
+}
+
+
+@pytest.mark.parametrize(("line", "expected"), _WORDS.values(), ids=_WORDS.keys())
+def test_wrong_words_get_one_line(
+    line: str, expected: list[str], run: Callable[..., Any], here: Path
+) -> None:
+    (here / "scene.toml").write_text("")
+
+    ended = run(*line.split(" "))
+
+    _assert_one_line(ended, expected)
+    assert [path.name for path in here.iterdir()] == ["scene.toml"]
+
+
+def _door() -> Table:
+    """Make a sound scene: a leaf on a hinge, a knob on it."""
+    hinge = {"kind": "hinge", "axis": [0.0, 0.0, 1.0]}
+    return {
+        "name": "door",
+        "length": 1.0,
+        "noise": 0.1,
+        "gravity": [0.0, 0.0, -9.81],
+        "clock": {"frame": 0.02, "steps": 10},
+        "bodies": [
+            {"name": "leaf", "inertia": {"mass": 2.0, "moments": [0.3, 0.2, 0.4]}},
+            {"name": "knob", "particles": [{"position": [0.5, 0.0, 0.0], "mass": 1.0}]},
+        ],
+        "joints": [
+            hinge
+            | {"name": "frame", "parent": "world", "child": "leaf", "anchor": [-0.5, 0.0, 0.0]}
+            | {"rate": 1.0, "start": 0.1},
+            hinge | {"name": "pin", "parent": "leaf", "child": "knob", "anchor": [0.5, 0.0, 0.0]},
+        ],
+        "springs": [
+            {"name": "closer", "bodies": ["world", "leaf"], "points": [[0, 1, 0], [0, 0, 0]]}
+            | {"stiffness": 3.0}
+        ],
+        "sampling": [{"kind": "hinge_rate", "joints": ["pin"], "rate": [-1.0, 1.0]}],
+    }
+
+
+def _set(table: Any, *path: Any, to: object) -> Table:
+    whole = table
+    for step in path[:-1]:
+        table = table[step]
+    table[path[-1]] = to
+    return whole
+
+
+def _unclosable() -> list[Table]:
+    ends = {"bodies": ["world", "leaf"], "points": [[-0.5, 0.0, 1.0], [0.5, 0.0, 0.0]]}
+    return [ends | {"name": "stay", "length": 9.0}]
+
+
+_FILES: dict[str, tuple[Table | bytes, list[str]]] = {
+    "missing body": (_set(_door(), "bodies", to=[]), ["bodies: got none", "at least one"]),
+    "joint to nowhere": (
+        _set(_door(), "joints", 1, "child", to="handle"),
+        ["joints[1].child: no body is called 'handle'", "knob, leaf, world"],
+    ),
+    "two bodies of one name": (
+        _set(_door(), "bodies", 1, "name", to="leaf"),
+        ["bodies: got 'leaf' twice", "each name is allowed once"],
+    ),
+    "negative mass": (
+        _set(_door(), "bodies", 0, "inertia", "mass", to=-2.0),
+        ["bodies[0].inertia.mass (in 'leaf'): got -2.0", "above 0"],
+    ),
+    "non-physical inertia": (
+        _set(_door(), "bodies", 0, "inertia", "moments", to=[1.0, 1.0, 3.0]),
+        ["bodies[0].inertia (in 'leaf')", "principal moments 1, 1, 3", "sum of the other two"],
+    ),
+    "velocities that break a joint": (
+        _set(_door(), "bodies", 0, "velocity", to=[1.0, 1.0, 0.0]),
+        ["initial velocities contradict each other", "frame"],
+    ),
+    "loop that cannot be closed": (
+        _set(_door(), "distance_links", to=_unclosable()),
+        ["distance_links['stay'] cannot be closed", "off by"],
+    ),
+    "unknown key": (
+        _set(_door(), "bodies", 0, "colour", to="red"),
+        ["bodies[0] (in 'leaf'): unknown key 'colour'", "allowed are name, particles"],
+    ),
+    "NaN": (
+        _set(_door(), "joints", 0, "anchor", to=[0.0, math.nan, 0.0]),
+        ["joints[0].anchor (in 'frame'): got [0.0, nan, 0.0]", "finite"],
+    ),
+    "no integer of this size": (_set(_door(), "length", to=10**400), ["length"]),
+    "more steps than memory": (_set(_door(), "clock", "steps", to=10**15), ["steps"]),
+    "TOML syntax": (b"name = 'door\n", ["this is not TOML", "at end of document"]),
+    "no end of brackets": (b"name = " + b"[" * 100_000, ["this is not TOML"]),
+    "number beyond reading": (b"length = " + b"9" * 5000, ["this is not TOML"]),
+    "empty": (b"", ["the key 'name' is missing"]),
+    "binary": (bytes(random.Random(0).randbytes(4096)), ["got byte", "UTF-8"]),
+    "zeros": (bytes(512), ["this is not TOML"]),
+}
+
+
+@pytest.mark.parametrize(("content", "expected"), _FILES.values(), ids=_FILES.keys())
+def test_a_wrong_scene_file_gets_one_line_that_names_it(
+    content: Table | bytes, expected: list[str], run: Callable[..., Any], here: Path
+) -> None:
+    text = content if isinstance(content, bytes) else tomli_w.dumps(content).encode()
+    (here / "door.toml").write_bytes(text)
+
+    ended = run("validate", "door.toml", "--json", "out.json", "--html", "out.html")
+
+    _assert_one_line(ended, ["door.toml: ", *expected])
+    assert [path.name for path in here.iterdir()] == ["door.toml"]
+
+
+_ODD: tuple[object, ...] = (
+    *(-1, 0, 1, 1e300, -1e300, 5e-324, 1e12, math.nan, math.inf, 2**70, 10**400, True),
+    *("", "leaf", "world", "\x00", [], {}, [0, 0, 0], [1e300, 0, 0], ["leaf"], ["pin"], [[]]),
+    {"a": 1},
+)
+
+
+def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    if not isinstance(value, dict | list):
+        return [path]
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    below = [leaf for key, item in items for leaf in _places(item, (*path, key))]
+    return [path, *below] if path else below
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("odd", _ODD, ids=lambda odd: repr(odd)[:12])
+def test_no_value_anywhere_in_a_file_gets_past_the_one_line(odd: object, tmp_path: Path) -> None:
+    path = tmp_path / "odd.toml"
+    for place in _places(_door()):
+        path.write_text(tomli_w.dumps(_set(_door(), *place, to=odd)))
+
+        scene = _read_or_told(path)
+
+        if scene is not None:
+            with np.errstate(all="ignore"):
+                batch = draw_batch(scene, range(3))
+            assert np.isfinite(batch.position).all(), place
+            assert np.isfinite(batch.velocity).all(), place
+
+
+def _read_or_told(path: Path) -> Scene | None:
+    try:
+        return read_scene(path)
+    except SceneError as error:
+        text = str(error)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    assert "nan" not in text or "nan" in path.read_text()
+    return None
+
+
+def test_a_missing_engine_is_named_with_the_line_that_installs_it(
+    run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.delitem(sys.modules, "mbds_xsim_adapters.mujoco", raising=False)
+
+    _assert_one_line(
+        run("validate", "2pendulum", "--engines", "mujoco"),
+        ["the engine mujoco is not installed", "pip install 'mbds-xsim[mujoco]'"],
+    )
+    listed = run("engines")
+    assert listed.code == 0
+    assert "not installed" in listed.out
+
+
+def test_the_installed_program_says_it_too(program: Callable[..., Any], here: Path) -> None:
+    (here / "dark.toml").write_bytes(b"name = '\xff'")
+
+    _assert_one_line(program("validate", "dark.toml"), ["dark.toml: got byte 0xff at 8", "UTF-8"])
+    _assert_one_line(program("validate", b"\xff.toml"), ["\\udcff.toml", "No such file"])
+    _assert_one_line(program("--frobnicate"), ["No such option: --frobnicate"])
+
+
+def test_a_full_disk_and_an_output_that_hangs_up(program: Callable[..., Any]) -> None:
+    with open("/dev/full", "w") as full:
+        ended = program("scenes", stdout=full)
+    assert (ended.code, ended.err) == (2, "mbds-xsim: [Errno 28] No space left on device\n")
+
+    reading, writing = os.pipe()
+    os.close(reading)
+    ended = program("scenes", "--json", "-", stdout=writing)
+    os.close(writing)
+    assert "Traceback" not in ended.err
+
+
+def test_devices_and_links_are_written_through(run: Callable[..., Any], here: Path) -> None:
+    """Renaming a finished file onto /dev/null would put a file in its place."""
+    (here / "link.json").symlink_to("target.json")
+
+    assert run("scenes", "--json", "/dev/null").code == 0
+    assert run("scenes", "--json", "link.json").code == 0
+
+    assert not Path("/dev/null").is_file()
+    assert (here / "link.json").is_symlink()
+    assert (here / "target.json").read_bytes().startswith(b"[")
+
+
+def _assert_one_line(ended: Any, expected: list[str]) -> None:
+    assert ended.code == 2, ended
+    assert ended.out == ""
+    assert ended.err.startswith("mbds-xsim: ")
+    assert ended.err.count("\n") == 1, ended.err
+    for words in expected:
+        assert words in ended.err
