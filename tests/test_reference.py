@@ -21,11 +21,8 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import (
     Body,
     Clock,
-    ContactSphere,
-    Ground,
     Inertia,
     Joint,
-    Particle,
     Scene,
     SpringDamper,
 )
@@ -321,29 +318,6 @@ def test_together_or_alone_is_the_same() -> None:
     together = solve(scene, batch, cache=False)
     alone = solve(scene, batch[[1]], cache=False)
     np.testing.assert_allclose(together.position[1], alone.position[0], rtol=0, atol=1e-13)
-
-
-def falling_ball() -> Scene:
-    return Scene(
-        "ball",
-        (Body("ball", particles=(Particle((0.0, 0.0, 1.0)),)),),
-        1.0,
-        contacts=(ContactSphere("ball", (0.0, 0.0, 1.0), 0.1),),
-        ground=Ground(0.4, 0.9),
-        clock=Clock(0.02, 40),
-    )
-
-
-def test_contact_ends_a_trajectory() -> None:
-    result = run(falling_ball())
-    (failure,) = result.failures
-    frame = math.floor(math.sqrt(2 * 0.9 / 9.81) / 0.02) + 1
-    assert failure is not None
-    assert failure.frame == frame
-    assert "ground" in failure.reason
-    height = 1.0 - 0.5 * 9.81 * result.time[:frame] ** 2
-    np.testing.assert_allclose(result.position[0, :frame, 0, 2], height, rtol=0, atol=1e-12)
-    assert np.isnan(result.position[0, frame:]).all()
 
 
 def test_progress_reaches_the_end() -> None:

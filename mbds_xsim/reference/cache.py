@@ -30,7 +30,10 @@ __all__ = ["Arrays", "complete", "directory", "key_of", "load", "store"]
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[int, int], None]
 
-_PHYSICS = ("bodies", "joints", "distance_links", "springs", "gravity", "contacts", "length")
+_PHYSICS = (
+    "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
+    "dimension",
+)  # fmt: skip
 _CORE = ("mechanism.py", "rotation.py")
 
 

@@ -11,6 +11,8 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import cache as entries
+from mbds_xsim.reference.ball import has_only_balls
+from mbds_xsim.reference.bouncing import march_balls
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.marching import Inputs, Marched, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
@@ -37,8 +39,10 @@ def solve(
     """Integrate every trajectory of a batch to high accuracy.
 
     Rigid bodies in maximal coordinates, joints kept by constraints at acceleration level and a
-    projection at every frame. There is no contact: a trajectory ends, with a failure that says
-    so, in the frame in which a contact sphere reaches the ground.
+    projection at every frame. Free bodies with one contact sphere around their centre of mass
+    are followed through flight, impacts, sliding and rolling, exactly (`bouncing`). Any other
+    contact has no unique solution: there a trajectory ends, with a failure that says so, in the
+    frame in which a contact sphere reaches the ground.
 
     Args:
         scene: What to simulate.
@@ -91,8 +95,10 @@ def integrate(
     progress: Progress | None = None,
 ) -> Marched:
     """Integrate states under a batch's inputs with the method that suits the scene."""
-    dynamics = dynamics_of(Mechanism.of(scene))
-    inputs, frame = Inputs(batch.force, batch.torque), scene.clock.frame
+    mechanism, inputs = Mechanism.of(scene), Inputs(batch.force, batch.torque)
+    if scene.contacts and has_only_balls(mechanism):
+        return march_balls(mechanism, start, inputs, progress=progress)
+    dynamics, frame = dynamics_of(mechanism), scene.clock.frame
     method = march_stiff if is_stiff(dynamics, start, inputs, frame) else march
     return method(
         dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress

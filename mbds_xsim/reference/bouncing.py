@@ -1,0 +1,150 @@
+"""March balls through flight, impacts, sliding and rolling, from event to event.
+
+Frames only cut the motion where the inputs change. With restitution e < 1 the bounces of a ball
+end at a finite time, after infinitely many of them; they are followed until all that are left,
+lasting 2 v / (|a| (1 − e)) from the rebound v under the downward acceleration a, take less than
+1e-8 s. From there on the ball keeps contact. That moves it by less than a · (1e-8 s)², 1e-15 m.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.errors import InputError
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference.ball import Ball, Contact, Load, Motion, time_to_ground
+from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.even_ball import EvenBall
+from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.state import Failure
+
+__all__ = ["march_balls", "through_frame"]
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+_SHORTEST = 1e-8  # of what is left of the bounces [s]
+_TOUCHING = 1e-12  # gap and vertical velocity at the start that are none [m, m/s]
+_MOST_EVENTS = 20_000  # in a frame
+_EVEN = 1e-12
+
+
+def march_balls(
+    mechanism: Mechanism, start: Array, inputs: Inputs, *, progress: Progress | None = None
+) -> Marched:
+    """Solve a scene of balls exactly.
+
+    Args:
+        mechanism: One of which `has_only_balls` is true.
+        start: States as of `Dynamics`, shape (batch, body + world, 13).
+        inputs: What acts.
+        progress: Called with the frames that are done and all.
+
+    Raises:
+        InputError: A ball starts below the ground.
+    """
+    batch, frames = inputs.force.shape[:2]
+    states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
+    states[:, :, -1] = start[:, None, -1]
+    states[:, 0] = start
+    failures: list[Failure | None] = [None] * batch
+    for row in range(batch):
+        reached = [
+            _march_one(mechanism, body, states[row, :, body], inputs.force[row, :, body])
+            for body in range(mechanism.body_count)
+        ]
+        if min(reached) < frames:
+            failures[row] = Failure(min(reached) + 1, "too many impacts in a frame")
+            states[row, min(reached) + 1 :] = np.nan
+        if progress is not None:
+            progress(frames * (row + 1), frames * batch)
+    return Marched(states, failures)
+
+
+def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Motion | None:
+    """Follow a ball under a constant load; None where its impacts have no end."""
+    left = duration
+    for _ in range(_MOST_EVENTS):
+        if motion.gap == 0.0 and motion.climb == 0.0 and load.lift < 0.0:
+            used, motion = ball.keep_contact(motion, load, left)
+        else:
+            fall = time_to_ground(motion, load)
+            used = min(left, fall)
+            motion = ball.fly(motion, load, used)
+            if fall <= left:
+                motion = _settled(ball.hit(dataclasses.replace(motion, gap=0.0)), load, ball)
+        left -= used
+        if left <= 0.0:
+            return motion
+    return None
+
+
+def _settled(motion: Motion, load: Load, ball: Ball) -> Motion:
+    """Let a ball rest whose bounces are as good as over."""
+    last = 2.0 * motion.climb <= -load.lift * (1.0 - ball.contact.restitution) * _SHORTEST
+    return dataclasses.replace(motion, climb=0.0) if last else motion
+
+
+def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> int:
+    """Fill in the states of one body, shape (frame, 13); gives the last frame it reached."""
+    radius = float(mechanism.sphere_radius[list(mechanism.sphere_body).index(body)])
+    ball = _ball_of(mechanism, body, states[0], force, radius)
+    motion = _motion_of(mechanism, body, states[0], radius)
+    gravity, frame = np.array(mechanism.scene.gravity), mechanism.scene.clock.frame
+    for k, (x, y, z) in enumerate((gravity + force / mechanism.mass[body]).tolist()):
+        moved = through_frame(ball, motion, Load(complex(x, y), z), frame)
+        if moved is None:
+            return k
+        motion = moved
+        states[k + 1] = _state_of(motion, radius)
+    return len(force)
+
+
+def _ball_of(mechanism: Mechanism, body: int, state: Array, force: Array, radius: float) -> Ball:
+    ground = mechanism.scene.ground
+    assert ground is not None
+    mass = float(mechanism.mass[body])
+    contact = Contact(mass, radius, ground.friction, ground.restitution)
+    moments = dynamics_of(mechanism).topology.inertia_root[body] ** 2
+    if np.ptp(moments) <= _EVEN * moments.max():
+        return EvenBall(contact, float(moments.mean()))
+    turn = rotation.matrix(state[3:7])
+    inertia = turn @ np.diag(moments) @ turn.T
+    if _in_plane(mechanism, state, force, inertia):
+        return EvenBall(contact, float(inertia[1, 1]))
+    msg = "a ball with unequal moments of inertia must move in the x–z plane"
+    raise InputError(msg)
+
+
+def _in_plane(mechanism: Mechanism, state: Array, force: Array, inertia: Array) -> bool:
+    """Whether the motion stays in the x–z plane, with rotation about y only."""
+    across = [mechanism.scene.gravity[1], state[8], state[10], state[12], *force[:, 1]]
+    mixed = np.abs(inertia[1, ::2]).max() > _EVEN * inertia[1, 1]
+    return not (np.any(across) or mixed)
+
+
+def _motion_of(mechanism: Mechanism, body: int, state: Array, radius: float) -> Motion:
+    x, y, z = state[:3].tolist()
+    vx, vy, vz, wx, wy, wz = state[7:].tolist()
+    gap = z - radius
+    if gap < -_TOUCHING:
+        msg = (
+            f"body {mechanism.scene.bodies[body].name!r}: its contact sphere starts {-gap:.3g} m "
+            "below the ground; start it at z = its radius or higher"
+        )
+        raise InputError(msg)
+    if gap <= _TOUCHING:
+        gap, vz = 0.0, vz if abs(vz) > _TOUCHING else 0.0
+    return Motion(complex(x, y), gap, complex(vx, vy), vz, complex(wx, wy), wz, state[3:7])
+
+
+def _state_of(motion: Motion, radius: float) -> Array:
+    place, velocity, spin = motion.place, motion.velocity, motion.spin
+    moving = [velocity.real, velocity.imag, motion.climb, spin.real, spin.imag, motion.twist]
+    turn = motion.turn / np.linalg.norm(motion.turn)
+    return np.array([place.real, place.imag, motion.gap + radius, *turn, *moving])
