@@ -14,7 +14,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,12 +73,12 @@ def run_tasks(
     answers: list[Any] = [None] * len(tasks)
     waiting = list(range(len(tasks)))[::-1]
     running: list[_Process] = []
-    with tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder:
+    with tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder, _lifeline() as line:
         try:
             while waiting or running:
                 while waiting and len(running) < (workers or core_count()):
                     place = waiting.pop()
-                    running.append(_Process(place, tasks[place], Path(folder)))
+                    running.append(_Process(place, tasks[place], Path(folder), line))
                 for process in [process for process in running if process.ended()]:
                     running.remove(process)
                     answers[process.place] = process.answer()
@@ -97,10 +98,21 @@ def _run_here(place: int, task: Task, finished: Callable[[int, Any], None] | Non
     return answer
 
 
+@contextmanager
+def _lifeline() -> Iterator[int]:
+    """Give a pipe to read from that ends with this process, whatever ends it."""
+    reading, writing = os.pipe()
+    try:
+        yield reading
+    finally:
+        os.close(writing)
+        os.close(reading)
+
+
 class _Process:
     """One task under way."""
 
-    def __init__(self, place: int, task: Task, folder: Path) -> None:
+    def __init__(self, place: int, task: Task, folder: Path, lifeline: int) -> None:
         self.place = place
         self._task = task
         self._answer = folder / f"{place}.answer"
@@ -113,7 +125,7 @@ class _Process:
         with self._words.open("wb") as words:
             self._popen = subprocess.Popen(
                 [sys.executable, "-m", "mbds_xsim.worker", str(question), str(self._answer)],
-                stdin=subprocess.DEVNULL,
+                stdin=lifeline,
                 stdout=words,
                 stderr=words,
                 env=os.environ | threads,
@@ -134,10 +146,7 @@ class _Process:
         if not self._answer.exists():
             return Crash(self._last_words())
         kind, value = pickle.loads(self._answer.read_bytes())
-        if kind == "done":
-            return value
-        text = str(value).strip()
-        return Crash(text if kind == "input error" else text.splitlines()[-1], kind != "raised")
+        return value if kind == "done" else Crash(value, refused=kind == "input error")
 
     def _last_words(self) -> str:
         if self._timed_out:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import sys
+import threading
 import traceback
 from pathlib import Path
 
@@ -12,16 +13,24 @@ from mbds_xsim.errors import InputError
 
 
 def _main(task_path: Path, answer_path: Path) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     function, arguments = pickle.loads(task_path.read_bytes())
     try:
         answer: tuple[str, object] = ("done", function(*arguments))
     except InputError as error:
         answer = ("input error", str(error))
-    except Exception:
-        answer = ("raised", traceback.format_exc())
+    except Exception as error:
+        answer = ("raised", " ".join("".join(traceback.format_exception_only(error)).split()))
     partial = answer_path.with_suffix(".part")
     partial.write_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
     os.replace(partial, answer_path)
+
+
+def _end_with_parent() -> None:
+    """Standard input ends when the parent does, be it killed: no engine goes on for nobody."""
+    # Not sys.stdin, whose lock a waiting thread would hold when the interpreter shuts down.
+    os.read(0, 1)
+    os._exit(1)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -77,3 +80,43 @@ def test_no_workers_run_the_tasks_here_and_raise_their_errors() -> None:
     assert seen == [0, 1]
     with pytest.raises(ValueError, match="negative"):
         run_tasks([Task(math.factorial, (-1,))], workers=0)
+
+
+def test_an_error_of_many_lines_is_one_line() -> None:
+    (crash,) = run_tasks([Task(exec, ("raise RuntimeError('first\\nsecond')",))])
+
+    assert crash == Crash("RuntimeError: first second")
+
+
+def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
+    told = tmp_path / "number"
+    parent = subprocess.Popen([sys.executable, "-c", _PARENT.format(told=str(told))])
+    _wait(lambda: told.exists() and bool(told.read_text()))
+
+    parent.kill()
+    parent.wait()
+
+    _wait(lambda: not _alive(int(told.read_text())))
+
+
+_PARENT = """
+from mbds_xsim.isolate import Task, run_tasks
+code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+run_tasks([Task(exec, (code,))])
+"""
+
+
+def _wait(happened: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{process}/status")  # a dead one may wait for its new parent
+    return not (status.exists() and "State:\tZ" in status.read_text())
