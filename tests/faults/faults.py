@@ -18,7 +18,7 @@ from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene
 from mbds_xsim.state import Batch, Trajectory
 
 from .bench import ENGINES
-from .native import force_off_center, motors_left_on
+from .native import force_off_center, joint_damping, motors_left_on
 from .planting import Fault
 
 __all__ = ["FAULTS", "gravity", "heavier"]
@@ -190,6 +190,16 @@ FAULTS = (
         engines=("pybullet",),
         checks=("energy", *_CONSISTENCY),
         settings=_options(linear_damping=0.04, angular_damping=0.04),
+        odd=True,
+    ),
+    Fault(
+        name="joint damping of 0.01 N·m·s left in",
+        scene="3pendulum",
+        engines=("mujoco", "dart"),
+        checks=("energy", *_CONSISTENCY),
+        told="damping",
+        native=joint_damping,
+        odd=True,
     ),
     Fault(
         name="joint motors left on",
@@ -197,6 +207,7 @@ FAULTS = (
         engines=("pybullet",),
         checks=("energy", "error growth-weighted"),
         native=motors_left_on,
+        odd=True,
     ),
     Fault(
         name="default solref on the loops",
@@ -220,6 +231,7 @@ FAULTS = (
         checks=_CONSISTENCY,
         told="inertia [kg·m²] of rotor",
         model=_in_body("rotor", _swapped_axes),
+        odd=True,
     ),
     Fault(
         name="quaternion order swapped at the start",
@@ -228,6 +240,7 @@ FAULTS = (
         checks=("start",),
         told="start: orientation",
         inputs=_swapped_start,
+        odd=True,
     ),
     Fault(
         name="quaternion order swapped in the recording",
@@ -243,6 +256,7 @@ FAULTS = (
         checks=_CONSISTENCY,
         told="axis of shoulder",
         model=_flipped("shoulder"),
+        odd=True,
     ),
     Fault(
         name="frames half a step late",
@@ -274,6 +288,7 @@ FAULTS = (
         engines=ENGINES,
         checks=("error growth-weighted", *_CONSISTENCY),
         motion=_late(frames=0.5),
+        odd=True,
     ),
     Fault(
         name="force 5 cm off the centre of mass",
@@ -304,6 +319,7 @@ FAULTS = (
         checks=_CONSISTENCY,
         told="inertia [kg·m²] of link1",
         model=_free_particles,
+        odd=True,
     ),
     Fault(
         name="one particle 1 % heavier",

@@ -10,15 +10,27 @@ from unittest import mock
 
 import numpy as np
 
-__all__ = ["force_off_center", "motors_left_on"]
+__all__ = ["force_off_center", "joint_damping", "motors_left_on"]
 
 _OFFSET = [0.0, 0.0, 0.05]
 """[m]"""
+_DAMPING = 0.01
+"""[N·m·s]"""
+_DART_DAMPING = f"""
+for joint in joints.values():
+    for k in range(joint.getNumDofs()):
+        joint.setDampingCoefficient(k, {_DAMPING})
+"""
 
 
 def motors_left_on(_engine: str) -> AbstractContextManager[object]:
     """Leave PyBullet's joint motors as `createMultiBody` makes them."""
     return mock.patch.object(_adapter("_pybullet_model").Model, "_switch_motor_off")
+
+
+def joint_damping(engine: str) -> AbstractContextManager[object]:
+    """Let every joint of MuJoCo or DART have some damping, as their model files often do."""
+    return {"mujoco": _damped_mujoco, "dart": _damped_dart}[engine]()
 
 
 def force_off_center(engine: str) -> AbstractContextManager[object]:
@@ -63,6 +75,26 @@ def _exudyn() -> AbstractContextManager[object]:
                 yield line
 
     return mock.patch.object(bodies, "loads_listing", listed_beside)
+
+
+def _damped_mujoco() -> AbstractContextManager[object]:
+    adapter = _adapter("mujoco")
+    text = adapter.text
+
+    def text_with_damping(root: Any) -> Any:
+        for joint in root.iter("joint"):
+            joint.set("damping", str(_DAMPING))
+        return text(root)
+
+    return mock.patch.object(adapter, "text", text_with_damping)
+
+
+def _damped_dart() -> AbstractContextManager[object]:
+    adapter = _adapter("dart")
+    listing = adapter.build_listing
+    return mock.patch.object(
+        adapter, "build_listing", lambda *given: listing(*given) + _DART_DAMPING
+    )
 
 
 def _adapter(module: str) -> Any:

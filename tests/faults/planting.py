@@ -46,6 +46,8 @@ class Fault:
     """Those it is for: one of them must fail."""
     told: str = ""
     """How the line of the read-back that tells it begins; empty where no engine could know."""
+    odd: bool = False
+    """Large enough for the vote of the engines to name the one that has it."""
     unseen: Mapping[str, str] = field(default_factory=dict)
     """Engines in whose motion no check sees it, with the reason."""
     model: Callable[[Scene], Scene] = _same_model

@@ -1,0 +1,144 @@
+"""Write docs/faults.md: every planted fault, what catches it, and what nothing can.
+
+PYTHONPATH=tests python benchmarks/planted_faults.py > docs/faults.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from faults.bench import SCENES, checked
+from faults.faults import FAULTS
+from faults.planting import Fault
+from smallest_fault import table
+
+from mbds_xsim.result import EngineResult
+
+_HEAD = """\
+# Do the checks bite?
+
+<!-- Written by: PYTHONPATH=tests python benchmarks/planted_faults.py > docs/faults.md -->
+
+Faults are planted one at a time into one engine, as a user's mistake would be: in the scene, the
+settings or the inputs that reach the adapter, in the adapter itself, or in what it records. Then
+the scene is validated in all four engines. A fault counts as caught where that engine fails and
+the three others pass. This is judged on the motion alone, with the comparison of the native model
+with the scene (read-back) switched off; the last column says whether that tells the fault too.
+Without a fault all engines pass on these scenes. `tests/faults` repeats all of it in every test
+run, {clocks}.
+"""
+
+_SMALLEST = """
+## How small a fault is caught
+
+The smallest error, to a third, that fails `mbds-xsim validate SCENE --engines ENGINE`, again on
+the motion alone: one body too heavy by a share of its mass, or gravity too strong. It is found by
+`benchmarks/smallest_fault.py`. The comparison of runs at three steps with the reference is what
+sees errors so far below the budgets; how far depends on how exactly the engine's own error at
+these steps can be extrapolated.
+"""
+
+_NEVER = """
+## What is not caught
+
+{unseen}
+- Errors below the figures above.
+- A mistake in what all share: adapters and reference get masses, centres of mass, inertias and
+  anchors from one module, `mbds_xsim/mechanism.py`. If that is wrong, all agree on a wrong motion.
+  It is tested against closed forms instead (`tests/test_mechanism.py`).
+- A mistake in what a scene does not use: a flipped axis of a hinge that no torque drives, or an
+  inertia about an axis that nothing turns a body about. The motion does not depend on it. Reading
+  the native model back tells it all the same, where the engine can say what it holds.
+- Damping of PyBullet's links and its joint motors cannot be read back, as the engine does not tell
+  them; the motion shows both.
+"""
+
+
+@dataclass(frozen=True)
+class _Try:
+    engine: str
+    caught: bool
+    """On the motion alone, and no other engine failed."""
+    failed: frozenset[str]
+    odd: bool
+    told: bool
+
+
+def page() -> Iterator[str]:
+    """Give the page, line by line."""
+    tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
+    clocks = ", ".join(f"{frames} frames of {name}" for name, frames in SCENES.items())
+    yield _HEAD.format(clocks=f"on {clocks}")
+    yield from _count(tries)
+    yield ""
+    yield "| fault | scene | caught in | by | odd one out | read back |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for fault, results in tries.items():
+        yield _row(fault, results)
+    yield _SMALLEST
+    yield from table()
+    yield _NEVER.format(unseen="\n".join(_unseen(tries)))
+
+
+def _try(fault: Fault, engine: str) -> _Try:
+    motion = checked(fault.scene, fault, engine)
+    native = checked(fault.scene, fault, engine, readback=True)
+    bad = [row.engine for row in motion.engines if row.verdict == "fail"]
+    row = next(row for row in motion.engines if row.engine == engine)
+    return _Try(
+        engine,
+        bad == [engine],
+        frozenset(found.check for found in row.findings if not found.passed),
+        motion.odd_one_out == f"{engine} matched",
+        _is_told(next(row for row in native.engines if row.engine == engine)),
+    )
+
+
+def _is_told(row: EngineResult) -> bool:
+    return any(reason.startswith("read-back") for reason in row.reasons)
+
+
+def _count(tries: dict[Fault, list[_Try]]) -> Iterator[str]:
+    everything = [one for results in tries.values() for one in results]
+    caught = sum(one.caught for one in everything)
+    told = sum(one.told for one in everything)
+    whole = sum(all(one.caught for one in results) for results in tries.values())
+    either = sum(one.caught or one.told for one in everything)
+    yield (
+        f"**{caught} of {len(everything)}** plantings are caught on the motion alone, {whole} of "
+        f"{len(tries)} faults in every engine they were planted in; {told} are told by reading "
+        f"the model back, and {either} by one or the other."
+    )
+
+
+def _row(fault: Fault, results: list[_Try]) -> str:
+    caught = [one for one in results if one.caught]
+    engines = ", ".join(one.engine for one in caught) or "none"
+    if caught and len(caught) < len(results):
+        engines += f" ({len(caught)} of {len(results)})"
+    always = frozenset.intersection(*(one.failed for one in caught)) if caught else frozenset()
+    return (
+        f"| {fault.name} | {fault.scene} | {engines} | {', '.join(sorted(always)) or '–'} "
+        f"| {_share([one.odd for one in results])} | {_share([one.told for one in results])} |"
+    )
+
+
+def _share(marks: list[bool]) -> str:
+    return f"{sum(marks)} of {len(marks)}" if any(marks) else "–"
+
+
+def _unseen(tries: dict[Fault, list[_Try]]) -> Iterator[str]:
+    for fault, results in tries.items():
+        reasons: dict[str, list[str]] = {}
+        for one in results:
+            if not one.caught:
+                reason = fault.unseen.get(one.engine, "no reason is known")
+                reasons.setdefault(reason, []).append(one.engine)
+        for reason, engines in reasons.items():
+            yield f"- {fault.name.capitalize()}, in {', '.join(engines)}: {reason}."
+
+
+if __name__ == "__main__":
+    for line in page():
+        print(line, flush=True)
