@@ -229,8 +229,8 @@ FAULTS = (
         scene="workbench",
         engines=("mujoco", "pybullet", "dart"),
         checks=_CONSISTENCY,
-        told="inertia [kg·m²] of rotor",
-        model=_in_body("rotor", _swapped_axes),
+        told="inertia [kg·m²] of forearm",
+        model=_in_body("forearm", _swapped_axes),
         odd=True,
     ),
     Fault(
