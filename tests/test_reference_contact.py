@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.reference import solve
+from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import (
@@ -335,6 +335,26 @@ def test_frames_only_cut_the_motion(name: str) -> None:
         )
 
 
+def test_growth_of_a_ball_is_that_of_the_closed_form() -> None:
+    """Rolling, the distance of two balls grows by the difference of (5 v₀ + 2 ω₀ r) / 7."""
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, [0, 3, 6], noise=False)
+    growth = sensitivity(scene, batch, cache=False)
+    assert np.isfinite(growth).all()
+    np.testing.assert_allclose(growth[:, 0], 1.0, rtol=0, atol=1e-6)
+    late = growth[:, 150:]
+    # Signed: once apart in one direction they stay so.
+    np.testing.assert_allclose(np.diff(late, 2, axis=1), 0.0, rtol=0, atol=1e-5)
+    assert (np.diff(late, axis=1) > 1e-3 * scene.clock.frame).all()
+
+
+def test_growth_in_the_plane() -> None:
+    scene = load_scene("balldrop")
+    growth = sensitivity(scene, draw_batch(scene, range(3)), cache=False)
+    assert np.isfinite(growth).all()
+    assert 1.0 < growth.max() < 100.0
+
+
 def test_planar_scenes_stay_planar() -> None:
     scene = load_scene("balldrop")
     result = solve(scene, draw_batch(scene, range(3)), cache=False)
@@ -361,7 +381,7 @@ def test_several_balls_do_not_mind_each_other() -> None:
 
 
 def test_start_in_the_ground() -> None:
-    with pytest.raises(InputError, match=r"starts 0\.01 m below the ground"):
+    with pytest.raises(InputError, match=r"'ball' starts 0\.01 m below the ground"):
         run(ball(height=-0.01))
 
 

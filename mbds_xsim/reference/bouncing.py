@@ -20,6 +20,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference.ball import Ball, Contact, Load, Motion, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
+from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.state import Failure
 
@@ -29,7 +30,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _SHORTEST = 1e-8  # of what is left of the bounces [s]
-_TOUCHING = 1e-12  # gap and vertical velocity at the start that are none [m, m/s]
 _MOST_EVENTS = 20_000  # in a frame
 _EVEN = 1e-12
 
@@ -44,9 +44,6 @@ def march_balls(
         start: States as of `Dynamics`, shape (batch, body + world, 13).
         inputs: What acts.
         progress: Called with the frames that are done and all.
-
-    Raises:
-        InputError: A ball starts below the ground.
     """
     batch, frames = inputs.force.shape[:2]
     states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
@@ -94,7 +91,7 @@ def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> 
     """Fill in the states of one body, shape (frame, 13); gives the last frame it reached."""
     radius = float(mechanism.sphere_radius[list(mechanism.sphere_body).index(body)])
     ball = _ball_of(mechanism, body, states[0], force, radius)
-    motion = _motion_of(mechanism, body, states[0], radius)
+    motion = _motion_of(states[0], radius)
     gravity, frame = np.array(mechanism.scene.gravity), mechanism.scene.clock.frame
     for k, (x, y, z) in enumerate((gravity + force / mechanism.mass[body]).tolist()):
         moved = through_frame(ball, motion, Load(complex(x, y), z), frame)
@@ -128,18 +125,12 @@ def _in_plane(mechanism: Mechanism, state: Array, force: Array, inertia: Array) 
     return not (np.any(across) or mixed)
 
 
-def _motion_of(mechanism: Mechanism, body: int, state: Array, radius: float) -> Motion:
+def _motion_of(state: Array, radius: float) -> Motion:
     x, y, z = state[:3].tolist()
     vx, vy, vz, wx, wy, wz = state[7:].tolist()
     gap = z - radius
-    if gap < -_TOUCHING:
-        msg = (
-            f"body {mechanism.scene.bodies[body].name!r}: its contact sphere starts {-gap:.3g} m "
-            "below the ground; start it at z = its radius or higher"
-        )
-        raise InputError(msg)
-    if gap <= _TOUCHING:
-        gap, vz = 0.0, vz if abs(vz) > _TOUCHING else 0.0
+    if gap <= TOUCHING:
+        gap, vz = 0.0, vz if abs(vz) > TOUCHING else 0.0
     return Motion(complex(x, y), gap, complex(vx, vy), vz, complex(wx, wy), wz, state[3:7])
 
 

@@ -137,12 +137,16 @@ class Dynamics:
         """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.constraints`."""
         return self._rows(self._motion(state)).residual
 
-    def touches(self, state: Array) -> NDArray[np.bool_]:
-        """Whether a contact sphere reaches the plane z = 0, shape (batch,)."""
+    def heights(self, state: Array) -> tuple[Array, Array]:
+        """Gaps between contact spheres and the plane z = 0 [m] and their rates [m/s].
+
+        Each has the shape (batch, sphere).
+        """
         top = self.topology
-        down = rotation.rotate(state[:, top.sphere_body, _Q], top.sphere)[..., 2]
-        height = state[:, top.sphere_body, 2] + down - top.sphere_radius
-        return np.asarray((height <= 0.0).any(axis=1))
+        carrier = state[:, top.sphere_body]
+        arm = rotation.rotate(carrier[..., _Q], top.sphere)
+        height = carrier[..., 2] + arm[..., 2] - top.sphere_radius
+        return height, carrier[..., 9] + _cross(carrier[..., _W], arm)[..., 2]
 
     def _closed(self, state: Array) -> Array:
         motion = self._motion(state)

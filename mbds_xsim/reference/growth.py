@@ -11,6 +11,7 @@ from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
+from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.solution import checked_tolerance, integrate, start_states
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
@@ -37,8 +38,9 @@ def sensitivity(
     """Measure the growth factor G: RMS particle distance of two runs over that at the start.
 
     The second start is displaced by 1e-8 m, and its velocities are changed by 1e-8 m/s, in random
-    directions that the joints allow, always the same for a trajectory. Both runs share their
-    steps, so that numerical errors cancel in their distance and a loose tolerance is enough.
+    directions that the joints, the ground and the scene's dimension allow, always the same for a
+    trajectory. Both runs share their steps, so that numerical errors cancel in their distance and
+    a loose tolerance is enough.
 
     Args:
         scene: What to simulate.
@@ -48,8 +50,8 @@ def sensitivity(
         progress: Called now and then with the number of frames done and of all frames.
 
     Returns:
-        G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on in which a contact sphere
-        reaches the ground.
+        G, shape (trajectory, frame), 1 at frame 0; NaN from the frame on at which the solution of
+        either of the two ends.
 
     Raises:
         InputError: The tolerance is out of range.
@@ -87,7 +89,8 @@ def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
     """Move one state, shape (body + world, 13), as its joints allow."""
     dynamics = dynamics_of(mechanism)
     rng = np.random.default_rng(np.random.SeedSequence([_SEED, index]))
-    shift, rate = (_allowed_twist(mechanism, dynamics, state, rng) for _ in range(2))
+    free = _free_components(mechanism, dynamics, state)
+    shift, rate = (_allowed_twist(mechanism, dynamics, state, free, rng) for _ in range(2))
     moved = state.copy()
     moved[:, :3] += shift[:, :3]
     moved[:, 3:7] = rotation.multiply(rotation.from_vector(shift[:, 3:]), state[:, 3:7])
@@ -95,12 +98,28 @@ def _perturbed(mechanism: Mechanism, state: Array, index: int) -> Array:
     return np.asarray(dynamics.project(moved[None])[0])
 
 
+def _free_components(mechanism: Mechanism, dynamics: Dynamics, state: Array) -> Array:
+    """1 where a body may move or turn, else 0, shape (body, 6)."""
+    free = np.ones((mechanism.body_count, 6))
+    if mechanism.scene.dimension < 3:
+        free[:, [1, 3, 5]] = 0.0
+    if mechanism.scene.dimension < 2:
+        free[:, 2] = 0.0
+    height, _ = dynamics.heights(state[None])
+    free[mechanism.sphere_body[height[0] <= TOUCHING], 2] = 0.0
+    return free
+
+
 def _allowed_twist(
-    mechanism: Mechanism, dynamics: Dynamics, state: Array, rng: np.random.Generator
+    mechanism: Mechanism,
+    dynamics: Dynamics,
+    state: Array,
+    free: Array,
+    rng: np.random.Generator,
 ) -> Array:
     """Random twists, shape (body + world, 6), under which the markers move by 1e-8 m (RMS)."""
     trial = state.copy()
-    trial[:-1, 7:] = rng.standard_normal((len(state) - 1, 6))
+    trial[:-1, 7:] = free * rng.standard_normal(free.shape)
     trial[:-1, 10:] /= mechanism.scene.length
     trial = dynamics.project(trial[None])[0]
     bodies = dynamics.unpack(trial)

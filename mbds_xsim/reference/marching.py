@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
 from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.state import Failure
 
 __all__ = ["Inputs", "Marched", "march"]
@@ -92,11 +93,14 @@ class _March:
         self.left = np.full(batch, frame)
         self.step = np.full(batch, _FIRST_STEP * frame)
         self.rate = self._derivative(self.y, self._forces(slice(None)))
+        self._end_at_impact(np.where(resting(*dynamics.heights(self.y)), 0.0, np.nan))
 
     def run(self, progress: Progress | None) -> Marched:
         while len(self.row):
+            under_way = len(self.row)
             self._advance()
-            if self._finish_frames() and progress is not None:
+            moved = self._finish_frames() or len(self.row) < under_way
+            if moved and progress is not None:
                 progress(int(np.sum(self.at)) + self._retired(), self.frames * len(self.states))
         return Marched(self.states, self.failures)
 
@@ -120,11 +124,43 @@ class _March:
         ratio = error_ratio(stages, h, allowed).reshape(-1, self.companions).max(axis=1)
         ratio = np.repeat(ratio, self.companions)
         good = ratio <= 1.0
+        impact = self._impacts(new, forces, h, good)
         self.y[good], self.rate[good] = new[good], stages[-1][good]
         self.left[good] = np.where(h >= self.left, 0.0, self.left - h)[good]
         self.step = next_step(h, ratio)
-        self._end(self.step < _SMALLEST_STEP * self.frame, "the solution cannot be continued")
-        self._end(self.dynamics.touches(self.y), "a contact sphere reaches the ground")
+        self._end_at_impact(impact)
+        self._end(self.step < _SMALLEST_STEP * self.frame, self._stuck)
+
+    def _impacts(
+        self, new: Array, forces: tuple[Array, Array], h: Array, good: NDArray[np.bool_]
+    ) -> Array:
+        """When a contact sphere reaches the ground in a good step; NaN where none does."""
+        times = np.full(len(new), np.nan)
+        if not len(self.dynamics.topology.sphere_body):
+            return times
+        places = dips(self.dynamics.heights(self.y), self.dynamics.heights(new), h)
+        for row in np.flatnonzero(good & np.isfinite(places).any(axis=1)).tolist():
+            share = first_touch(self._lowest(row, forces, h), places[row])
+            if share is not None:
+                passed = self.frame - self.left[row] + share * h[row]
+                times[row] = self.at[row] * self.frame + passed
+        return times
+
+    def _lowest(self, row: int, forces: tuple[Array, Array], h: Array) -> Callable[[float], float]:
+        """Height of the lowest sphere after a share of a row's step."""
+        pick = slice(row, row + 1)
+        load = tuple(part[pick] for part in forces)
+
+        def height(share: float) -> float:
+            new, _ = try_step(
+                lambda y: self.dynamics.derivative(y, *load),
+                self.y[pick],
+                self.rate[pick],
+                share * h[pick],
+            )
+            return float(self.dynamics.heights(new)[0].min())
+
+        return height
 
     def _finish_frames(self) -> bool:
         """Project and record the states at the end of a frame and give them their new inputs."""
@@ -143,12 +179,21 @@ class _March:
             self._keep(under_way)
         return True
 
-    def _end(self, ended: NDArray[np.bool_], reason: str) -> None:
+    def _end_at_impact(self, time: Array) -> None:
+        """Stop the states that have an impact, and their companions, in the frame they are in."""
+        first = np.fmin.reduce(time.reshape(-1, self.companions), axis=1)
+        time = np.repeat(first, self.companions)
+        self._end(np.isfinite(time), lambda k: FirstImpact.at(int(self.at[k]) + 1, float(time[k])))
+
+    def _end(self, ended: NDArray[np.bool_], failure: Callable[[int], Failure]) -> None:
         """Stop some states before the end of the frame they are in."""
         if ended.any():
-            for row, at in zip(self.row[ended], self.at[ended], strict=True):
-                self.failures[row] = Failure(int(at) + 1, reason)
+            for k in np.flatnonzero(ended).tolist():
+                self.failures[self.row[k]] = failure(k)
             self._keep(~ended)
+
+    def _stuck(self, k: int) -> Failure:
+        return Failure(int(self.at[k]) + 1, "the solution cannot be continued")
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
         for key in ("row", "y", "at", "left", "step", "rate"):

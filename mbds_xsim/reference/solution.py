@@ -14,6 +14,7 @@ from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.reference.bouncing import march_balls
 from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.first_impact import FirstImpact
 from mbds_xsim.reference.marching import Inputs, Marched, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene import Scene
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _TOGETHER = 16  # trajectories; more do not get cheaper
+_SUNK = 1e-9  # what rounding may do to a start on the ground [m]
 _TIGHTEST, _LOOSEST = 1e-14, 1e-3
 
 
@@ -41,8 +43,8 @@ def solve(
     Rigid bodies in maximal coordinates, joints kept by constraints at acceleration level and a
     projection at every frame. Free bodies with one contact sphere around their centre of mass
     are followed through flight, impacts, sliding and rolling, exactly (`bouncing`). Any other
-    contact has no unique solution: there a trajectory ends, with a failure that says so, in the
-    frame in which a contact sphere reaches the ground.
+    contact has no unique solution: there a trajectory ends, with a `FirstImpact` in place of a
+    failure, when a contact sphere first reaches the ground; its later frames are NaN.
 
     Args:
         scene: What to simulate.
@@ -52,12 +54,13 @@ def solve(
         progress: Called now and then with the number of frames done and of all frames.
 
     Raises:
-        InputError: The tolerance is out of range.
+        InputError: The tolerance is out of range, or a contact sphere starts in the ground.
     """
     rtol = checked_tolerance(rtol)
 
     def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
         start = start_states(Mechanism.of(scene), batch[rows])
+        _check_above_ground(Mechanism.of(scene), start)
         marched = integrate(scene, start, batch[rows], rtol, progress=report)
         return [
             {"states": states, "failure": _encoded(failure)}
@@ -76,6 +79,18 @@ def checked_tolerance(rtol: float) -> float:
         msg = f"rtol: got {rtol}, allowed is {_TIGHTEST:.0e} to {_LOOSEST:.0e}"
         raise InputError(msg)
     return rtol
+
+
+def _check_above_ground(mechanism: Mechanism, start: Array) -> None:
+    height, _ = dynamics_of(mechanism).heights(start)
+    if height.size and height.min() < -_SUNK:
+        sphere = int(height.min(axis=0).argmin())
+        body = mechanism.scene.bodies[mechanism.sphere_body[sphere]].name
+        msg = (
+            f"contacts[{sphere}] on {body!r} starts {-height.min():.3g} m below the ground z = 0; "
+            "start it with its centre at its radius or higher"
+        )
+        raise InputError(msg)
 
 
 def start_states(mechanism: Mechanism, batch: Batch) -> Array:
@@ -125,8 +140,14 @@ def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Traj
 
 
 def _encoded(failure: Failure | None) -> NDArray[np.str_]:
-    return np.array([] if failure is None else [str(failure.frame), failure.reason], dtype=np.str_)
+    text = [] if failure is None else [str(failure.frame), failure.reason]
+    if isinstance(failure, FirstImpact):
+        text.append(repr(failure.time))
+    return np.array(text, dtype=np.str_)
 
 
 def _decoded(text: NDArray[np.str_]) -> Failure | None:
-    return Failure(int(text[0]), str(text[1])) if len(text) else None
+    if not len(text):
+        return None
+    frame, reason, *time = map(str, text)
+    return FirstImpact(int(frame), reason, float(time[0])) if time else Failure(int(frame), reason)

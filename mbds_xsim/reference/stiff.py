@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.integrate import Radau
 
 from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.state import Failure
 
@@ -52,27 +53,35 @@ def march_stiff(
     for first in range(0, batch, companions):
         rows = slice(first, first + companions)
         state, step = dynamics.project(start[rows]), _FIRST_STEP * frame
+        if resting(*dynamics.heights(state)).any():
+            failures[rows] = [FirstImpact.at(1, 0.0)] * companions
+            continue
         for k in range(frames):
             rate = _Rate(dynamics, inputs.force[rows, k], inputs.torque[rows, k])
             ended, step = _through_frame(rate, state, min(step, frame), frame, rtol)
-            reason = "the solution cannot be continued"
-            if ended is not None:
-                state = dynamics.project(ended)
-                states[rows, k + 1] = state
-                reason = "a contact sphere reaches the ground"
-            if ended is None or dynamics.touches(state).any():
-                states[rows, k + 1] = np.nan
-                failures[rows] = [Failure(k + 1, reason)] * companions
+            if not isinstance(ended, np.ndarray):
+                failures[rows] = [_failure(k, ended, frame)] * companions
                 break
+            state = dynamics.project(ended)
+            states[rows, k + 1] = state
             if progress is not None:
                 progress(first * frames + companions * (k + 1), batch * frames)
     return Marched(states, failures)
 
 
+def _failure(k: int, impact: float | None, frame: float) -> Failure:
+    if impact is None:
+        return Failure(k + 1, "the solution cannot be continued")
+    return FirstImpact.at(k + 1, k * frame + impact)
+
+
 def _through_frame(
     rate: _Rate, state: Array, step: float, frame: float, rtol: float
-) -> tuple[Array | None, float]:
-    """States at the end of a frame, None where it is not reached, and the last free step."""
+) -> tuple[Array | float | None, float]:
+    """States at the end of a frame, and the last free step.
+
+    In place of the states the time of an impact, or None where the end is not reached.
+    """
     # Radau's estimate is of order 3 only; so it is asked for less (Hairer and Wanner, Solving
     # Ordinary Differential Equations II, 1996, section IV.8: the transformation of radau5).
     loose = 0.1 * rtol ** (2.0 / 3.0)
@@ -90,7 +99,24 @@ def _through_frame(
         solver.step()
         # `h_abs` is what the error suggests next; the frame's end does not cut it short.
         step = float(solver.h_abs)
+        impact = _impact(rate, solver) if solver.status != "failed" else None
+        if impact is not None:
+            return impact, step
     return (solver.y.reshape(state.shape) if solver.status == "finished" else None), step
+
+
+def _impact(rate: _Rate, solver: Radau) -> float | None:
+    """Time in the frame at which a contact sphere reached the ground in the last step."""
+    if not len(rate.dynamics.topology.sphere_body):
+        return None
+    path, begin, span = solver.dense_output(), solver.t_old, solver.t - solver.t_old
+
+    def heights(share: float) -> tuple[Array, Array]:
+        return rate.dynamics.heights(path(begin + share * span).reshape(rate.shape))
+
+    places = dips(heights(0.0), heights(1.0), np.full(rate.shape[0], span))
+    share = first_touch(lambda at: float(heights(at)[0].min()), places.reshape(-1))
+    return None if share is None else float(begin + share * span)
 
 
 class _Rate:
