@@ -46,7 +46,8 @@ class Extrapolation:
     """Observed order of convergence up to each frame; NaN with two runs, or where the runs agree
     to the resolution; shape (trajectory, frame)."""
     asymptotic: Mask
-    """Where the observed order is the declared one and the uncertainty holds, same shape."""
+    """Where the observed order is the declared one or higher, so that the uncertainty holds, same
+    shape."""
 
 
 def consistency(
@@ -103,8 +104,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
 
     With three runs there are two extrapolations. Their difference is at least three times the
     error of the finer one, because what the extrapolation leaves falls at least with the square
-    of the step. With two runs nothing tells how good the extrapolation is, and all that it moves
-    is taken for uncertain.
+    of the step. Where the runs converge faster than declared, the finest is nearer to the limit
+    than the extrapolation moves it, so that all of the move is taken for uncertain; and so it is
+    with two runs, where nothing tells how good the extrapolation is.
 
     Args:
         runs: Shape (trajectory, frame, component) each, coarsest first.
@@ -128,8 +130,10 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
     settled = gain * sizes[0] <= floor
     with np.errstate(divide="ignore", invalid="ignore"):
         observed = np.where(settled, np.nan, np.log2(sizes[0] / sizes[1]))
-    asymptotic = settled | (np.abs(observed - order) <= _ORDER_OFF)
-    return Extrapolation(limit, _SAFETY * apart / 3.0 + floor, observed, asymptotic)
+    faster = observed > order + _ORDER_OFF
+    unsure = np.where(faster, sizes[1], _SAFETY * apart / 3.0)
+    asymptotic = settled | (observed >= order - _ORDER_OFF)
+    return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
 
 def _compare(
@@ -179,5 +183,5 @@ def _span(judged: Mask, observed: Array, frame: float) -> str:
     if not len(frames):
         seen = observed[np.isfinite(observed)]
         typical = f"order {np.median(seen):.2f}" if len(seen) else "no order"
-        return f"{typical} observed, nowhere the declared one"
+        return f"{typical} observed, nowhere as high as declared"
     return f"judged from {frames[0] * frame:.2f} to {frames[-1] * frame:.2f} s"

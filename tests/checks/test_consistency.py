@@ -145,6 +145,35 @@ def test_the_limit_of_a_series_in_the_step_is_found_within_its_uncertainty() -> 
     assert found.order[0, 0] == pytest.approx(1.0, abs=0.05)
 
 
+def test_faster_convergence_than_declared_is_no_fault() -> None:
+    """Values 1 + h³ declared of order 2: extrapolation goes past the limit, and is known to."""
+
+    def at(h: float) -> NDArray[np.float64]:
+        return np.full((1, 1, 1), 1.0 + h**3)
+
+    found = extrapolate([at(0.1), at(0.05), at(0.025)], 2, np.full((1, 1), 1e-12))
+    assert found.asymptotic.all()
+    assert found.order[0, 0] == pytest.approx(3.0)
+    error = abs(found.limit[0, 0, 0] - 1.0)
+    assert 0.3 * found.uncertainty[0, 0] < error < found.uncertainty[0, 0]
+
+
+def test_a_wrong_model_shows_though_it_converges_faster_than_declared(
+    pendulum: Any, runs: Any
+) -> None:
+    declared = METHODS["euler_reduced"][0]
+    for change, passes in ((_same, True), (_lighter, False)):
+        for finding in consistency(
+            pendulum.scene,
+            pendulum.batch,
+            runs("midpoint", change),
+            pendulum.exact,
+            declared,
+            resolution=1e-8,
+        ):
+            assert (finding.passed == passes).all()
+
+
 def test_one_run_cannot_be_extrapolated() -> None:
     with pytest.raises(InputError, match="allowed are 2 or 3"):
         extrapolate([np.zeros((1, 1, 1))], 1, np.zeros((1, 1)))
