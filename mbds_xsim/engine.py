@@ -160,6 +160,9 @@ class Readback:
     loop joint has no native counterpart."""
     damping: Array | None
     """Every damping coefficient the engine reports; all must be 0, shape (any,)."""
+    contact: Array | None = None
+    """Radius [m], friction and restitution of each contact sphere on the ground, in scene order;
+    NaN where the engine has no such coefficient. Shape (sphere, 3)."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ __all__ = ["compare"]
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-9
+_PAIR = ("radius of contact [m]", "friction", "restitution")
 
 
 def compare(
@@ -49,7 +50,7 @@ def compare(
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
     if readback.damping is not None and np.any(readback.damping):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
-    return lines + _axis_differences(mechanism, batch, readback)
+    return lines + _axis_differences(mechanism, batch, readback) + _contact(mechanism, readback)
 
 
 def _spin(batch: Batch) -> Array:
@@ -73,6 +74,23 @@ def _differences(what: str, got: Array, wanted: Array, scale: float, names: list
         f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
         f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= _TOLERANCE))} differ)"
     ]
+
+
+def _contact(mechanism: Mechanism, readback: Readback) -> list[str]:
+    ground, got = mechanism.scene.ground, readback.contact
+    if got is None or ground is None:
+        return []
+    spheres = mechanism.scene.contacts
+    if got.shape != (len(spheres), 3):
+        return [f"contact: got shape {got.shape}, the scene has {len(spheres)} spheres"]
+    pair = [(sphere.radius, ground.friction, ground.restitution) for sphere in spheres]
+    names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(spheres)]
+    lines = []
+    for what, column, wanted in zip(_PAIR, got.T, np.array(pair).T, strict=True):
+        told = np.where(np.isnan(column), wanted, column)
+        scale = float(wanted.max()) or 1.0
+        lines += _differences(what, told[:, None], wanted[:, None], scale, names)
+    return lines
 
 
 def _axis_differences(mechanism: Mechanism, batch: Batch, readback: Readback) -> list[str]:
