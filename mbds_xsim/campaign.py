@@ -19,6 +19,7 @@ from mbds_xsim.engine import Adapter, Profile, Settings
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
+from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Trajectory
@@ -263,9 +264,11 @@ def _store_step(outcome: Outcome, step: float) -> Callable[[Any], None]:
 
 def _reference(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
     begin = time.perf_counter()
+    keys = [key_of("solve", scene, batch, row, _RTOL) for row in range(len(batch))]
+    kept = sum(load(key) is not None for key in keys) if cache else 0
     trajectory = reference.solve(scene, batch, rtol=_RTOL, cache=cache)
     growth = reference.sensitivity(scene, batch, cache=cache)
-    return ReferenceOutcome(trajectory, growth, _RTOL, 0, time.perf_counter() - begin)
+    return ReferenceOutcome(trajectory, growth, _RTOL, kept, time.perf_counter() - begin)
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:

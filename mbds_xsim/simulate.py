@@ -44,6 +44,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
         start = time.perf_counter()
         trajectory = run.rollout(batch)
         end = time.perf_counter()
+        _check_shape(engine, trajectory, batch)
         return Simulation(
             engine=engine,
             version=adapter.version(),
@@ -54,3 +55,11 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
             setup_s=loaded - begin,
             rollout_s=end - start,
         )
+
+
+def _check_shape(engine: str, trajectory: Trajectory, batch: Batch) -> None:
+    """Refuse what would not fit beside the other engines' trajectories."""
+    expected = (len(batch), batch.steps + 1, *batch.position.shape[1:])
+    if trajectory.position.shape != expected:
+        msg = f"{engine} gave positions of shape {trajectory.position.shape}, not {expected}"
+        raise ValueError(msg)

@@ -1,0 +1,184 @@
+"""The main command from words to table, JSON and page."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.result import SCHEMA, Validation
+
+CommandLine = Callable[..., Any]
+
+
+@pytest.mark.slow
+def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) -> None:
+    ended = program("validate", "2pendulum", "--json", "new/v.json", "--html", "new/v.html")
+
+    told = _decoded((here / "new/v.json").read_text())
+    page = (here / "new/v.html").read_text()
+    assert ended.code == (1 if told.verdict == "fail" else 0), ended.err
+    assert ended.err == ""
+    assert [row.engine for row in told.engines] == registry.engine_names()
+    assert told.command == "mbds-xsim validate 2pendulum --json new/v.json --html new/v.html"
+    for row in told.engines:
+        assert row.failures == ()
+        assert row.error_1s_m is not None
+        assert row.error_1s_m < 1e-3
+        assert row.version in page
+        assert row.engine in ended.out
+    assert told.verdict.upper() in ended.out
+    assert sorted(os.listdir(here / "new")) == ["v.html", "v.json"]
+
+
+_BOB = """
+name = "bob"
+length = 0.5
+noise = 0.1
+clock = { steps = 60 }
+[[bodies]]
+name = "bob"
+particles = [{ position = [0.3, 0.0, -0.4] }]
+[[joints]]
+name = "pivot"
+kind = "ball"
+parent = "world"
+child = "bob"
+anchor = [0, 0, 0]
+"""
+
+
+@pytest.fixture
+def validate(run: CommandLine, in_process: None, here: Path) -> Callable[..., Validation]:
+    """Give what `validate` says in JSON of a bob on a string, with more words."""
+    del in_process
+    (here / "bob.toml").write_text(_BOB)
+
+    def call(*words: str) -> Validation:
+        ended = run("validate", "bob.toml", "--json", "-", *words)
+        told = _decoded(ended.out)
+        assert ended.code == (1 if told.verdict == "fail" else 0)
+        assert f"{told.verdict.upper()} " in ended.err
+        return told
+
+    return call
+
+
+def test_both_profiles_stand_side_by_side(validate: Callable[..., Validation]) -> None:
+    told = validate("--engines", "mujoco, dart", "--settings", "matched,native")
+
+    rows = [(row.engine, row.profile) for row in told.engines]
+    assert sorted(rows) == [(e, p) for e in ("dart", "mujoco") for p in ("matched", "native")]
+    assert len({row.engine: 0 for row in told.engines}) == 2
+    assert told.names == (*(f"{e} {p}" for e, p in rows), "reference")
+    assert len(told.matrix_m) == 5
+
+
+def test_method_and_step_are_those_asked_for(validate: Callable[..., Validation]) -> None:
+    (row,) = validate("--engines", "mujoco", "--method", "Euler", "--step", "0.0005").engines
+
+    assert (row.method, row.order, row.step_s) == ("Euler", 1, 0.0005)
+
+
+def test_seed_noise_and_trajectories_change_what_is_drawn(
+    validate: Callable[..., Validation],
+) -> None:
+    def error(*words: str) -> float | None:
+        return validate("--engines", "mujoco", *words).engines[0].error_max_m
+
+    plain = error()
+    assert error() == plain
+    assert error("--no-noise") != plain
+    assert error("--seed", "1") != plain
+    assert error("--no-inputs") == plain  # a bob has no drawn inputs
+    told = validate("--engines", "mujoco", "--trajectories", "2", "--seed", str(10**30))
+    assert told.trajectories == (0, 1, 2, 3, 4, 5)
+    assert told.seed == 10**30
+
+
+def test_a_stored_reference_is_used_unless_told_otherwise(
+    validate: Callable[..., Validation],
+) -> None:
+    def cached(*words: str) -> int:
+        reference = validate("--engines", "mujoco", *words).reference
+        assert reference is not None
+        return reference.cached
+
+    assert cached("--no-cache") == 0
+    assert cached() == 0
+    assert cached() == 3
+    assert cached("--no-cache") == 0
+
+
+def test_an_engine_that_misses_a_budget_is_exit_code_1(
+    validate: Callable[..., Validation], here: Path
+) -> None:
+    (here / "bob.toml").write_text(f"{_BOB}\n[budget]\nerror_1s = 1e-15\n")
+
+    told = validate("--engines", "mujoco")
+
+    assert told.verdict == "fail"
+    assert any(reason.startswith("error at 1 s: ") for reason in told.engines[0].reasons)
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=lambda by: by.name)
+def test_an_interrupted_run_leaves_nothing_behind(
+    by: signal.Signals, here: Path, tmp_path: Path
+) -> None:
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    words = ["validate", "3ladder", "--no-cache", "--json", "v.json", "--html", "v.html"]
+    running = subprocess.Popen(
+        ["mbds-xsim", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(scratch)},
+        start_new_session=True,
+    )
+    _wait(lambda: any(scratch.glob("mbds-xsim-*/*.log")))
+
+    running.send_signal(by)
+    out, err = running.communicate(timeout=30)
+
+    assert (running.returncode, out, err) == (130, "", "mbds-xsim: interrupted\n")
+    assert list(here.iterdir()) == []
+    assert list(scratch.iterdir()) == []
+    _wait(lambda: not _living(running.pid))
+
+
+def _living(session: int) -> list[Path]:
+    """Processes of a session; one that is dead may wait for its parent to notice."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, own_session = status.read_text().rpartition(")")[2].split()[:4]
+            if own_session == str(session) and state != "Z":
+                found.append(status)
+    return found
+
+
+def _wait(happened: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def _decoded(text: str) -> Validation:
+    """Read the JSON against its types, every key and no other there."""
+    told = msgspec.json.decode(text, type=Validation)
+    assert told.schema == SCHEMA
+    assert list(json.loads(text)) == list(Validation.__struct_fields__)
+    assert json.loads(msgspec.json.encode(told)) == json.loads(text)
+    return told
