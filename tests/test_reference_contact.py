@@ -250,6 +250,14 @@ def test_bounces_end_in_time(restitution: float) -> None:
     assert after.velocity[0, -1, 0, 2] == 0.0
 
 
+def test_endless_bounces_are_given_up() -> None:
+    """Without loss, at 1e-9 m/s: ten million impacts in a frame."""
+    scene = ball(velocity=(0.0, 0.0, 1e-9), restitution=1.0, clock=Clock(0.02, 3))
+    (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
+    assert failure is not None
+    assert (failure.frame, failure.reason) == (1, "the solution cannot be continued")
+
+
 def test_start_on_the_ground_does_not_bounce() -> None:
     result = run(ball(velocity=(3.0, 0.0, 0.0)))
     np.testing.assert_array_equal(result.position[0, :, 0, 2], RADIUS)

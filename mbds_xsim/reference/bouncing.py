@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference.ball import Ball, Contact, Load, Motion, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.state import Failure
 
 __all__ = ["march_balls", "through_frame"]
@@ -37,7 +37,7 @@ _EVEN = 1e-12
 def march_balls(
     mechanism: Mechanism, start: Array, inputs: Inputs, *, progress: Progress | None = None
 ) -> Marched:
-    """Solve a scene of balls exactly.
+    """Solve a scene of balls: exactly, but for what `tumbling_ball` integrates.
 
     Args:
         mechanism: One of which `has_only_balls` is true.
@@ -56,15 +56,19 @@ def march_balls(
             for body in range(mechanism.body_count)
         ]
         if min(reached) < frames:
-            failures[row] = Failure(min(reached) + 1, "too many impacts in a frame")
+            failures[row] = Failure(min(reached) + 1, "the solution cannot be continued")
             states[row, min(reached) + 1 :] = np.nan
         if progress is not None:
             progress(frames * (row + 1), frames * batch)
     return Marched(states, failures)
 
 
-def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Motion | None:
-    """Follow a ball under a constant load; None where its impacts have no end."""
+def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Motion:
+    """Follow a ball under a constant load.
+
+    Raises:
+        ArithmeticError: There is no end to the impacts, or the integration fails.
+    """
     left = duration
     for _ in range(_MOST_EVENTS):
         if motion.gap == 0.0 and motion.climb == 0.0 and load.lift < 0.0:
@@ -78,7 +82,8 @@ def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Mo
         left -= used
         if left <= 0.0:
             return motion
-    return None
+    msg = f"more than {_MOST_EVENTS} events in a frame"
+    raise ArithmeticError(msg)
 
 
 def _settled(motion: Motion, load: Load, ball: Ball) -> Motion:
@@ -94,10 +99,10 @@ def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> 
     motion = _motion_of(states[0], radius)
     gravity, frame = np.array(mechanism.scene.gravity), mechanism.scene.clock.frame
     for k, (x, y, z) in enumerate((gravity + force / mechanism.mass[body]).tolist()):
-        moved = through_frame(ball, motion, Load(complex(x, y), z), frame)
-        if moved is None:
+        try:
+            motion = through_frame(ball, motion, Load(complex(x, y), z), frame)
+        except ArithmeticError:
             return k
-        motion = moved
         states[k + 1] = _state_of(motion, radius)
     return len(force)
 
@@ -114,8 +119,7 @@ def _ball_of(mechanism: Mechanism, body: int, state: Array, force: Array, radius
     inertia = turn @ np.diag(moments) @ turn.T
     if _in_plane(mechanism, state, force, inertia):
         return EvenBall(contact, float(inertia[1, 1]))
-    msg = "a ball with unequal moments of inertia must move in the x–z plane"
-    raise InputError(msg)
+    return TumblingBall(contact, moments)
 
 
 def _in_plane(mechanism: Mechanism, state: Array, force: Array, inertia: Array) -> bool:
