@@ -65,6 +65,7 @@ def _statements(mechanism: Mechanism, step: float, error_reduction: float) -> It
                 f".setErrorReductionParameter({error_reduction!r})"
             )
     for joint in mechanism.loops:
+        yield f"# {joint.name!r} closes a loop"
         yield from _LOOPS[joint.kind](mechanism, joint)
 
 
@@ -72,7 +73,8 @@ def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
     k, joint = link.body, link.joint
     parent = "None" if link.parent == WORLD_INDEX else f"bodies[{link.parent}]"
     kind = "Free" if joint is None else _PAIR[joint.kind]
-    yield f"# {mechanism.scene.bodies[k].name!r}"
+    carrier = f" on {joint.name!r}" if joint is not None else ""
+    yield f"# {mechanism.scene.bodies[k].name!r}{carrier}"
     yield f"joints[{k}], bodies[{k}] = skeleton.create{kind}JointAndBodyNodePair({parent})"
     yield f"bodies[{k}].setName('body{k}')"
     yield (

@@ -61,6 +61,10 @@ class Client:
         self._model.append(_line(name, args, options) + noted)
         return answer
 
+    def note(self, text: str) -> None:
+        """Write down what the calls that follow are about."""
+        self._model.append(f"# {text}")
+
     def begin(self) -> None:
         """Forget the start that was written down: a new one follows."""
         self._start.clear()

@@ -226,9 +226,12 @@ class Model:
             "changeDynamics", number, -1, linearDamping=damping.linear,
             angularDamping=damping.angular, maxJointVelocity=SPEED_CAP,
         )  # fmt: skip
+        name = [body.name for body in mechanism.scene.bodies]
         if part.base != WORLD_INDEX:
+            self.client.note(f"{name[part.base]!r} is the base of {number}")
             self._set_inertia(number, -1, part.base)
         for k, (link, joint) in enumerate(zip(part.links, joints, strict=True)):
+            self.client.note(f"{name[link.body]!r} on {joint.name!r} is link {k} of {number}")
             self._set_inertia(number, k, link.body)
             self._switch_motor_off(number, k, joint)
         return int(number)
@@ -254,6 +257,7 @@ class Model:
 
     def _close(self, joint: PlacedJoint) -> int:
         """Close a loop with constraints; give their number of rows."""
+        self.client.note(f"{joint.name!r} closes a loop")
         if joint.kind == "fixed":
             return self._constrain("JOINT_FIXED", joint, np.zeros(3), 6)
         if joint.kind == "ball":

@@ -2,18 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from mbds_xsim import registry
 from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.engine import Feature, Profile, features_of
-from mbds_xsim.errors import EngineMissing, UnknownName
+from mbds_xsim.engine import Feature, Method, Profile, Settings, features_of
+from mbds_xsim.errors import EngineMissing, InputError, UnknownName
+from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 
-__all__ = ["EngineRow", "SceneRow", "engine_rows", "native_text", "scene_row", "scene_rows"]
+__all__ = [
+    "EngineRow",
+    "MethodRow",
+    "OptionRow",
+    "SceneRow",
+    "by_reason",
+    "engine_rows",
+    "native_text",
+    "scene_row",
+    "scene_rows",
+]
+
+_TIMEOUT = 600.0  # [s] to load a scene
+
+
+class MethodRow(msgspec.Struct, frozen=True):
+    """One method of an engine."""
+
+    name: str
+    family: str
+    order: int
+    loop_order: int
+    """Order where constraints are solved beside the coordinates."""
+    velocity_lag: float
+    """Recorded velocities belong to (frame time + lag · step)."""
+    refuses: dict[str, str]
+    """What it, unlike the engine, cannot do, with the reason."""
+
+
+class OptionRow(msgspec.Struct, frozen=True):
+    """One option of an engine."""
+
+    default: float | int | bool | str
+    meaning: str
 
 
 class EngineRow(msgspec.Struct, frozen=True):
@@ -21,12 +57,12 @@ class EngineRow(msgspec.Struct, frozen=True):
 
     engine: str
     version: str
-    """"not installed" where it is missing."""
-    coordinates: str
-    methods: dict[str, str]
-    """Name to family and order."""
-    limits: dict[str, str]
-    """What it cannot do, with the reason; a method's own limits as "method: feature"."""
+    """"not installed" where it is missing; the rest is empty then."""
+    coordinates: str = ""
+    methods: tuple[MethodRow, ...] = ()
+    options: dict[str, OptionRow] = {}
+    limits: dict[str, str] = {}
+    """What it cannot do, with the reason."""
 
 
 class SceneRow(msgspec.Struct, frozen=True):
@@ -71,10 +107,23 @@ def scene_row(scene: Scene) -> SceneRow:
 
 
 def native_text(scene: Scene, engine: str, profile: str) -> str:
-    """Give exactly what an engine is given for the scene's first trajectory."""
+    """Give exactly what an engine is given for the scene's first trajectory.
+
+    Raises:
+        InputError: The engine cannot represent the scene, or crashed on it.
+    """
     adapter = registry.load_adapter(engine)
     settings = settings_for(scene, adapter, as_profile(profile))
-    with adapter.open(scene, settings) as run:
+    adapter.check(scene, settings)
+    (answer,) = run_tasks([Task(_native_text, (scene, engine, settings), _TIMEOUT)])
+    if isinstance(answer, Crash):
+        msg = f"{engine} cannot load the scene: {answer.reason}"
+        raise InputError(msg)
+    return str(answer)
+
+
+def _native_text(scene: Scene, engine: str, settings: Settings) -> str:
+    with registry.load_adapter(engine).open(scene, settings) as run:
         run.readback(draw_batch(scene, [0]))
         return run.native()
 
@@ -87,19 +136,39 @@ def as_profile(name: str) -> Profile:
     return profiles[name]
 
 
+def by_reason(refusals: dict[str, str]) -> dict[str, list[str]]:
+    """Put features that are refused for one reason together."""
+    grouped: dict[str, list[str]] = {}
+    for feature, reason in refusals.items():
+        grouped.setdefault(reason, []).append(feature)
+    return grouped
+
+
 def _engine_row(name: str) -> EngineRow:
     try:
         adapter = registry.load_adapter(name)
     except EngineMissing:
-        return EngineRow(name, "not installed", "", {}, {})
-    limits = {feature.value: reason for feature, reason in adapter.limits.items()}
-    for method in adapter.methods.values():
-        for feature, reason in method.refuses.items():
-            limits[f"{method.name}: {feature.value}"] = reason
+        return EngineRow(name, "not installed")
     return EngineRow(
         engine=name,
         version=adapter.version(),
         coordinates=adapter.coordinates,
-        methods={m.name: f"{m.family}, order {m.order}" for m in adapter.methods.values()},
-        limits=limits,
+        methods=tuple(_method_row(method) for method in adapter.methods.values()),
+        options={key: OptionRow(o.default, o.meaning) for key, o in adapter.options.items()},
+        limits=_told(adapter.limits),
     )
+
+
+def _method_row(method: Method) -> MethodRow:
+    return MethodRow(
+        name=method.name,
+        family=method.family,
+        order=method.order,
+        loop_order=method.order if method.loop_order is None else method.loop_order,
+        velocity_lag=method.velocity_lag,
+        refuses=_told(method.refuses),
+    )
+
+
+def _told(refusals: Mapping[Feature, str]) -> dict[str, str]:
+    return {feature.value: refusals[feature] for feature in Feature if feature in refusals}

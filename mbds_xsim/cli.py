@@ -188,8 +188,11 @@ def show(
     from mbds_xsim.report.lists import print_scene
     from mbds_xsim.scene_file import write_scene
 
-    loaded = _scene(scene)
+    if sum(map(bool, (toml, native, json))) > 1:
+        msg = "show gives one form at a time; choose one of --toml, --native and --json"
+        raise InputError(msg)
     _writable(json=json)
+    loaded = _scene(scene)
     if native is not None:
         print(native_text(loaded, native, settings))
     elif toml:

@@ -6,7 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from mbds_xsim.catalogue import EngineRow, SceneRow
+from mbds_xsim.catalogue import EngineRow, SceneRow, by_reason
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling_terms import INTERVALS, Levels
 from mbds_xsim.scene import Scene
@@ -15,15 +15,26 @@ __all__ = ["print_engines", "print_scene", "print_scenes"]
 
 
 def print_engines(rows: list[EngineRow], console: Console) -> None:
-    """Print one block an engine."""
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in ("engine", "version", "coordinates", "methods", "cannot do"):
-        table.add_column(column, overflow="fold")
+    """Print one block an engine: its methods, and what it and they cannot do."""
     for row in rows:
-        methods = "\n".join(f"{name}: {what}" for name, what in row.methods.items())
-        limits = "\n".join(f"{what}: {reason}" for what, reason in row.limits.items())
-        table.add_row(row.engine, row.version, row.coordinates, methods, limits)
-    console.print(table)
+        coordinates = f", {row.coordinates} coordinates" if row.coordinates else ""
+        console.print(f"[bold]{row.engine}[/] {row.version}{coordinates}", highlight=False)
+        grid = Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
+        grid.add_column(no_wrap=True)
+        grid.add_column(overflow="fold")
+        for method in row.methods:
+            grid.add_row(f"  {method.name}", f"{method.family}, order {method.order}")
+        _add_refusals(grid, "  cannot", row.limits)
+        for method in row.methods:
+            _add_refusals(grid, f"  {method.name} cannot", method.refuses)
+        console.print(grid)
+        console.print()
+
+
+def _add_refusals(grid: Table, who: str, refusals: dict[str, str]) -> None:
+    for reason, features in by_reason(refusals).items():
+        grid.add_row(who, f"{', '.join(features)}: {reason}")
+        who = ""
 
 
 def print_scenes(rows: list[SceneRow], console: Console) -> None:

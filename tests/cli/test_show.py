@@ -1,0 +1,129 @@
+"""What a scene is, what an engine is given, what there is."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim import catalogue, registry
+from mbds_xsim.isolate import Task
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene_file import save_scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.testing import CASES
+
+CommandLine = Callable[..., Any]
+_LISTED = sorted({*registry.engine_names()} - {"mujoco"})
+
+
+@pytest.mark.parametrize("name", registry.scene_names())
+def test_a_scene_shown_as_toml_loads_as_the_same_scene(
+    name: str, run: CommandLine, here: Path
+) -> None:
+    (here / "again.toml").write_text(run("show", name, "--toml").out)
+
+    assert registry.load_scene("./again.toml") == registry.load_scene(name)
+
+
+def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, here: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    sideways = msgspec.structs.replace(
+        registry.load_scene("3pendulum"), gravity=(3.0, 0.0, -9.81), sampling=(), noise=0.0
+    )
+    save_scene(sideways, here / "sideways.toml")
+    (here / "model.xml").write_text(run("show", "sideways.toml", "--native", "mujoco").out)
+
+    model = mujoco.MjModel.from_xml_path("model.xml")
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    bodies = [model.body(body.name).id for body in sideways.bodies]
+    seen = []
+    for _ in range(11):
+        mujoco.mj_forward(model, data)
+        seen.append(data.xipos[bodies].copy())
+        mujoco.mj_step(model, data, round(sideways.clock.frame / model.opt.timestep))
+
+    adapter = registry.load_adapter("mujoco")
+    settings = settings_for(sideways, adapter, "matched")
+    ours = simulate(sideways, draw_batch(sideways, [0]), "mujoco", settings).trajectory
+    np.testing.assert_allclose(seen, ours.position[0, :11], atol=1e-14)
+    assert np.abs(seen[10] - seen[0]).max() > 0.01
+
+
+@pytest.mark.parametrize("listing", _LISTED)
+@pytest.mark.parametrize("name", ["3pendulum", "1ladder", "parallelogram.toml"])
+def test_a_listing_names_every_body_joint_and_mass(
+    listing: str, name: str, run: CommandLine, here: Path
+) -> None:
+    (parallelogram,) = (case.scene for case in CASES if case.name == "parallelogram")
+    save_scene(parallelogram, here / "parallelogram.toml")
+
+    ended = run("show", name, "--native", listing)
+
+    scene = registry.load_scene(name)
+    assert ended.code == 0, ended.err
+    for told in [body.name for body in scene.bodies] + [joint.name for joint in scene.joints]:
+        assert repr(told) in ended.out
+    numbers = {float(text) for text in re.findall(r"(?<![\w.])\d+\.\d+(?:e-?\d+)?", ended.out)}
+    for mass in Mechanism.of(scene).mass:
+        assert np.isclose(mass, list(numbers), rtol=1e-12).any(), mass
+
+
+def test_what_an_engine_crashes_on_is_one_line(
+    run: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(catalogue, "Task", lambda *_: Task(os.abort, ()))
+
+    ended = run("show", "2pendulum", "--native", "mujoco")
+
+    assert (ended.code, ended.out) == (2, "")
+    assert ended.err.startswith("mbds-xsim: mujoco cannot load the scene: the process crashed")
+
+
+def test_engines_are_told_with_their_methods_and_limits(run: CommandLine, here: Path) -> None:
+    ended = run("engines", "--json", "engines.json")
+
+    assert ended.code == 0
+    rows = json.loads((here / "engines.json").read_text())
+    assert [row["engine"] for row in rows] == registry.engine_names()
+    for row in rows:
+        adapter = registry.load_adapter(row["engine"])
+        assert row["version"] == adapter.version()
+        assert row["version"] in ended.out
+        assert [method["name"] for method in row["methods"]] == list(adapter.methods)
+        assert set(row["limits"]) == {feature.value for feature in adapter.limits}
+        assert set(row["options"]) == set(adapter.options)
+
+
+def test_scenes_are_told_with_their_sizes(run: CommandLine) -> None:
+    ended = run("scenes", "--json", "-")
+
+    rows = {row["scene"]: row for row in json.loads(ended.out)}
+    assert list(rows) == registry.scene_names()
+    assert rows["3ladder"]["bodies"] == 39
+    assert rows["3ladder"]["degrees_of_freedom"] == 108
+    assert "3ladder" in ended.err
+
+
+def test_a_scene_is_told_in_json_too(run: CommandLine) -> None:
+    row = json.loads(run("show", "5pendulum", "--json", "-").out)
+
+    assert (row["scene"], row["bodies"], row["degrees_of_freedom"]) == ("5pendulum", 5, 15)
+    assert "ball joint" in row["needs"]
+
+
+def test_one_form_at_a_time(run: CommandLine) -> None:
+    ended = run("show", "2pendulum", "--toml", "--native", "mujoco")
+
+    assert (ended.code, ended.out) == (2, "")
+    assert "choose one of --toml, --native and --json" in ended.err
