@@ -37,7 +37,7 @@ _HALVINGS = 3  # of a decade, by ratio: to 1/8 of it, a third
 
 def table(scenes: tuple[str, ...] = SCENES) -> Iterator[str]:
     """Give the lines of a table in Markdown."""
-    yield "| scene | engine | method | step | mass of one body | gravity |"
+    yield "| scene | engine | method | step | mass of one body, relative | gravity, relative |"
     yield "| --- | --- | --- | --- | --- | --- |"
     for name in scenes:
         scene = registry.load_scene(name)
@@ -48,7 +48,7 @@ def table(scenes: tuple[str, ...] = SCENES) -> Iterator[str]:
             mass = _smallest(scene, choice, functools.partial(heavier, body))
             pull = _smallest(scene, choice, lambda share: gravity(_EARTH * (1 + share)))
             step = f"{1e3 * row.step_s:.4g} ms" + (" (halved)" if choice.step else "")
-            figures = f"{_percent(mass)} of {body} | {_percent(pull)}"
+            figures = f"{_figure(mass)} of {body} | {_figure(pull)}"
             yield f"| {name} | {engine} | {row.method} | {step} | {figures} |"
 
 
@@ -90,8 +90,8 @@ def _verdict(scene: Scene, choice: Choice, fault: Fault | None) -> EngineResult:
     return validation.engines[0]
 
 
-def _percent(share: float | None) -> str:
-    return f"{100 * share:.2g} %" if share is not None else f"above {100 * _LARGEST:g} %"
+def _figure(share: float | None) -> str:
+    return f"{share:.1e}" if share is not None else f"above {_LARGEST:g}"
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ __all__ = ["ENGINES", "SCENES", "checked", "scene_of"]
 
 ENGINES = ("mujoco", "pybullet", "dart", "exudyn")
 
-# Recorded frames: a second, or as much as a test may take.
-SCENES = {"3pendulum": 50, "2ladder": 50, "workbench": 25}
+# Recorded frames: a second, or what is enough for the faults that are planted there.
+SCENES = {"3pendulum": 50, "2ladder": 25, "workbench": 16}
 
 # Method, steps a frame and options at which the control passes.
 _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, float]]] = {
@@ -32,11 +32,12 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, float]]] = {
     ("2ladder", "pybullet"): ("semi-implicit-euler", 40, {}),
     ("2ladder", "dart"): ("semi-implicit-euler", 20, {"error_reduction": 0.8}),
     ("2ladder", "exudyn"): ("trapezoidal", 8, {}),
-    ("workbench", "mujoco"): ("RK4", 16, {}),
+    ("workbench", "mujoco"): ("Euler", 40, {}),
     ("workbench", "pybullet"): ("semi-implicit-euler", 20, {}),
     ("workbench", "dart"): ("semi-implicit-euler", 20, {"error_reduction": 0.8}),
-    # A Jacobian that is kept leaves Newton's method above what these short steps resolve.
-    ("workbench", "exudyn"): ("trapezoidal", 40, {"modified_newton": False}),
+    # At longer steps Newton's method fails on the fast start; at shorter ones, or with a Jacobian
+    # that is kept, what it leaves shows beside the small difference that a step makes.
+    ("workbench", "exudyn"): ("trapezoidal", 64, {"modified_newton": False}),
 }
 
 

@@ -231,7 +231,6 @@ FAULTS = (
         checks=_CONSISTENCY,
         told="inertia [kg·m²] of forearm",
         model=_in_body("forearm", _swapped_axes),
-        odd=True,
     ),
     Fault(
         name="quaternion order swapped at the start",
