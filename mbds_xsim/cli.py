@@ -146,14 +146,26 @@ def validate(
 
 
 @app.command()
-def engines(json: JsonFile = None) -> None:
+def engines(
+    json: JsonFile = None,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the page docs/engines.md instead.")
+    ] = False,
+) -> None:
     """List the engines, their methods, and what each cannot do."""
     from mbds_xsim.catalogue import engine_rows
+    from mbds_xsim.report.engines_page import engines_page
     from mbds_xsim.report.lists import print_engines
 
+    if markdown and json:
+        msg = "engines gives one form at a time; choose one of --markdown and --json"
+        raise InputError(msg)
     _writable(json=json)
     rows = engine_rows()
-    print_engines(rows, _console(json))
+    if markdown:
+        print(engines_page(rows), end="")
+    else:
+        print_engines(rows, _console(json))
     _write_json(_encoded(rows), json)
 
 

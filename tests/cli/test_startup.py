@@ -1,0 +1,43 @@
+"""What is slow to import is imported by the commands that need it, when they run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+_ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
+_HEAVY = _ENGINES | {"torch", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}
+
+
+@pytest.mark.parametrize("module", ["mbds_xsim", "mbds_xsim.cli"])
+def test_importing_loads_nothing_heavy(module: str) -> None:
+    assert not _loaded(f"import {module}") & _HEAVY
+
+
+@pytest.mark.parametrize("words", [["--help"], ["validate", "--help"], ["show", "--help"]])
+def test_help_loads_nothing_heavy(words: list[str]) -> None:
+    assert not _loaded(_RUN.format(words=words)) & _HEAVY
+
+
+def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
+    loaded = _loaded(_RUN.format(words=["show", "2pendulum"]))
+
+    assert "numpy" in loaded
+    assert not loaded & (_ENGINES | {"torch", "matplotlib"})
+
+
+_RUN = """
+import contextlib, sys
+from mbds_xsim.cli import main
+sys.argv = ["mbds-xsim", *{words!r}]
+with contextlib.suppress(SystemExit):
+    main()
+"""
+
+
+def _loaded(program: str) -> set[str]:
+    told = f"{program}\nimport sys\nprint(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    return set(done.stderr.split())
