@@ -104,9 +104,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
 
     With three runs there are two extrapolations. Their difference is at least three times the
     error of the finer one, because what the extrapolation leaves falls at least with the square
-    of the step. Where the runs converge faster than declared, the finest is nearer to the limit
-    than the extrapolation moves it, so that all of the move is taken for uncertain; and so it is
-    with two runs, where nothing tells how good the extrapolation is.
+    of the step. Where the runs converge faster than declared, terms of several orders may cancel
+    in the finer difference; what the coarser one gives at the declared order is taken for
+    uncertain. With two runs nothing tells how good the extrapolation is, and all that it moves is.
 
     Args:
         runs: Shape (trajectory, frame, component) each, coarsest first.
@@ -131,7 +131,7 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
     with np.errstate(divide="ignore", invalid="ignore"):
         observed = np.where(settled, np.nan, np.log2(sizes[0] / sizes[1]))
     faster = observed > order + _ORDER_OFF
-    unsure = np.where(faster, sizes[1], _SAFETY * apart / 3.0)
+    unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
     asymptotic = settled | (observed >= order - _ORDER_OFF)
     return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
@@ -160,8 +160,14 @@ def _flat(points: Array) -> Array:
 
 
 def _running(values: Array) -> Array:
-    """Largest norm up to each frame: an error that passes through zero is still known."""
-    return np.asarray(np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1))
+    """Largest norm up to each frame: an error that passes through zero is still known.
+
+    The first frames, of which none may be typical, take the largest of all of them.
+    """
+    largest = np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1)
+    first = min(_LEAST_SPAN, largest.shape[1])
+    largest[:, :first] = largest[:, first - 1 : first]
+    return np.asarray(largest)
 
 
 def _longest(mask: Mask) -> Mask:
