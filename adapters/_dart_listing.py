@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,23 +35,29 @@ deactivation = world.getDeactivationOptions()
 deactivation.mEnabled = False
 world.setDeactivationOptions(deactivation)
 skeleton = dart.dynamics.Skeleton()
-bodies, joints = {}, {}"""
+bodies, joints, shapes = {}, {}, []"""
 
 
-def build_listing(mechanism: Mechanism, step: float, error_reduction: float) -> str:
-    """Write the program that leaves `world`, `skeleton`, `bodies` and `joints` behind.
+def build_listing(
+    mechanism: Mechanism, step: float, error_reduction: float, contact: Iterable[str]
+) -> str:
+    """Write the program that leaves `world`, `skeleton`, `bodies`, `joints` and `shapes` behind.
 
-    Bodies are keyed by their number in the scene, joints by the body they carry. The model is
-    left at the reference pose, where constraints take their anchor points from.
+    Bodies are keyed by their number in the scene, joints by the body they carry; the statements
+    of `contact` put shapes on them. The model is left at the reference pose, where constraints
+    take their anchor points from.
     """
-    return "\n".join([_HEAD, *_statements(mechanism, step, error_reduction), ""])
+    return "\n".join([_HEAD, *_statements(mechanism, step, error_reduction, contact), ""])
 
 
-def _statements(mechanism: Mechanism, step: float, error_reduction: float) -> Iterator[str]:
+def _statements(
+    mechanism: Mechanism, step: float, error_reduction: float, contact: Iterable[str]
+) -> Iterator[str]:
     yield f"world.setGravity({_vector(np.array(mechanism.scene.gravity))})"
     yield f"world.setTimeStep({step!r})"
     for link in mechanism.links:
         yield from _body(mechanism, link)
+    yield from contact
     yield "world.addSkeleton(skeleton)"
     for link in mechanism.links:
         if link.joint is None:

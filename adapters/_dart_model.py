@@ -34,6 +34,7 @@ class Model:
         self.skeleton = names["skeleton"]
         self.bodies: list[Any] = [names["bodies"][k] for k in range(mechanism.body_count)]
         self.joints: list[Any] = [names["joints"][k] for k in range(mechanism.body_count)]
+        self.shapes: list[Any] = names["shapes"]
         # The listing's functions hold its names in a cycle, which would outlive the run.
         names.clear()
         self.turning, self.turning_at = self._columns("ball", 0, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import ClassVar, Literal
 
 import dartpy
@@ -22,13 +22,15 @@ from mbds_xsim.engine import (
     Run,
     Settings,
 )
-from mbds_xsim.errors import InputError
+from mbds_xsim.errors import InputError, UnknownName
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
+from ._dart_contact import DETECTORS, SOLVERS, contact_failures, contact_statements, pairs
 from ._dart_listing import build_listing
 from ._dart_loads import Loads
 from ._dart_model import Model
@@ -47,6 +49,8 @@ _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
 # The gap falls up to 1, where an error that is put right too late would be put right twice.
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
+_DETECTOR, _FRICTION = "collision_detector", "friction_solver"
+_NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts"
 _NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
 _STEPPING = """\
 # Start: skeleton.setPositions(q); skeleton.setVelocities(u).
@@ -77,6 +81,7 @@ class Dart(Adapter):
                 Feature.LOOP_BALL: _NO_LOOPS,
                 Feature.LOOP_HINGE: _NO_LOOPS,
                 Feature.LOOP_FIXED: _NO_LOOPS,
+                Feature.CONTACT: _NO_CONTACT,
             },
         ),
     }
@@ -84,11 +89,16 @@ class Dart(Adapter):
         _ERROR_REDUCTION: Option(
             0.01, "share of a loop's gap that DART closes in a step (its error reduction parameter)"
         ),
+        _DETECTOR: Option("fcl", f"what finds contacts: {', '.join(DETECTORS)}"),
+        _FRICTION: Option(
+            "dantzig",
+            "what solves contacts: dantzig (friction bounded by a box along x and y, "
+            "DART's own choice) or nsgs (a round cone)",
+        ),
     }
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
-        Feature.CONTACT: "contact is not translated yet",
     }
 
     def version(self) -> str:
@@ -98,35 +108,51 @@ class Dart(Adapter):
         method, frame = next(iter(self.methods)), scene.clock.frame
         if profile == "native":
             return Settings(method, nearest_step(frame, _NATIVE_STEP))
-        return Settings(
-            method,
-            careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT),
-            {_ERROR_REDUCTION: _LOOP_ERROR_REDUCTION} if Mechanism.of(scene).loops else {},
-        )
+        options: dict[str, float | str] = {}
+        if Mechanism.of(scene).loops:
+            options[_ERROR_REDUCTION] = _LOOP_ERROR_REDUCTION
+        if scene.contacts:
+            options |= {_DETECTOR: "ode", _FRICTION: "nsgs"}
+        return Settings(method, careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT), options)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         share = float(self.option(settings, _ERROR_REDUCTION))
         if not 0.0 <= share <= 1.0:
             msg = f"{_ERROR_REDUCTION}: got {share}, allowed is 0 to 1"
             raise InputError(msg)
-        return _DartRun(scene, settings, share)
+        detector, solver = (
+            self._name(settings, option, allowed)
+            for option, allowed in ((_DETECTOR, DETECTORS), (_FRICTION, SOLVERS))
+        )
+        contact = list(contact_statements(Mechanism.of(scene), detector, solver))
+        return _DartRun(scene, settings, share, contact)
+
+    def _name(self, settings: Settings, option: str, allowed: Collection[str]) -> str:
+        name = str(self.option(settings, option))
+        if name not in allowed:
+            raise UnknownName.of(option, name, list(allowed))
+        return name
 
 
 class _DartRun(Run):
-    def __init__(self, scene: Scene, settings: Settings, error_reduction: float) -> None:
+    def __init__(
+        self, scene: Scene, settings: Settings, error_reduction: float, contact: list[str]
+    ) -> None:
         self._mechanism = Mechanism.of(scene)
         self._step_count = settings.substeps(scene.clock.frame)
         self._step = scene.clock.frame / self._step_count
         self._frame = scene.clock.frame
         self._error_reduction = error_reduction
-        self._listing = build_listing(self._mechanism, self._step, error_reduction)
+        self._listing = build_listing(self._mechanism, self._step, error_reduction, contact)
         with _error_reduction(error_reduction):
             self._model = Model(self._mechanism, self._listing)
         self._loads = Loads(self._model)
         self._stepper = _STEPPERS[settings.method](self._model, self._loads, self._step)
         rows = {"ball": 3, "hinge": 6, "fixed": 6}
         self.size = ModelSize(
-            self._model.coordinate_count, sum(rows[joint.kind] for joint in self._mechanism.loops)
+            self._model.coordinate_count,
+            sum(rows[joint.kind] for joint in self._mechanism.loops),
+            len(scene.contacts),
         )
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -142,6 +168,8 @@ class _DartRun(Run):
                 for row in range(len(batch))
             )
         bodies = model.body_states(q, u)
+        if self._mechanism.scene.contacts:
+            failures = self._contact_checked(bodies, failures)
         orientation = self._mechanism.body_orientation(bodies.native)
         return Trajectory(
             self._frame * np.arange(batch.steps + 1, dtype=np.float64),
@@ -178,6 +206,18 @@ class _DartRun(Run):
             q[k + 1], u[k + 1] = here, rate
         return None
 
+    def _contact_checked(
+        self, bodies: BodyStates, failures: tuple[Failure | None, ...]
+    ) -> tuple[Failure | None, ...]:
+        """End trajectories where contact went wrong; their later states become NaN."""
+        found = contact_failures(self._mechanism, bodies, self._frame)
+        first = tuple(_earlier(*two) for two in zip(failures, found, strict=True))
+        for row, failure in enumerate(first):
+            if failure is not None:
+                for key in ("position", "native", "velocity", "angular_velocity"):
+                    getattr(bodies, key)[row, failure.frame :] = np.nan
+        return first
+
     def readback(self, batch: Batch) -> Readback:
         model = self._model
         start = batch[:1]
@@ -199,6 +239,7 @@ class _DartRun(Run):
             step=float(model.world.getTimeStep()),
             joint_axis=self._joint_axes(),
             damping=self._damping(),
+            contact=pairs(model.shapes),
         )
 
     def _joint_axes(self) -> Array:
@@ -250,6 +291,12 @@ def _error_reduction(value: float) -> Iterator[None]:
     finally:
         for kind, old in zip(kinds, before, strict=True):
             kind.setErrorReductionParameter(old)
+
+
+def _earlier(first: Failure | None, second: Failure | None) -> Failure | None:
+    if first is None or second is None:
+        return first or second
+    return min(first, second, key=lambda failure: failure.frame)
 
 
 def _continuous(orientation: Array, start: Array) -> Array:

@@ -1,0 +1,146 @@
+"""Spheres on the ground plane: the calls that build them, and what DART does silently to them.
+
+DART takes the smaller friction of a pair and the product of its restitutions, so the ground gets
+the pair's friction and a restitution of 1. Measured on 6.20:
+
+- Its own solver (Dantzig) bounds friction by a box along x and y, which at 45° holds √2 times too
+  much; `NsgsFrictionSolver` has the round cone.
+- All its detectors give the overlap of sphere and plane to rounding, at any distance from the
+  origin, and miss none, but they differ in where the point of contact lies: at the sphere's lowest
+  point (ode, bullet), on the plane (dart) or half-way (fcl).
+- A rebound below 0.1 m/s does not happen and one above 100 m/s is cut; both limits are compiled in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.state import Failure
+
+__all__ = ["DETECTORS", "SOLVERS", "contact_failures", "contact_statements", "pairs"]
+
+Array = NDArray[np.float64]
+
+DETECTORS = {
+    "fcl": "FCL",
+    "ode": "ODE",
+    "bullet": "BULLET",
+    "dart": "DART",
+}
+SOLVERS = {
+    "dantzig": "DantzigBoxedLcpSolver",
+    "nsgs": "NsgsFrictionSolver",
+}
+# Coefficients that DART takes for none.
+_NONE = 1e-3
+_FASTEST_REBOUND = 100.0
+# Of it, as what falls gains speed between frame and impact.
+_NEARLY = 0.99
+_SOLVER = """\
+options = dart.constraint.NsgsFrictionSolver.Options()
+options.tolerance = {tolerance!r}
+options.maxSweeps = {sweeps!r}
+world.getConstraintSolver().setBoxedLcpSolver(dart.constraint.NsgsFrictionSolver(options))"""
+# Of contact velocities [m/s]; DART's own 1e-5 is a tenth of what gravity does in a small step.
+_TOLERANCE, _SWEEPS = 1e-9, 1000
+
+
+def contact_statements(mechanism: Mechanism, detector: str, solver: str) -> Iterator[str]:
+    """Write the calls that put spheres on `bodies` and a ground into `world`; none without."""
+    ground = mechanism.scene.ground
+    if ground is None:
+        return
+    for what, value in (("friction", ground.friction), ("restitution", ground.restitution)):
+        if 0.0 < value <= _NONE:
+            msg = f"ground.{what}: got {value}, DART takes {_NONE} and less for 0"
+            raise Unsupported(msg)
+    yield f"world.setCollisionDetector(dart.simulation.CollisionDetectorType.{DETECTORS[detector]})"
+    if solver == "nsgs":
+        yield _SOLVER.format(tolerance=_TOLERANCE, sweeps=_SWEEPS)
+    yield "ground = dart.dynamics.Skeleton()"
+    yield "_, plane = ground.createWeldJointAndBodyNodePair()"
+    yield "shapes = [plane.createShapeNode(dart.dynamics.PlaneShape([0.0, 0.0, 1.0], 0.0))]"
+    for body, centre, radius in zip(
+        mechanism.sphere_body.tolist(),
+        mechanism.sphere_offset.tolist(),
+        mechanism.sphere_radius.tolist(),
+        strict=True,
+    ):
+        x, y, z = centre
+        yield f"shapes += [bodies[{body}].createShapeNode(dart.dynamics.SphereShape({radius!r}))]"
+        yield f"shapes[-1].setRelativeTransform(at({x!r}, {y!r}, {z!r}))"
+    yield "for shape in shapes:"
+    yield "    shape.createCollisionAspect()"
+    yield "    shape.createDynamicsAspect()"
+    yield f"    shape.getDynamicsAspect().setFrictionCoeff({ground.friction!r})"
+    yield f"    shape.getDynamicsAspect().setRestitutionCoeff({ground.restitution!r})"
+    yield "shapes[0].getDynamicsAspect().setRestitutionCoeff(1.0)"
+    yield "world.addSkeleton(ground)"
+
+
+def pairs(shapes: list[Any]) -> Array | None:
+    """Radius, friction and restitution of each sphere on the ground by DART's rules, (sphere, 3).
+
+    The ground is the first of the shapes.
+    """
+    if not shapes:
+        return None
+    plane, *spheres = [shape.getDynamicsAspect() for shape in shapes]
+    return np.array(
+        [
+            (
+                shape.getShape().getRadius(),
+                min(plane.getFrictionCoeff(), sphere.getFrictionCoeff()),
+                plane.getRestitutionCoeff() * sphere.getRestitutionCoeff(),
+            )
+            for shape, sphere in zip(shapes[1:], spheres, strict=True)
+        ]
+    )
+
+
+def contact_failures(
+    mechanism: Mechanism, bodies: BodyStates, frame: float
+) -> Iterator[Failure | None]:
+    """Say of each trajectory where a contact was first lost or a rebound may have been cut.
+
+    Args:
+        mechanism: The scene's.
+        bodies: States, shape (trajectory, frame, body, …); NaN is passed over.
+        frame: Interval between frames [s].
+    """
+    height, approach = _spheres(mechanism, bodies)
+    overlap = mechanism.sphere_radius - height
+    ground = mechanism.scene.ground
+    rebound = ground.restitution * approach if ground else 0.0 * approach
+    # What is two frames from the ground may reach it before the next one.
+    cut = (rebound > _NEARLY * _FASTEST_REBOUND) & (-overlap < 2.0 * approach * frame)
+    lost = overlap > mechanism.sphere_radius
+    for row in range(len(height)):
+        hit = np.argwhere(cut[row] | lost[row])
+        if not len(hit):
+            yield None
+            continue
+        k, sphere = hit[0]
+        reason = f"contact sphere {sphere} is {overlap[row, k, sphere]:.3g} m in the ground"
+        if cut[row, k, sphere]:
+            reason = f"contact sphere {sphere} hits the ground at {approach[row, k, sphere]:.4g} "
+            reason += f"m/s: DART cuts rebounds to {_FASTEST_REBOUND:g} m/s"
+        # Frame 0 is the start, which is given.
+        yield Failure(max(1, int(k)), reason)
+
+
+def _spheres(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
+    """Heights of the spheres' centres [m] and their speeds downwards [m/s], (…, sphere)."""
+    at = mechanism.sphere_body
+    arm = rotation.rotate(bodies.native[..., at, :], mechanism.sphere_offset)
+    turning = np.cross(bodies.angular_velocity[..., at, :], arm)
+    height = bodies.position[..., at, 2] + arm[..., 2]
+    return height, -bodies.velocity[..., at, 2] - turning[..., 2]
