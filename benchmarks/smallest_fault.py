@@ -19,7 +19,7 @@ from faults.faults import gravity, heavier
 from faults.planting import Fault, planted
 
 from mbds_xsim import registry
-from mbds_xsim.campaign import Choice
+from mbds_xsim.choice import Choice
 from mbds_xsim.result import EngineResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.validate import validate_with_evidence

@@ -14,17 +14,17 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import reference, registry
-from mbds_xsim.engine import Adapter, Profile, Settings
-from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim import reference
+from mbds_xsim.choice import Contender
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import settings_for
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Choice", "Contender", "Outcome", "ProgressSink", "ReferenceOutcome", "run_campaign"]
+__all__ = ["Outcome", "ProgressSink", "ReferenceOutcome", "run_campaign"]
 
 Array = NDArray[np.float64]
 
@@ -43,64 +43,6 @@ class ProgressSink(Protocol):
 
     def advance(self, what: str) -> None:
         """Count one task as done."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """Which engines at which settings."""
-
-    engines: tuple[str, ...]
-    profiles: tuple[Profile, ...] = ("matched",)
-    method: str | None = None
-    step: float | None = None
-
-    @staticmethod
-    def parse(
-        *,
-        engines: str | None = None,
-        profiles: str = "matched",
-        method: str | None = None,
-        step: float | None = None,
-    ) -> Choice:
-        """Read the command line's words; no engine named means all installed."""
-        from mbds_xsim.catalogue import as_profile
-
-        names = _words(engines) if engines is not None else ()
-        for name in names:
-            registry.load_adapter(name)
-        names = names or tuple(registry.installed_engines())
-        if not names:
-            msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
-            raise InputError(msg)
-        if method is not None and len(names) != 1:
-            msg = f"--method {method}: methods differ between engines, name one with --engines"
-            raise InputError(msg)
-        return Choice(names, tuple(map(as_profile, _words(profiles))), method, step)
-
-    def contenders(self, scene: Scene) -> list[Contender]:
-        """Settle the settings of every engine; raise InputError where they are wrong."""
-        found = []
-        for profile in self.profiles:
-            for name in self.engines:
-                adapter = registry.load_adapter(name)
-                preset = settings_for(scene, adapter, profile)
-                settings = Settings(
-                    self.method or preset.method,
-                    preset.step if self.step is None else self.step,
-                    preset.options if self.method in (None, preset.method) else {},
-                )
-                _check(adapter, scene, settings, self.engines)
-                found.append(Contender(name, profile, settings))
-        return found
-
-
-@dataclass(frozen=True)
-class Contender:
-    """One row of the table to be."""
-
-    engine: str
-    profile: Profile
-    settings: Settings
 
 
 @dataclass
@@ -159,8 +101,9 @@ class ReferenceOutcome:
     """The reference of all trajectories."""
 
     trajectory: Trajectory
+    """NaN from a first impact on that has no unique solution."""
     growth: Array
-    """Sensitivity G, shape (trajectory, frame)."""
+    """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is."""
     rtol: float
     cached: int
     wall_s: float
@@ -228,28 +171,6 @@ def _other_steps(scene: Scene, settings: Settings) -> list[float]:
     ]
 
 
-def _check(adapter: Adapter, scene: Scene, settings: Settings, engines: tuple[str, ...]) -> None:
-    """Raise as `Adapter.check` does, and say what can do it."""
-    try:
-        adapter.check(scene, settings)
-    except Unsupported as error:
-        methods = _able_methods(adapter, scene)
-        able = [name for name in engines if _able_methods(registry.load_adapter(name), scene)]
-        hint = f"use --method {' or '.join(methods)}" if methods else "no engine given here can"
-        if able and not methods:
-            hint = f"use --engines {','.join(able)}"
-        raise Unsupported(f"{error}; {hint}") from error
-
-
-def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
-    return [name for name in adapter.methods if not adapter.refusals(scene, name)]
-
-
-def _words(text: str) -> tuple[str, ...]:
-    """Split at commas, each word once."""
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
-
-
 def _chunks(count: int) -> list[list[int]]:
     return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
 
@@ -268,6 +189,7 @@ def _reference(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
     kept = sum(load(key) is not None for key in keys) if cache else 0
     trajectory = reference.solve(scene, batch, rtol=_RTOL, cache=cache)
     growth = reference.sensitivity(scene, batch, cache=cache)
+    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
     return ReferenceOutcome(trajectory, growth, _RTOL, kept, time.perf_counter() - begin)
 
 
@@ -278,7 +200,7 @@ def _joined(parts: list[Any]) -> ReferenceOutcome:
         for part in parts
         if not isinstance(part, Crash)
         for f in part.trajectory.failures
-        if f is not None
+        if f is not None and not isinstance(f, reference.FirstImpact)
     ]
     if crashed:
         msg = f"the reference solution failed, so nothing can be judged: {crashed[0]}"

@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 from mbds_xsim import readback, registry
 from mbds_xsim.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.checks import Finding, agreement, audit
-from mbds_xsim.checks.consistency import consistency
+from mbds_xsim.checks.consistency import LEAST_SPAN, consistency
 from mbds_xsim.engine import Method
 from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference import FirstImpact
 from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import Batch, Failure, Trajectory
 
 __all__ = ["Row", "judge", "reference_result"]
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _ONE_SECOND = 1.0
 
@@ -61,7 +63,7 @@ def judge(
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
     findings = [
         *audit(scene, batch, trajectory, method, step=contender.settings.step),
-        *_error_findings(scene, batch, error, truth.time, reference.growth),
+        *_error_findings(scene, batch, error, truth, reference.growth),
         *_consistency(scene, batch, outcome, trajectory, reference, method),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
@@ -80,6 +82,11 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
     )
 
 
+def _known(truth: Trajectory) -> Mask:
+    """Frames for which there is a true solution, shape (trajectory, frame)."""
+    return np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
+
+
 def _consistency(
     scene: Scene,
     batch: Batch,
@@ -88,11 +95,16 @@ def _consistency(
     reference: ReferenceOutcome,
     method: Method,
 ) -> list[Finding]:
-    """Extrapolate the sample that ran at several steps to a vanishing step."""
-    rows = outcome.sample
-    runs = {step: run for step, run in outcome.other_steps.items()}
+    """Extrapolate the sample that ran at several steps to a vanishing step.
+
+    Only smooth motion has an order of convergence: with contact, what comes before it.
+    """
+    ends = reference.trajectory.failures
+    smooth = [k for k, row in enumerate(outcome.sample) if not scene.contacts or _flies(ends[row])]
+    rows = [outcome.sample[k] for k in smooth]
+    runs = {step: run[smooth] for step, run in outcome.other_steps.items()}
     runs[outcome.contender.settings.step] = trajectory[rows]
-    if len(runs) < 2:
+    if len(runs) < 2 or not rows:
         return []
     return consistency(
         scene,
@@ -104,32 +116,36 @@ def _consistency(
     )
 
 
+def _flies(end: Failure | None) -> bool:
+    return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
+
+
 def _error_findings(
-    scene: Scene, batch: Batch, error: Array, time: Array, growth: Array
+    scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
     """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""
-    regular = np.array([batch.interval(row) != "high" for row in range(len(batch))])
-    at_one = np.where(
-        regular[:, None] & (np.abs(time - _ONE_SECOND) < 0.5 * scene.clock.frame), error, np.nan
-    )
+    time, known = truth.time, _known(truth)
     lost = np.where(np.isfinite(error), error, np.inf)
-    predictable = np.where(growth < agreement.CHAOS, lost / np.maximum(1.0, growth), np.nan)
+    judged = known & (growth < agreement.CHAOS)
     findings = [
         Finding.of(
             "error growth-weighted",
             "m",
-            predictable[:, :, None],
+            np.where(judged, lost / np.maximum(1.0, growth), np.nan)[:, :, None],
             budget=scene.budget.error * scene.length,
         )
     ]
-    if regular.any() and time[-1] >= _ONE_SECOND:
+    at_one = known & (np.abs(time - _ONE_SECOND) < 0.5 * scene.clock.frame)
+    calm = np.array([batch.interval(row) != "high" for row in range(len(batch))])
+    calm &= at_one.any(axis=1)
+    if calm.any():
         one = Finding.of(
             "error at 1 s",
             "m",
-            at_one[regular][:, :, None],
+            np.where(at_one, lost, np.nan)[calm][:, :, None],
             budget=scene.budget.error_1s * scene.length,
         )
-        findings.insert(0, _spread(one, regular))
+        findings.insert(0, _spread(one, calm))
     return findings
 
 
@@ -158,8 +174,7 @@ def _result(
     reasons = (*failures, *differences, *_failed(batch, findings))
     simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
     size = simulations[0].size if simulations else None
-    time = reference.trajectory.time
-    agreed = None if error is None else agreement.agreement_time(error, time, scene.length).min()
+    agreed = None if error is None else _agreed(scene, error, reference.trajectory)
     return EngineResult(
         engine=contender.engine,
         version=adapter.version(),
@@ -172,11 +187,11 @@ def _result(
         verdict="fail" if reasons else "pass",
         reasons=reasons,
         error_1s_m=_worst_of(by_name, "error at 1 s"),
-        error_max_m=None if error is None else _finite(np.nanmax(error)),
+        error_max_m=None if error is None else _finite(np.nanmax(error, initial=0.0)),
         error_weighted_m=_worst_of(by_name, "error growth-weighted"),
         constraint_gap_m=_worst_of(by_name, "gap"),
         energy_balance=_worst_of(by_name, "energy"),
-        agreement_time_s=None if agreed is None else _finite(agreed),
+        agreement_time_s=agreed,
         wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
         if simulated
         else None,
@@ -186,6 +201,12 @@ def _result(
         findings=tuple(_finding_result(batch, finding) for finding in findings),
         failures=failures,
     )
+
+
+def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
+    """Earliest time at which an error passes 1 % of the scene's length [s]; None: never."""
+    known = np.where(_known(truth), error, 0.0)
+    return _finite(agreement.agreement_time(known, truth.time, scene.length).min())
 
 
 def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[str]:

@@ -111,6 +111,8 @@ class Validation(msgspec.Struct, frozen=True):
     length_m: float
     budget: dict[str, float]
     engines: tuple[EngineResult, ...]
+    left_out: dict[str, str]
+    """Engines that cannot do the scene, each with the reason."""
     reference: ReferenceResult | None
     names: tuple[str, ...]
     """Rows and columns of `matrix_m`: engine results in order, then the reference."""

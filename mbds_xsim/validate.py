@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import registry
-from mbds_xsim.campaign import Choice, ProgressSink, ReferenceOutcome, run_campaign
+from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
 from mbds_xsim.checks import agreement
+from mbds_xsim.choice import Choice
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import SCHEMA, EngineResult, Evidence, Validation
@@ -91,7 +92,7 @@ def validate_with_evidence(
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
     begin = time.perf_counter()
-    contenders = choice.contenders(scene)
+    contenders, left_out = choice.contenders(scene)
     batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
     outcomes, reference = run_campaign(
         scene, batch, contenders, cache=cache, workers=workers, progress=progress or _Silent()
@@ -122,6 +123,7 @@ def validate_with_evidence(
         length_m=scene.length,
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
         engines=tuple(results),
+        left_out=left_out,
         reference=reference_result(scene, batch, reference),
         names=names,
         matrix_m=matrix,

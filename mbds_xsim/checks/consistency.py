@@ -23,7 +23,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Extrapolation", "consistency", "extrapolate"]
+__all__ = ["LEAST_SPAN", "Extrapolation", "consistency", "extrapolate"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,7 +31,8 @@ Mask = NDArray[np.bool_]
 _FACTOR = 3.0
 _SAFETY = 1.25  # Roache's grid convergence index with a confirmed order
 _ORDER_OFF = 0.25
-_LEAST_SPAN = 10  # frames
+LEAST_SPAN = 10
+"""Frames that a stretch must have to be judged by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +166,7 @@ def _running(values: Array) -> Array:
     The first frames, of which none may be typical, take the largest of all of them.
     """
     largest = np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1)
-    first = min(_LEAST_SPAN, largest.shape[1])
+    first = min(LEAST_SPAN, largest.shape[1])
     largest[:, :first] = largest[:, first - 1 : first]
     return np.asarray(largest)
 
@@ -173,7 +174,7 @@ def _running(values: Array) -> Array:
 def _longest(mask: Mask) -> Mask:
     """Keep each row's longest unbroken stretch, if it is long enough to judge by."""
     kept = np.zeros_like(mask)
-    least = min(_LEAST_SPAN, mask.shape[1])
+    least = min(LEAST_SPAN, mask.shape[1])
     for row, keep in zip(mask, kept, strict=True):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]])))
         begins, ends = edges[::2], edges[1::2]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import msgspec
 
 from mbds_xsim import registry
-from mbds_xsim.campaign import Choice, Contender
+from mbds_xsim.choice import Choice, Contender
 from mbds_xsim.engine import Settings
 from mbds_xsim.result import Validation
 from mbds_xsim.scene import Scene
@@ -43,13 +43,13 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, float]]] = {
 
 @dataclass(frozen=True)
 class _Quick(Choice):
-    def contenders(self, scene: Scene) -> list[Contender]:
+    def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
         found = []
         for engine in self.engines:
             method, count, options = _SETTINGS[scene.name, engine]
             settings = Settings(method, scene.clock.frame / count, options)
             found.append(Contender(engine, "matched", settings))
-        return found
+        return found, {}
 
 
 def scene_of(name: str) -> Scene:

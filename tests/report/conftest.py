@@ -247,6 +247,7 @@ def _validation(
         length_m=scene.length,
         budget=msgspec.structs.asdict(scene.budget),
         engines=results,
+        left_out={},
         reference=ReferenceResult(1e-10, 3e-10, 2e-11, 2, 4.1),
         names=(*(f"{result.engine} {result.profile}" for result in results), "reference"),
         matrix_m=_matrix(scene, motions),

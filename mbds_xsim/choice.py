@@ -1,0 +1,111 @@
+"""Which engines run at which settings, from the user's words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mbds_xsim import registry
+from mbds_xsim.catalogue import as_profile
+from mbds_xsim.engine import Adapter, Profile, Settings
+from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.matched import settings_for
+from mbds_xsim.scene import Scene
+
+__all__ = ["Choice", "Contender"]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of the table to be."""
+
+    engine: str
+    profile: Profile
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which engines at which settings."""
+
+    engines: tuple[str, ...]
+    profiles: tuple[Profile, ...] = ("matched",)
+    method: str | None = None
+    step: float | None = None
+    named: bool = True
+    """Whether the engines were asked for by name: one that cannot do the scene is then an error;
+    otherwise it is left out, and the result says so."""
+
+    @staticmethod
+    def parse(
+        *,
+        engines: str | None = None,
+        profiles: str = "matched",
+        method: str | None = None,
+        step: float | None = None,
+    ) -> Choice:
+        """Read the command line's words; no engine named means all installed."""
+        names = _words(engines) if engines is not None else ()
+        for name in names:
+            registry.load_adapter(name)
+        named = bool(names)
+        names = names or tuple(registry.installed_engines())
+        if not names:
+            msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
+            raise InputError(msg)
+        if method is not None and len(names) != 1:
+            msg = f"--method {method}: methods differ between engines, name one with --engines"
+            raise InputError(msg)
+        return Choice(names, tuple(map(as_profile, _words(profiles))), method, step, named)
+
+    def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
+        """Settle the settings of every engine.
+
+        Returns:
+            The contenders, and the engines left out, each with the reason.
+
+        Raises:
+            Unsupported: An engine asked for by name cannot do the scene, or none can.
+            InputError: The settings are wrong.
+        """
+        found: list[Contender] = []
+        left_out: dict[str, str] = {}
+        for profile in self.profiles:
+            for name in self.engines:
+                adapter = registry.load_adapter(name)
+                settings = self._settings(scene, adapter, profile)
+                try:
+                    adapter.check(scene, settings)
+                except Unsupported as error:
+                    left_out[name] = str(error)
+                else:
+                    found.append(Contender(name, profile, settings))
+        if left_out and (self.named or not found):
+            raise Unsupported(self._refusal(scene, left_out))
+        return found, left_out
+
+    def _settings(self, scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
+        preset = settings_for(scene, adapter, profile)
+        return Settings(
+            self.method or preset.method,
+            preset.step if self.step is None else self.step,
+            preset.options if self.method in (None, preset.method) else {},
+        )
+
+    def _refusal(self, scene: Scene, left_out: dict[str, str]) -> str:
+        """Say what cannot be done, and what can do it."""
+        name, reason = next(iter(left_out.items()))
+        methods = _able_methods(registry.load_adapter(name), scene)
+        able = [e for e in self.engines if _able_methods(registry.load_adapter(e), scene)]
+        hint = f"use --method {' or '.join(methods)}" if methods else "no engine given here can"
+        if able and not methods:
+            hint = f"use --engines {','.join(able)}"
+        return f"{reason}; {hint}"
+
+
+def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
+    return [name for name in adapter.methods if not adapter.refusals(scene, name)]
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Split at commas, each word once."""
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
