@@ -1,0 +1,86 @@
+"""The pages about engines are what the code says and does today."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.catalogue import engine_rows
+from mbds_xsim.report.engines_page import engines_page
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+def test_the_table_of_engines_is_what_the_adapters_claim() -> None:
+    missing = set(registry.engine_names()) - set(registry.installed_engines())
+    if missing and not missing & set(os.environ.get("MBDS_XSIM_MUST_RUN", "").split(",")):
+        pytest.skip(f"not installed: {', '.join(sorted(missing))}")
+
+    page = engines_page(engine_rows())
+
+    stale = "docs/engines.md is stale; run: mbds-xsim engines --markdown > docs/engines.md"
+    assert (DOCS / "engines.md").read_text("utf-8") == page, stale
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Take the files off the page, and install them as far as entry points go."""
+    folder = tmp_path_factory.mktemp("plain")
+    page = (DOCS / "add-an-engine.md").read_text("utf-8")
+    for name, text in re.findall(r"^`([\w.]+)`:\n\n```\w+\n(.*?)^```$", page, re.M | re.S):
+        (folder / name).write_text(text, "utf-8")
+    project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["project"]
+    metadata = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\n")
+    lines = [
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in points.items())
+        for group, points in project["entry-points"].items()
+    ]
+    (metadata / "entry_points.txt").write_text("\n".join(lines))
+    return folder
+
+
+def _run(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=package,
+        env=os.environ | {"PYTHONPATH": str(package), "MBDS_XSIM_CACHE": str(package / "cache")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.slow
+def test_the_engine_of_the_page_passes_the_contract_suite(package: Path) -> None:
+    done = _run(package, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_plain.py")
+
+    assert done.returncode == 0, done.stdout
+    passed = re.search(r"^(\d+) passed in", done.stdout, re.M)
+    assert passed
+    assert int(passed[1]) > 25
+
+
+@pytest.mark.slow
+def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> None:
+    program = "from mbds_xsim.cli import main; main()"
+
+    words = ["validate", "1pendulum", "--engines", "plain,mujoco", "--json", "v.json"]
+    done = _run(package, "-c", program, *words)
+
+    told = json.loads((package / "v.json").read_text())
+    row, beside = told["engines"]
+    assert done.stderr == ""
+    assert (row["engine"], row["version"], row["failures"]) == ("plain", "1.0", [])
+    assert row["error_1s_m"] < 1e-6
+    assert beside["engine"] == "mujoco"
+    assert "read-back" not in done.stdout
