@@ -60,9 +60,9 @@ class MuJoCo(Adapter):
     package = "mujoco"
     methods: ClassVar = {
         "RK4": Method("RK4", "RK4", 4, loop_order=2),
-        "Euler": Method("Euler", "semi-implicit Euler", 1),
+        "Euler": Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
         # Implicit in the forces of dampers alone, so without any it is Euler to the last bit.
-        "implicitfast": Method("implicitfast", "semi-implicit Euler", 1),
+        "implicitfast": Method("implicitfast", "semi-implicit Euler", 1, velocity_lag=-0.5),
     }
     options: ClassVar = {
         # Shorter, and RK4's stages, which leave the constraint by O(h²), come back as an error of

@@ -68,7 +68,9 @@ class PyBullet(Adapter):
     name = "pybullet"
     package = "pybullet"
     methods: ClassVar[Mapping[str, Method]] = {
-        "semi-implicit-euler": Method("semi-implicit-euler", "semi-implicit Euler", 1),
+        "semi-implicit-euler": Method(
+            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
+        ),
     }
     options: ClassVar[Mapping[str, Option]] = {
         "solver_iterations": Option(10, "sweeps over the loop constraints in each step"),

@@ -10,6 +10,7 @@ from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
@@ -18,7 +19,16 @@ __all__ = ["CHECKS", "audit"]
 
 Check = Callable[[Record], Finding | None]
 
-CHECKS: tuple[Check, ...] = (finite, start, gap, angle_gap, planarity, energy_balance)
+CHECKS: tuple[Check, ...] = (
+    finite,
+    start,
+    gap,
+    angle_gap,
+    planarity,
+    kinematics,
+    velocity_lag,
+    energy_balance,
+)
 """Each gives a finding, or None where it does not apply to the scene."""
 
 

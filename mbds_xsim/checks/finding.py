@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.checks.mismatch import Mismatch, mismatch_of
 from mbds_xsim.engine import Method
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
@@ -73,6 +74,25 @@ class Record:
                 )
             )
         )
+
+    @functools.cached_property
+    def mismatch(self) -> Mismatch:
+        """What positions do between frames that velocities do not tell, without contact."""
+        return mismatch_of(
+            self.mechanism,
+            self.bodies,
+            self.batch.force,
+            self.batch.torque,
+            frame=self.frame,
+            lag=self.lag,
+        )
+
+    @property
+    def lag(self) -> float:
+        """Recorded velocities belong to frame time + lag, as the method declares [s]."""
+        if self.method is None or self.step is None:
+            return 0.0
+        return self.method.velocity_lag * self.step
 
     @property
     def steps(self) -> int:

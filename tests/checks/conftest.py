@@ -73,13 +73,6 @@ def midpoint(model: Model, state: State, h: float, force: Array, torque: Array) 
     return *end[:2], state[2] + h * linear, state[3] + h * angular
 
 
-def euler_maximal(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
-    """Semi-implicit Euler on body states: velocities first."""
-    linear, angular = model.acceleration(state, force, torque)
-    v, w = state[2] + h * linear, state[3] + h * angular
-    return *_moved((*state[:2], v, w), h * v, h * w)[:2], v, w
-
-
 def euler_reduced(model: Model, state: State, h: float, force: Array, torque: Array) -> State:
     """Semi-implicit Euler on the relative rotations of a tree of ball joints, as engines do."""
     mechanism = model.mechanism
@@ -107,7 +100,6 @@ def euler_reduced(model: Model, state: State, h: float, force: Array, torque: Ar
 STEPPERS: dict[str, Stepper] = {
     "rk4": rk4,
     "midpoint": midpoint,
-    "euler_maximal": euler_maximal,
     "euler_reduced": euler_reduced,
 }
 
@@ -119,9 +111,8 @@ def simulate(
     stepper: str = "rk4",
     *,
     late: float = 0.0,
-    input_shift: int = 0,
 ) -> Trajectory:
-    """Record a scene's motion; `late` seconds before each frame, with inputs shifted in steps."""
+    """Record a scene's motion, `late` seconds before each frame."""
     model, step = Model(scene), STEPPERS[stepper]
     h = scene.clock.frame / substeps
     state: State = (
@@ -133,8 +124,7 @@ def simulate(
     back = round(late / h)
     recorded = [state]
     for frame in range(batch.steps):
-        held = max(0, frame - input_shift)
-        force, torque = batch.force[:, held], batch.torque[:, held]
+        force, torque = batch.force[:, frame], batch.torque[:, frame]
         for k in range(substeps):
             if k == substeps - back:
                 recorded.append(state)

@@ -1,0 +1,128 @@
+"""Do recorded positions and velocities describe the same motion, at the same times?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.mismatch import Mismatch
+
+__all__ = ["kinematics", "velocity_lag"]
+
+Array = NDArray[np.float64]
+
+_NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5
+_LAG = 0.1  # of a step: a fifth of the half step that must be seen
+_METHOD = 5.0  # errors of order 2 are up to so many times step² · jerk (measured: 4.1)
+_ERRORS = 3.0  # standard errors
+
+
+def kinematics(record: Record) -> Finding | None:
+    """Measure how far positions move otherwise than velocities tell; None with contact.
+
+    A step's displacement less the integral of its velocities, as RMS velocity over the largest
+    RMS speed. What the frames do not resolve is left out, and so is what a method of its order may
+    leave between positions and velocities.
+    """
+    mismatch = _mismatch(record)
+    if mismatch is None:
+        return None
+    speed = _largest(mismatch.rms(mismatch.velocity))
+    allowed = mismatch.blur + _method_error(record, mismatch)
+    series = np.full(record.finite.shape, np.nan)
+    left = np.maximum(mismatch.rms(mismatch.left) - allowed, 0.0)
+    series[:, mismatch.frame] = left / speed[:, None]
+    resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
+    return Finding.of(
+        "kinematics",
+        "1",
+        series[..., None],
+        budget=_NOISE,
+        note=f"frames resolve {resolved:.1g} of the largest speed",
+    )
+
+
+def velocity_lag(record: Record) -> Finding | None:
+    """Measure by how much time velocities are off the positions' own [s]; None with contact.
+
+    It is the slope of the mismatch over the accelerations that changing joint rates make, by least
+    squares over the steps, which weigh by what is resolved in them. The other accelerations are a
+    second regressor: velocities late with their places lag in both, joint rates in the first
+    alone. The lag that the method declares is taken out before.
+    """
+    mismatch = _mismatch(record)
+    if mismatch is None:
+        return None
+    lag, uncertainty = _slope(mismatch, _LAG * _step(record))
+    series = np.full(record.finite.shape, np.nan)
+    rows = np.arange(len(series))
+    series[rows, record.finite.sum(axis=1) - 1] = np.abs(lag)
+    return Finding.of(
+        "velocity lag",
+        "s",
+        series[..., None],
+        budget=_LAG * _step(record),
+        uncertainty=uncertainty,
+        note=f"known to {np.max(uncertainty):.1g} s",
+    )
+
+
+def _mismatch(record: Record) -> Mismatch | None:
+    return None if record.scene.contacts or record.steps < 1 else record.mismatch
+
+
+def _step(record: Record) -> float:
+    return record.frame if record.step is None else record.step
+
+
+def _method_error(record: Record, mismatch: Mismatch) -> Array:
+    """Error of order 2, or higher in the rate at which accelerations change [m/s].
+
+    Methods of order 1 follow a flow of their own to second order.
+    """
+    step = _step(record)
+    pull = np.maximum(mismatch.rms(mismatch.acceleration), np.finfo(float).tiny)
+    rate = np.minimum(step * mismatch.jerk / pull, 1.0)
+    return np.asarray(_METHOD * step**2 * mismatch.jerk * rate ** max(record.order - 2, 0))
+
+
+def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:
+    """Slope of the mismatch over the acceleration [s] and its uncertainty, (trajectory,).
+
+    The uncertainty is the blur's, and three standard errors from the scatter of the steps.
+    """
+    known = np.isfinite(mismatch.blur)
+    blur = np.where(known, mismatch.blur, 0.0)
+    size = np.where(known, mismatch.rms(mismatch.acceleration), 0.0)
+    floor = resolution * np.linalg.norm(size, axis=1, keepdims=True) / np.sqrt(size.shape[1])
+    weight = known / np.maximum(blur**2 + floor**2, np.finfo(float).tiny)
+
+    def inner(one: Array, other: Array) -> Array:
+        return np.where(known, weight * mismatch.inner(one, other), 0.0)
+
+    def slope_over(regressor: Array, vectors: Array) -> Array:
+        square = inner(regressor, regressor).sum(axis=1)
+        return inner(vectors, regressor).sum(axis=1) / np.maximum(square, np.finfo(float).tiny)
+
+    other = mismatch.acceleration - mismatch.rate_acceleration
+    rates = mismatch.rate_acceleration
+    rates = rates - _each(slope_over(other, rates)) * other
+    slope = slope_over(rates, mismatch.left)
+    rest = mismatch.left - _each(slope) * rates
+    rest = rest - _each(slope_over(other, rest)) * other
+    square = np.maximum(inner(rates, rates).sum(axis=1), np.finfo(float).tiny)
+    error = np.sqrt(np.sum(inner(rest, rates) ** 2, axis=1))
+    blurred = np.sum(weight * blur * np.where(known, mismatch.rms(rates), 0.0), axis=1)
+    seen = np.where(known.any(axis=1), slope, np.nan)
+    return seen, (blurred + _ERRORS * error) / square
+
+
+def _each(values: Array) -> Array:
+    """Values of trajectories, to multiply vectors of points with."""
+    return values[:, None, None, None, None]
+
+
+def _largest(speeds: Array) -> Array:
+    """Largest over the steps, never zero, shape (trajectory,)."""
+    return np.maximum(np.nanmax(speeds, axis=1, initial=0.0), np.finfo(float).tiny)

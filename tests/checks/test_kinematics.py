@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim import rotation
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.kinematics import kinematics, velocity_lag
+from mbds_xsim.engine import Adapter, Method, Settings
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
+from mbds_xsim.simulate import simulate as run
+from mbds_xsim.state import Trajectory
+from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.cases import Case as Exact
+
+LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
+METHODS = {
+    "rk4": Method("RK4", "RK4", 4),
+    "midpoint": Method("midpoint", "trapezoidal", 2),
+    "euler_reduced": LEAPFROG,
+}
+
+
+def _both(record: Record) -> tuple[Any, Any]:
+    speeds, lag = kinematics(record), velocity_lag(record)
+    assert speeds is not None
+    assert lag is not None
+    return speeds, lag
+
+
+def _record(case: Any, motion: Trajectory, method: Method, substeps: int) -> Record:
+    return Record(case.scene, case.batch, motion, method, case.scene.clock.frame / substeps)
+
+
+def test_an_exact_motion_agrees_with_itself(pendulum: Any, tumbling: Any, linkage: Any) -> None:
+    for case in (pendulum, tumbling, linkage):
+        speeds, lag = _both(_record(case, case.exact, METHODS["rk4"], 1000))
+
+        assert speeds.passed.all()
+        assert lag.passed.all()
+        # Frames of 20 ms resolve a tenth of a microsecond.
+        assert (lag.figure < 2e-7).all()
+        assert (lag.uncertainty < 1e-6).all()
+
+
+@pytest.mark.parametrize("stepper", METHODS)
+@pytest.mark.parametrize("substeps", [4, 20])
+def test_methods_pass_with_the_lag_they_declare(
+    pendulum: Any, simulate: Any, stepper: str, substeps: int
+) -> None:
+    motion = simulate(pendulum.scene, pendulum.batch, substeps, stepper)
+    speeds, lag = _both(_record(pendulum, motion, METHODS[stepper], substeps))
+
+    assert speeds.passed.all()
+    assert lag.passed.all()
+    assert (lag.figure < 0.01 * pendulum.scene.clock.frame / substeps).all()
+
+
+def test_a_lag_that_is_not_declared_shows(pendulum: Any, simulate: Any) -> None:
+    motion = simulate(pendulum.scene, pendulum.batch, 20, "euler_reduced")
+    silent = dataclasses.replace(LEAPFROG, velocity_lag=0.0)
+    _, lag = _both(_record(pendulum, motion, silent, 20))
+    _, reverse = _both(
+        _record(pendulum, motion, dataclasses.replace(LEAPFROG, velocity_lag=0.5), 20)
+    )
+
+    assert not lag.passed.any()
+    assert np.allclose(lag.figure, 0.5e-3, rtol=0.02)
+    assert np.allclose(reverse.figure, 1e-3, rtol=0.02)
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def halves(request: Any, pendulum: Any, simulate: Any) -> tuple[str, Trajectory, Trajectory]:
+    """A motion in steps of 1 ms, recorded in time and one step late."""
+    scene, batch = pendulum.scene, pendulum.batch
+    on_time, late = (simulate(scene, batch, 20, request.param, late=delay) for delay in (0.0, 1e-3))
+    return request.param, on_time, late
+
+
+@pytest.mark.parametrize("late", ["position", "velocity", "both"])
+def test_frames_half_a_step_late_show(
+    pendulum: Any, halves: tuple[str, Trajectory, Trajectory], late: str
+) -> None:
+    """Recorded at half steps of the same motion, in positions alone, velocities alone or both."""
+    stepper, on_time, delayed = halves
+    method, count = METHODS[stepper], 10
+    names = {
+        "position": ("position", "orientation"),
+        "velocity": ("velocity", "angular_velocity"),
+    }
+    taken = names.get(late) or (*names["position"], *names["velocity"])
+    motion = dataclasses.replace(on_time, **{name: getattr(delayed, name) for name in taken})
+    half = dataclasses.replace(method, velocity_lag=method.velocity_lag / 2)
+    speeds, lag = _both(_record(pendulum, motion, half, count))
+
+    assert not (speeds.passed & lag.passed).any()
+    if late == "both":
+        # Late together they agree with one another, but not with the start.
+        assert lag.passed.all()
+        assert (speeds.frame == 1).all()
+    else:
+        assert np.allclose(lag.figure, 1e-3, rtol=0.05)
+
+
+def test_velocities_of_another_body_or_in_another_frame_show(tumbling: Any) -> None:
+    exact = tumbling.exact
+    swapped = dataclasses.replace(exact, velocity=exact.velocity[:, :, ::-1])
+    back = rotation.conjugate(exact.orientation)
+    turned = dataclasses.replace(
+        exact, angular_velocity=rotation.rotate(back, exact.angular_velocity)
+    )
+    for broken in (swapped, turned):
+        speeds, _ = _both(_record(tumbling, broken, METHODS["rk4"], 10))
+        assert not speeds.passed.any()
+        assert (speeds.figure > 0.01).all()
+
+
+def test_a_single_wrong_frame_is_named(pendulum: Any) -> None:
+    position = pendulum.exact.position.copy()
+    position[1, 12, 0] += 1e-4
+    broken = dataclasses.replace(pendulum.exact, position=position)
+    speeds, _ = _both(_record(pendulum, broken, METHODS["rk4"], 10))
+
+    assert speeds.passed.tolist() == [True, False, True]
+    # A frame is an end of one of the steps that are looked at.
+    assert speeds.frame[1] in (12, 13)
+
+
+def _wheel(rate: float) -> Scene:
+    return Scene(
+        name="wheel",
+        gravity=(0.0, 0.0, 0.0),
+        bodies=(Body("wheel", inertia=Inertia(1.0, (0.1, 0.1, 0.2)), position=(0.1, 0.0, 0.0)),),
+        joints=(Joint("axle", "hinge", "world", "wheel", (0, 0, 0), (0.0, 0.0, 1.0), rate=rate),),
+        length=0.3,
+        clock=Clock(0.02, 10),
+    )
+
+
+@pytest.mark.parametrize("turns", [0.05, 0.3, 3.0])
+def test_what_frames_do_not_resolve_is_no_mismatch(turns: float) -> None:
+    """A wheel that turns by a part of a turn, or many, in each frame."""
+    rate = turns * 2 * np.pi / 0.02
+    scene = _wheel(rate)
+    angle = rate * 0.02 * np.arange(11)
+    out = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+    along = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=-1)
+    turned = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], axis=-1)
+    motion = Trajectory(
+        np.arange(11) * np.float64(0.02),
+        0.1 * out[None, :, None],
+        turned[None, :, None],
+        0.1 * rate * along[None, :, None],
+        np.broadcast_to([0.0, 0.0, rate], (1, 11, 1, 3)),
+        (None,),
+    )
+    speeds, lag = _both(Record(scene, draw_batch(scene, [0]), motion, METHODS["rk4"], 0.02 / 1e3))
+
+    assert speeds.passed.all()
+    assert lag.passed.all()
+    late = dataclasses.replace(
+        motion, velocity=0.1 * rate * np.roll(along, 1, axis=0)[None, :, None]
+    )
+    speeds, lag = _both(Record(scene, draw_batch(scene, [0]), late, METHODS["rk4"], 0.02 / 1e3))
+
+    # A frame late: seen where frames resolve the turn at all.
+    assert (speeds.passed & lag.passed).all() == (turns > 1)
+
+
+def test_a_motion_without_acceleration_has_no_lag() -> None:
+    scene = Scene(
+        name="drifter",
+        gravity=(0.0, 0.0, 0.0),
+        bodies=(Body("drifter", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), velocity=(1.0, 0.0, 0.0)),),
+        length=1.0,
+        clock=Clock(0.02, 4),
+    )
+    batch = draw_batch(scene, [0])
+    time = np.arange(5) * np.float64(0.02)
+    zero = np.zeros((1, 5, 1, 3))
+    position, velocity = zero.copy(), zero.copy()
+    position[..., 0], velocity[..., 0] = time[:, None], 1.0
+    facing = np.broadcast_to(rotation.IDENTITY, (1, 5, 1, 4))
+    motion = Trajectory(time, position, facing, velocity, zero, (None,))
+    for speed in (1.0, 0.0):
+        moved = dataclasses.replace(motion, position=speed * position, velocity=speed * velocity)
+        speeds, lag = _both(Record(scene, batch, moved, METHODS["rk4"], 1e-3))
+        assert speeds.figure.tolist() == [pytest.approx(0.0, abs=1e-12)]
+        assert lag.passed.all()
+        assert lag.figure.tolist() == [0.0]
+    stopped = dataclasses.replace(motion, velocity=zero)
+    speeds, _ = _both(Record(scene, batch, stopped, METHODS["rk4"], 1e-3))
+    assert not speeds.passed.any()
+
+
+def test_frames_after_a_failure_and_scenes_with_contact_are_left_out(pendulum: Any) -> None:
+    velocity = pendulum.exact.velocity.copy()
+    velocity[0, 9:] = np.nan
+    velocity[1, 1:] = np.nan
+    broken = dataclasses.replace(pendulum.exact, velocity=velocity)
+    with np.errstate(all="raise"):
+        speeds, lag = _both(_record(pendulum, broken, METHODS["rk4"], 10))
+
+    assert np.isnan(speeds.series[0, 9:]).all()
+    assert speeds.passed.tolist() == [True, False, True]
+    assert lag.passed.tolist() == [True, False, True]
+    ground = msgspec.structs.replace(
+        pendulum.scene,
+        contacts=(ContactSphere("link1", (0.0, 0.0, 0.0), 0.01),),
+        ground=Ground(friction=0.5, restitution=0.0),
+    )
+    assert kinematics(Record(ground, pendulum.batch, pendulum.exact)) is None
+    assert velocity_lag(Record(ground, pendulum.batch, pendulum.exact)) is None
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
+    batch = draw_batch(case.scene, [0])
+    for name, method in adapter.methods.items():
+        for step in (5e-3, 1e-4):
+            if not adapter.refusals(case.scene, name):
+                motion = run(case.scene, batch, adapter.name, Settings(name, step)).trajectory
+                speeds, lag = _both(Record(case.scene, batch, motion, method, step))
+                assert speeds.passed.all(), (name, step)
+                assert lag.passed.all(), (name, step)
