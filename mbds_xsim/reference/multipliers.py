@@ -100,14 +100,14 @@ class Multipliers:
         band = products[:, self._source[0]]
         band += products[:, self._source[1]]
         diagonal = band[:, :, 0].copy()
+        pivot = np.empty_like(diagonal)
         answer = goal[:, self._row_at]
         regular = np.ones(len(goal), dtype=bool)
         for k in range(len(goal)):
-            # The transposes are views in Fortran's order, factorised in place.
-            _, x, info = lapack.dpbsv(band[k].T, answer[k], lower=1, overwrite_ab=1)
+            factor, x, info = lapack.dpbsv(band[k].T, answer[k], lower=1, overwrite_ab=1)
             regular[k] = info == 0
-            answer[k] = x
-        regular &= (band[:, :, 0] ** 2 > _DEPENDENT * diagonal).all(axis=1)
+            pivot[k], answer[k] = factor[0], x
+        regular &= (pivot**2 > _DEPENDENT * diagonal).all(axis=1)
         for row in np.flatnonzero(~regular):
             answer[row] = self._solve_dependent(products[row], goal[row, self._row_at])
         multipliers = np.empty_like(answer)
