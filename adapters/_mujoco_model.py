@@ -6,7 +6,6 @@ the engine was given. Elements: https://mujoco.readthedocs.io/en/stable/XMLrefer
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -15,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+
+from ._mujoco_contact import Impact, add_ground, cone_options
+from ._mujoco_numbers import numbers
 
 __all__ = ["Stepping", "closing_point", "mjcf", "text", "with_start"]
 
@@ -35,7 +37,7 @@ _CLOSING_POINTS: dict[str, tuple[float, ...]] = {
 
 _NOT_IN_MJCF = (
     " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl. The keyframe "
-    "is the scene's own start; a drawn one is set in qpos and qvel. "
+    "is the scene's own start; a drawn one is set in qpos and qvel."
 )
 
 
@@ -51,6 +53,7 @@ class Stepping:
     """Of the constraints that close loops [s]; 0 leaves MuJoCo's default softness."""
     link_time_constant: float
     """The same of distance links."""
+    impact: Impact
 
 
 def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
@@ -69,6 +72,7 @@ def mjcf(mechanism: Mechanism, stepping: Stepping) -> Element:
     for spring in mechanism.springs:
         _spring(tendons, bodies, spring)
     root.extend(element for element in (tendons, equalities) if len(element))
+    add_ground(root, bodies, mechanism, stepping.impact)
     if mechanism.hinges:
         _motors(SubElement(root, "actuator"), bodies, mechanism)
     return root
@@ -85,12 +89,12 @@ def closing_point(joint: PlacedJoint, k: int) -> str:
     return f"{joint.name} {k}"
 
 
-def with_start(xml: str, qpos: Array, qvel: Array) -> str:
+def with_start(xml: str, qpos: Array, qvel: Array, remark: str) -> str:
     """Add the scene's start as a keyframe, and say what MJCF has no place for."""
     root = ElementTree.fromstring(xml)
-    root.insert(0, ElementTree.Comment(_NOT_IN_MJCF))
+    root.insert(0, ElementTree.Comment(f"{_NOT_IN_MJCF}{remark} "))
     keyframe = SubElement(root, "keyframe")
-    SubElement(keyframe, "key", name="start", qpos=_numbers(qpos), qvel=_numbers(qvel))
+    SubElement(keyframe, "key", name="start", qpos=numbers(qpos), qvel=numbers(qvel))
     return text(root)
 
 
@@ -101,13 +105,15 @@ def _option(root: Element, mechanism: Mechanism, stepping: Stepping) -> None:
         timestep=repr(stepping.timestep),
         integrator=stepping.integrator,
         solver=stepping.solver,
-        gravity=_numbers(mechanism.scene.gravity),
+        gravity=numbers(mechanism.scene.gravity),
         # Newton's sparse factorisation gives wrong accelerations in 4.0.0:
         # https://github.com/google-deepmind/mujoco/issues/3767
         jacobian="dense",
         # A cost improvement below this ends the solver; at the default 1e-8 it stops early.
         tolerance="1e-14",
     )
+    if mechanism.scene.contacts:
+        option.attrib.update(cone_options(stepping.impact))
     # Without this a diverged state silently goes back to the reference pose.
     SubElement(option, "flag", autoreset="disable")
 
@@ -123,23 +129,23 @@ def _bodies(world: Element, mechanism: Mechanism) -> dict[int, Element]:
 def _body(above: Element, mechanism: Mechanism, link: Link) -> Element:
     origin = mechanism.com[link.parent] if link.parent != WORLD_INDEX else np.zeros(3)
     name = mechanism.scene.bodies[link.body].name
-    body = SubElement(above, "body", name=name, pos=_numbers(mechanism.com[link.body] - origin))
+    body = SubElement(above, "body", name=name, pos=numbers(mechanism.com[link.body] - origin))
     tensor = mechanism.inertia[link.body]
     SubElement(
         body,
         "inertial",
         pos="0 0 0",
         mass=repr(float(mechanism.mass[link.body])),
-        fullinertia=_numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+        fullinertia=numbers(tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
     )
     joint = link.joint
     if joint is None:
         SubElement(body, "freejoint")
     elif joint.kind != "fixed":
         element = SubElement(body, "joint", name=joint.name, type=_JOINT_TYPES[joint.kind])
-        element.set("pos", _numbers(joint.in_child))
+        element.set("pos", numbers(joint.in_child))
         if joint.axis.any():
-            element.set("axis", _numbers(joint.axis))
+            element.set("axis", numbers(joint.axis))
     return body
 
 
@@ -148,7 +154,7 @@ def _softness(tau: float) -> dict[str, str]:
     if tau == 0:
         return {}
     return {
-        "solref": _numbers((-1.0 / tau**2, -2.0 / tau)),
+        "solref": numbers((-1.0 / tau**2, -2.0 / tau)),
         "solimp": "0.9999 0.9999 0.001 0.5 2",
     }
 
@@ -178,7 +184,7 @@ def _sites(
 
 
 def _site(body: Element, name: str, point: Array) -> str:
-    SubElement(body, "site", name=name, pos=_numbers(point))
+    SubElement(body, "site", name=name, pos=numbers(point))
     return name
 
 
@@ -233,9 +239,5 @@ def _motors(actuators: Element, bodies: dict[int, Element], mechanism: Mechanism
             name=hinge.name,
             site=child,
             refsite=parent,
-            gear=_numbers((0.0, 0.0, 0.0, *hinge.axis)),
+            gear=numbers((0.0, 0.0, 0.0, *hinge.axis)),
         )
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)

@@ -28,18 +28,21 @@ from mbds_xsim.engine import (
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
+from ._mujoco_contact import Impact, Spheres, sunk_spheres
 from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
+from ._mujoco_steps import FinerNearGround, OneCall, Stepper
 
 __all__ = ["MuJoCo"]
 
 Array = NDArray[np.float64]
 
-_NATIVE_OPTIONS = {"loop_time_constant": 0.0, "link_time_constant": 0.0}
+_NATIVE_OPTIONS = {"loop_time_constant": 0.0, "link_time_constant": 0.0, "contact_substeps": 0}
 _SOLVERS = ("Newton", "CG", "PGS")
 # An ordinary user's [s].
 _DEFAULT_STEP = 0.002
@@ -47,6 +50,8 @@ _DEFAULT_STEP = 0.002
 _CAREFUL_STEP = 0.005
 _CAREFUL_LINK_STEP = 0.001
 _CAREFUL_COUNT = 4
+# With fewer steps an impact's restitution depends on how it lies between them.
+_SHORTEST_IMPACT = 4
 # Of the reciprocal of a spring's rate: forty steps a period.
 _SPRING_FRACTION = 0.15
 # A body that crosses so many scene lengths in a frame has blown up.
@@ -74,12 +79,21 @@ class MuJoCo(Adapter):
         "link_time_constant": Option(
             1.5, "of distance links, in steps; 0 leaves MuJoCo's default solref and solimp"
         ),
+        "contact_substeps": Option(
+            50,
+            "semi-implicit Euler steps into which a step near the ground is divided; 0 leaves "
+            "MuJoCo's default contact",
+        ),
+        "impact_steps": Option(
+            12,
+            "such steps that an impact lasts, 4 or more; or 1, right where all contact spheres are "
+            "around the centres of mass of free bodies, the others",
+        ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
     }
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "
         "free; close the loop at another joint",
-        Feature.CONTACT: "contact is not translated yet",
     }
     coordinates = "reduced"
 
@@ -92,7 +106,8 @@ class MuJoCo(Adapter):
             return Settings("Euler", nearest_step(frame, _DEFAULT_STEP), _NATIVE_OPTIONS)
         longest = _CAREFUL_STEP if not scene.distance_links else _CAREFUL_LINK_STEP
         longest = min(longest, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
-        return Settings("RK4", careful_step(frame, longest, _CAREFUL_COUNT))
+        impact = {"impact_steps": 1} if has_only_balls(Mechanism.of(scene)) else {}
+        return Settings("RK4", careful_step(frame, longest, _CAREFUL_COUNT), impact)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver = self.option(settings, "solver")
@@ -100,14 +115,32 @@ class MuJoCo(Adapter):
             raise UnknownName.of("solver of mujoco", str(solver), list(_SOLVERS))
         substeps = settings.substeps(scene.clock.frame)
         step = scene.clock.frame / substeps
+        division = self._division(scene, settings)
+        finer = step / division if division else 0.0
         stepping = Stepping(
-            settings.method,
-            step,
+            "Euler" if division else settings.method,
+            finer or step,
             solver,
             step * self._steps(settings, "loop_time_constant"),
             step * self._steps(settings, "link_time_constant"),
+            Impact(finer, self._impact_steps(settings)),
         )
-        return _Run(Mechanism.of(scene), stepping, substeps)
+        return _Run(Mechanism.of(scene), stepping, settings.method, substeps, division)
+
+    def _division(self, scene: Scene, settings: Settings) -> int:
+        """Finer steps of a step near the ground; 0 where contact needs none."""
+        value = self.option(settings, "contact_substeps")
+        if not (isinstance(value, int) and value >= 0):
+            msg = f"contact_substeps: got {value!r}, allowed is a whole number of steps, or 0"
+            raise InputError(msg)
+        return value if scene.contacts else 0
+
+    def _impact_steps(self, settings: Settings) -> int:
+        value = self.option(settings, "impact_steps")
+        if not (isinstance(value, int) and (value == 1 or value >= _SHORTEST_IMPACT)):
+            msg = f"impact_steps: got {value!r}, allowed is 1, or {_SHORTEST_IMPACT} and more"
+            raise InputError(msg)
+        return value
 
     def _steps(self, settings: Settings, name: str) -> float:
         value = self.option(settings, name)
@@ -118,17 +151,32 @@ class MuJoCo(Adapter):
 
 
 class _Run(Run):
-    def __init__(self, mechanism: Mechanism, stepping: Stepping, substeps: int) -> None:
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        stepping: Stepping,
+        method: str,
+        count: int,
+        division: int,
+    ) -> None:
         self._mechanism = mechanism
-        self._substeps = substeps
+        self._division = division
         self._xml = text(mjcf(mechanism, stepping))
         self._model: Any = mujoco.MjModel.from_xml_string(self._xml)
         self._data: Any = mujoco.MjData(self._model)
         self._coordinates = Coordinates(self._model, mechanism)
         # MuJoCo numbers bodies depth first, so only names tell.
         self._bodies = [self._model.body(body.name).id for body in mechanism.scene.bodies]
+        self._spheres = Spheres(self._model, mechanism)
+        self._stepper: Stepper = OneCall(count)
+        if division:
+            self._stepper = FinerNearGround(self._model, self._spheres, method, count, division)
         mujoco.mj_forward(self._model, self._data)
-        self.size = ModelSize(coordinates=self._model.nv, constraints=self._data.nefc)
+        self.size = ModelSize(
+            coordinates=self._model.nv,
+            constraints=self._data.ne,
+            contact_pairs=self._model.npair,
+        )
 
     def rollout(self, batch: Batch) -> Trajectory:
         qpos, qvel = self._start(batch)
@@ -167,7 +215,7 @@ class _Run(Run):
             # At the centre of mass and along W in every stage of a step.
             data.xfrc_applied[self._bodies, :3] = row.force[0, k]
             data.ctrl[:] = row.torque[0, k]
-            mujoco.mj_step(model, data, self._substeps)
+            self._stepper.frame(model, data)
             if data.warning.number.any():
                 return
             positions[k + 1], velocities[k + 1] = data.qpos, data.qvel
@@ -177,15 +225,21 @@ class _Run(Run):
         scene = self._mechanism.scene
         fastest = np.linalg.norm(bodies.velocity, axis=-1).max(axis=-1)
         limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
+        sunk = sunk_spheres(self._mechanism, bodies)
         failures: list[Failure | None] = []
         for row, reason in enumerate(reasons):
             # Written so that NaN counts as bad.
-            bad = np.flatnonzero(~(fastest[row] < limit))
+            blown = ~(fastest[row] < limit)
+            bad = np.flatnonzero(blown | sunk[row])
             if not len(bad):
                 failures.append(None)
                 continue
-            blow_up = f"a body's speed passes {limit:.3g} m/s or is not a number"
-            failures.append(Failure(int(bad[0]), reason or blow_up))
+            what = (
+                f"a body's speed passes {limit:.3g} m/s or is not a number"
+                if blown[bad[0]]
+                else "a contact sphere is in the ground with its centre"
+            )
+            failures.append(Failure(int(bad[0]), reason or what))
             for values in (
                 bodies.position,
                 bodies.native,
@@ -219,9 +273,10 @@ class _Run(Run):
             velocity=twists[:, 3:],
             angular_velocity=twists[:, :3],
             gravity=model.opt.gravity.copy(),
-            step=float(model.opt.timestep),
+            step=float(model.opt.timestep) * (self._division or 1),
             joint_axis=self._joint_axes(),
             damping=self._unasked_damping(),
+            contact=self._spheres.coefficients(model),
         )
 
     def _twist(self, body: int) -> Array:
@@ -271,7 +326,7 @@ class _Run(Run):
 
     def native(self) -> str:
         start = to_links(self._mechanism, BodyStates(**vars(assemble(self._mechanism))))
-        return with_start(self._xml, *self._coordinates.from_links(start))
+        return with_start(self._xml, *self._coordinates.from_links(start), self._stepper.remark)
 
     def close(self) -> None:
         self._model = self._data = None

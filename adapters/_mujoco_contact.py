@@ -1,0 +1,152 @@
+"""Contact spheres on the ground, and when one of them can reach it.
+
+A contact of MuJoCo is a normal row, a spring and damper, and two tangential rows behind a friction
+cone. All are tied to the semi-implicit Euler step h:
+
+- Normal: see `impact_law`. What rests does not sink, whatever the spring, for MuJoCo's softness is
+  one of accelerations: a hardness d leaves 1 − d of gravity to it.
+- Tangential: a damping 1/h stops the slip within one step, or friction is at the edge of its cone.
+- In MuJoCo's cone normal and tangential rows are one convex problem, whose solution lifts a body
+  by μ times its slip: sliding spheres hop. With `impratio` near 0 the tangential rows are too soft
+  to be felt there, and the `noslip` solver, which leaves normal forces as they are, then finds the
+  friction without any softness.
+
+https://mujoco.readthedocs.io/en/stable/computation/index.html
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+
+from ._mujoco_impact import impact_law
+from ._mujoco_numbers import numbers
+
+__all__ = ["Impact", "Spheres", "add_ground", "cone_options", "sunk_spheres"]
+
+Array = NDArray[np.float64]
+
+_GROUND = "ground"
+# MuJoCo's hardest; at rest a constraint leaves the rest of 1 of an unconstrained acceleration.
+_HARDNESS = 0.9999
+# Softness of the normal row over that of the tangential rows in the cone.
+_SOFT_CONE = 1e-9
+_NOSLIP_ITERATIONS = 100
+_NOSLIP_TOLERANCE = 1e-14
+# How far a sphere may get within a step, in lengths of a straight path.
+_REACH = 2.0
+
+
+@dataclass(frozen=True)
+class Impact:
+    """How long an impact lasts."""
+
+    step: float
+    """Of the semi-implicit Euler method [s]; 0 leaves MuJoCo's default contact."""
+    count: int
+    """Steps."""
+
+
+def add_ground(
+    root: Element, bodies: dict[int, Element], mechanism: Mechanism, impact: Impact
+) -> None:
+    """Add the plane, the spheres and their pairs; geoms that are in no pair never touch."""
+    ground = mechanism.scene.ground
+    if ground is None:
+        return
+    never = {"contype": "0", "conaffinity": "0"}
+    # The first geom of the world. A plane is a half-space: nothing gets behind it.
+    SubElement(bodies[WORLD_INDEX], "geom", never, name=_GROUND, type="plane", size="0 0 1")
+    contact = SubElement(root, "contact")
+    law = _law(ground.restitution, impact) if impact.step else {}
+    for k, body in enumerate(mechanism.sphere_body):
+        SubElement(
+            bodies[int(body)],
+            "geom",
+            never,
+            name=_name(k),
+            type="sphere",
+            size=repr(float(mechanism.sphere_radius[k])),
+            pos=numbers(mechanism.sphere_offset[k]),
+        )
+        pair = SubElement(contact, "pair", law, geom1=_GROUND, geom2=_name(k))
+        # Two tangential coefficients; no torsion and rolling in condim 3. A coefficient of 0
+        # would be raised to 1e-5.
+        pair.set("condim", "3" if ground.friction else "1")
+        pair.set("friction", numbers((ground.friction, ground.friction, 0, 0, 0)))
+
+
+def cone_options(impact: Impact) -> dict[str, str]:
+    """Options of the engine that go with the impact law."""
+    if not impact.step:
+        return {}
+    return {
+        # The default is a pyramid, which is not isotropic.
+        "cone": "elliptic",
+        "impratio": repr(_SOFT_CONE),
+        "noslip_iterations": str(_NOSLIP_ITERATIONS),
+        "noslip_tolerance": repr(_NOSLIP_TOLERANCE),
+    }
+
+
+def sunk_spheres(mechanism: Mechanism, bodies: BodyStates) -> NDArray[np.bool_]:
+    """Where the centre of a contact sphere is below the ground; of the shape of a body's time."""
+    arm = rotation.rotate(bodies.native[..., mechanism.sphere_body, :], mechanism.sphere_offset)
+    height = bodies.position[..., mechanism.sphere_body, 2] + arm[..., 2]
+    return np.asarray(np.any(height < 0.0, axis=-1))
+
+
+class Spheres:
+    """The contact spheres of a compiled model."""
+
+    def __init__(self, model: Any, mechanism: Mechanism) -> None:
+        names = [_name(k) for k in range(len(mechanism.sphere_body))]
+        self._geoms = np.array([model.geom(name).id for name in names], dtype=np.int64)
+        self._bodies = model.geom_bodyid[self._geoms]
+        self._roots = model.body_rootid[self._bodies]
+        self._radius = model.geom_size[self._geoms, 0].copy()
+        self._gravity = float(np.linalg.norm(model.opt.gravity))
+
+    def gaps(self, model: Any, data: Any) -> Array:
+        """Give the height of each sphere's lowest point [m]; brings positions up to date."""
+        mujoco.mj_kinematics(model, data)
+        return np.asarray(data.geom_xpos[self._geoms, 2] - self._radius)
+
+    def may_touch(self, model: Any, data: Any, duration: float) -> bool:
+        """Whether a sphere can reach the ground within a time [s]."""
+        gap = self.gaps(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        twist = data.cvel[self._bodies]
+        arm = data.geom_xpos[self._geoms] - data.subtree_com[self._roots]
+        velocity = twist[:, 3:] + np.cross(twist[:, :3], arm)
+        speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
+        return bool(np.any(gap < _REACH * duration * (speed + self._gravity * duration)))
+
+    def coefficients(self, model: Any) -> Array:
+        """Radius and friction of each sphere's pair; MuJoCo has no restitution."""
+        friction = np.where(model.pair_dim == 1, 0.0, model.pair_friction[:, 0])
+        return np.stack([self._radius, friction, np.full(len(friction), np.nan)], axis=-1)
+
+
+def _law(restitution: float, impact: Impact) -> dict[str, str]:
+    law, h = impact_law(restitution, impact.count), impact.step
+    return {
+        "solref": numbers((-law.stiffness / h**2, -law.damping / h)),
+        # The noslip solver knows no softness, so that of the row is taken out of its damping.
+        "solreffriction": numbers((0.0, -_HARDNESS / h)),
+        "solimp": f"{_HARDNESS} {_HARDNESS} 0.001 0.5 2",
+    }
+
+
+def _name(k: int) -> str:
+    return f"contact sphere {k}"

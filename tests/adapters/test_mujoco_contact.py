@@ -1,0 +1,352 @@
+"""Contact in MuJoCo: the impact law, friction, rolling, rest and flight, against exact answers."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import readback, reference, rotation
+from mbds_xsim.engine import Settings
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import HingeRate
+from mbds_xsim.scene import (
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Particle,
+    Scene,
+    Torque,
+    Vector,
+)
+from mbds_xsim.state import Batch, Trajectory
+
+mujoco: Any = pytest.importorskip("mujoco")
+impact_law: Any = importlib.import_module("mbds_xsim_adapters._mujoco_impact").impact_law
+
+Array = NDArray[np.float64]
+ENGINE = load_adapter("mujoco")
+CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
+G, MU = 9.81, 0.43
+R = math.sqrt(5 * 6.17e-4 / 2)
+
+
+def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
+    chosen = settings or settings_for(scene, ENGINE, "matched")
+    with ENGINE.open(scene, chosen) as run:
+        return run.rollout(batch)
+
+
+def ball(
+    height: float = 0.0,
+    velocity: Vector = (0.0, 0.0, 0.0),
+    spin: Vector = (0.0, 0.0, 0.0),
+    ground: Ground | None = None,
+    steps: int = 50,
+) -> Scene:
+    """Make one particle with its lowest point at a height."""
+    centre = (0.0, 0.0, R + height)
+    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
+    return Scene(
+        "ball",
+        (body,),
+        length=1.0,
+        contacts=(ContactSphere("ball", centre, R),),
+        ground=ground or Ground(MU, 0.9332),
+        clock=Clock(0.02, steps),
+    )
+
+
+def alone(scene: Scene, settings: Settings | None = None) -> Trajectory:
+    """Run a scene that draws nothing."""
+    motion = rollout(scene, draw_batch(scene, [0]), settings)
+    assert motion.failures == (None,)
+    return motion
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_ballscroll_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, range(3), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)
+    assert motion.failures == (None,) * 3
+    assert error.max() < 1e-3
+    assert np.abs(motion.position[..., 2] - R).max() < 1e-5  # neither hops nor sinks
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("balldrop")
+    batch = draw_batch(scene, range(3), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)[..., 0]
+    height = exact.position[..., 0, 2]
+    for row in range(3):
+        climbs = np.diff(exact.velocity[row, :, 0, 2]) > 0.5
+        first, second, third, *_ = (np.flatnonzero(climbs) + 1).tolist()
+        assert error[row, :first].max() < 1e-4
+        assert error[row, first:third].max() < 2e-2
+        rebound, expected = (
+            values[row, first:second].max() - 5 * R
+            for values in (motion.position[..., 0, 2], height)
+        )
+        assert rebound == pytest.approx(expected, rel=5e-3)
+    assert motion.position[..., 2].min() > 5 * R - 1e-3
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9332, 1.0])
+@pytest.mark.parametrize("speed", [0.1, 1.0, 3.0, 8.0])
+def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
+    """Told from the energy at the first frame after the impact, with the ball still in the air."""
+    scene = ball(0.01 * speed, (0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=1)
+    motion = alone(scene)
+
+    impact = math.sqrt(speed**2 + 2 * G * 0.01 * speed)
+    height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
+    rebound = math.sqrt(max(0.0, velocity**2 + 2 * G * height))
+    assert rebound / impact == pytest.approx(restitution, abs=2e-3 + 4e-4 / speed)
+
+
+@pytest.mark.parametrize("heading", [(1.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5)), (-0.6, 0.8)])
+def test_slides_then_rolls_alike_in_every_direction(heading: tuple[float, float]) -> None:
+    along, across = np.array(heading), np.array([-heading[1], heading[0]])
+    scene = ball(velocity=(*(5.0 * along).tolist(), 0.0))
+    motion = alone(scene)
+    time, place = motion.time, motion.position[0, :, 0, :2]
+
+    end = 2 * 5.0 / (7 * MU * G)
+    slid = 5.0 * time - 0.5 * MU * G * time**2
+    rolled = 5.0 * end - 0.5 * MU * G * end**2 + 25.0 / 7.0 * (time - end)
+    np.testing.assert_allclose(place @ along, np.where(time < end, slid, rolled), atol=3e-4)
+    assert np.abs(place @ across).max() < 1e-12
+    spin, velocity = motion.angular_velocity[0, -1, 0], motion.velocity[0, -1, 0]
+    assert np.linalg.norm(velocity[:2] - R * np.array([spin[1], -spin[0]])) < 1e-5
+
+
+def test_without_friction_nothing_turns() -> None:
+    motion = alone(ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5)))
+
+    np.testing.assert_allclose(motion.velocity[0, :, 0, :2], [[3.0, 1.0]] * 51, atol=1e-12)
+    np.testing.assert_allclose(motion.angular_velocity[0, :, 0], [[0.0, 0.0, 4.0]] * 51, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+@pytest.mark.parametrize("profile", ["native", "matched"])
+def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> None:
+    scene = load_scene(name)
+    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
+    with ENGINE.open(scene, settings) as run:
+        found, size = run.readback(batch), run.size
+
+    assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
+    assert size.contact_pairs == len(scene.contacts)
+    assert found.contact is not None
+    assert np.isnan(found.contact[:, 2]).all()  # MuJoCo has no restitution
+
+
+def test_what_is_read_back_is_the_engines_own() -> None:
+    scene = ball()
+    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
+    with ENGINE.open(scene, settings) as run:
+        found = run.readback(batch)
+
+    other = msgspec.structs.replace(scene, ground=Ground(0.185, 0.88))
+    differences = readback.compare(Mechanism.of(other), batch, settings, found)
+    assert [line.split()[0] for line in differences] == ["friction"]
+
+
+@pytest.mark.parametrize("speed", [0.3, 3.0, 8.0])
+def test_an_impact_of_several_steps_gives_the_restitution_in_the_mean(speed: float) -> None:
+    """Over heights that spread the impact over the phases of a step."""
+    rebounds = []
+    for k in range(12):
+        drop = 0.01 * speed + k / 12 * 1e-4 * speed
+        scene = ball(drop, (0.0, 0.0, -speed), steps=1)
+        settings = Settings("RK4", 0.005, {"contact_substeps": 50, "impact_steps": 12})
+        motion = alone(scene, settings)
+        height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
+        impact = speed**2 + 2 * G * drop
+        rebounds.append(math.sqrt((velocity**2 + 2 * G * height) / impact))
+
+    assert np.mean(rebounds) == pytest.approx(0.9332, abs=3e-3)
+    assert max(rebounds) - min(rebounds) < 0.03
+
+
+@pytest.mark.parametrize("impact_steps", [4, 12, 30])
+def test_laws_of_impact_give_what_they_are_asked_for(impact_steps: int) -> None:
+    """Followed here once more, in the textbook form of semi-implicit Euler."""
+    law = impact_law(0.8, impact_steps)
+    speeds = []
+    for phase in np.linspace(0.0, 1.0, 500, endpoint=False):
+        height, speed = -phase - 1e-9, -1.0
+        while height < 0.0:
+            speed += max(0.0, -law.damping * speed - law.stiffness * height)
+            height += speed
+        speeds.append(speed)
+
+    assert np.mean(speeds) == pytest.approx(0.8, abs=3e-3)
+
+
+def test_the_cubli_flies_as_the_reference_does_until_it_lands() -> None:
+    scene = load_scene("simplecubli")
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(3))
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    assert motion.failures == (None,) * 3
+    for row, impact in enumerate(exact.failures):
+        assert impact is not None
+        until = slice(0, impact.frame)
+        places, expected = (
+            mechanism.particle_positions(one.position[row, until], one.orientation[row, until])
+            for one in (motion, exact)
+        )
+        assert np.abs(places - expected).max() < 2e-5
+        turn = rotation.multiply(
+            rotation.conjugate(exact.orientation[row, until]), motion.orientation[row, until]
+        )
+        assert np.abs(rotation.to_vector(turn)).max() < 5e-5
+
+
+def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
+    """Without flywheel torques; the energy is compared where no corner touches."""
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, range(6), noise=False, inputs=False)
+    motion = rollout(scene, batch)
+    gap = lowest_points(scene, motion)
+
+    assert gap.min() > -0.01 * scene.length
+    for row in range(len(batch)):
+        energy = total_energy(scene, motion)[row, gap[row] > 0]
+        rise = np.max(energy - np.minimum.accumulate(energy))
+        assert rise < 1e-3 * energy[0]
+        assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
+
+
+def test_a_cubli_laid_down_stays_where_it_is() -> None:
+    """On four corners, with its flywheels at rest."""
+    cubli = load_scene("simplecubli")
+    scene = msgspec.structs.replace(cubli, sampling=(), clock=Clock(steps=100))
+    batch = draw_batch(scene, [0], noise=False)
+    batch.position[..., 2] += 0.2 + R - 0.6
+    motion = rollout(scene, batch)
+
+    assert motion.failures == (None,)
+    assert np.abs(motion.position - batch.position[:, None]).max() < 2e-5
+    assert np.abs(motion.velocity[:, -1]).max() < 2e-3
+
+
+def test_a_ball_laid_down_stays_where_it_is() -> None:
+    motion = alone(ball())
+
+    assert np.abs(motion.position - motion.position[:, :1]).max() < 1e-6
+
+
+def test_wheels_driven_evenly_push_the_car_as_the_equations_say() -> None:
+    """All four at the same speed and torque: M x'' = 4 F, I ω' = τ − F r, r ω' = x''."""
+    car = load_scene("particlecar")
+    torque, rate = 1.5, 50.0
+    drive = tuple(Torque(joint.name, (torque,)) for joint in car.joints)
+    joints = tuple(msgspec.structs.replace(joint, rate=rate) for joint in car.joints)
+    chassis = msgspec.structs.replace(
+        car.bodies[0], velocity=(0.2 * rate, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0)
+    )
+    scene = msgspec.structs.replace(
+        car,
+        sampling=(),
+        bodies=(chassis, *car.bodies[1:]),
+        joints=joints,
+        torques=drive,
+        noise=0.0,
+        clock=Clock(steps=50),
+    )
+    mechanism = Mechanism.of(scene)
+    motion = alone(scene)
+
+    moment = mechanism.inertia[1, 1, 1]
+    acceleration = torque / 0.2 / (mechanism.mass.sum() / 4 + moment / 0.2**2)
+    time = motion.time
+    expected = 0.2 * rate * time + 0.5 * acceleration * time**2
+    np.testing.assert_allclose(motion.position[0, :, 0, 0], expected, atol=3e-3)
+    assert np.abs(motion.position[0, :, :, 1] - motion.position[0, :1, :, 1]).max() < 1e-6
+
+
+def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
+    """Its wheels start at 100 rad/s and the car at rest: they slip at 20 m/s, none lifts off."""
+    car = load_scene("particlecar")
+    rates = HingeRate(tuple(j.name for j in car.joints), rate=(100.0, 100.0))
+    scene = msgspec.structs.replace(car, sampling=(rates,), noise=0.0, clock=Clock(steps=50))
+    motion = alone(scene)
+
+    first = motion.angular_velocity[0, 1, 1:, 1]
+    slowing = MU * 18.0 * G * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
+    assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
+    gap = lowest_points(scene, motion)
+    assert -1e-3 < gap.min() <= gap.max() < 1e-3
+
+
+def test_the_native_text_alone_gives_the_same_motion() -> None:
+    """It is the model of the finer steps; on the ground they are all that is taken."""
+    scene = msgspec.structs.replace(load_scene("ballscroll"), sampling=(), noise=0.0)
+    pushed = msgspec.structs.replace(scene.bodies[0], velocity=(4.0, 0.0, 0.0))
+    scene = msgspec.structs.replace(scene, bodies=(pushed,))
+    with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
+        ours = run.rollout(draw_batch(scene, [0]).truncated(5))
+        text = run.native()
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_step(model, data, round(0.1 / model.opt.timestep))
+    np.testing.assert_allclose(ours.position[0, -1, 0], data.qpos[:3], rtol=0, atol=1e-13)
+    assert "integrator RK4 and timestep 0.005" in text
+
+
+def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
+    """MuJoCo's default contact lets a fast sphere in; its ground has no bottom."""
+    scene = ball(0.5, (0.0, 0.0, -20.0))
+    motion = rollout(scene, draw_batch(scene, [0]), ENGINE.settings(scene, "native"))
+
+    failure = motion.failures[0]
+    assert failure is not None
+    assert "in the ground" in failure.reason
+    assert np.isnan(motion.position[0, failure.frame :]).all()
+    alone(scene)  # matched, it bounces
+
+
+def test_only_contact_scenes_get_a_ground() -> None:
+    for name, expected in (("balldrop", True), ("5pendulum", False)):
+        scene = load_scene(name)
+        with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
+            text = run.native()
+        assert ("geom" in text) == ("elliptic" in text) == ("noslip" in text) == expected
+
+
+def lowest_points(scene: Scene, motion: Trajectory) -> Array:
+    """Height of the lowest contact sphere [m], shape (trajectory, frame)."""
+    mechanism = Mechanism.of(scene)
+    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
+    arms = rotation.rotate(turn, mechanism.sphere_offset)
+    heights = motion.position[..., mechanism.sphere_body, 2] + arms[..., 2]
+    return np.asarray((heights - mechanism.sphere_radius).min(axis=-1))
+
+
+def total_energy(scene: Scene, motion: Trajectory) -> Array:
+    """Over the ground [J], shape (trajectory, frame)."""
+    mechanism = Mechanism.of(scene)
+    turn = rotation.matrix(mechanism.native_rotation(motion.orientation))
+    spin = np.einsum("...ji,...j->...i", turn, motion.angular_velocity)
+    turning = np.einsum("...i,...ij,...j->...", spin, mechanism.inertia, spin)
+    moving = mechanism.mass * np.sum(motion.velocity**2, axis=-1)
+    falling = mechanism.mass * G * motion.position[..., 2]
+    return np.asarray(np.sum(0.5 * (moving + turning) + falling, axis=-1))
