@@ -11,6 +11,7 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
+from mbds_xsim.checks.momentum import momentum
 from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
@@ -28,6 +29,7 @@ CHECKS: tuple[Check, ...] = (
     kinematics,
     velocity_lag,
     energy_balance,
+    momentum,
 )
 """Each gives a finding, or None where it does not apply to the scene."""
 
