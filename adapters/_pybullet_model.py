@@ -20,6 +20,7 @@ from mbds_xsim.joint_space import BodyStates, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 from ._pybullet_client import Client, Constant
+from ._pybullet_contact import Contact
 from ._pybullet_parts import Part, Place, split
 
 __all__ = ["SPEED_CAP", "Damping", "Model"]
@@ -52,9 +53,12 @@ class Damping:
 class Model:
     """The native model in one connection."""
 
-    def __init__(self, client: Client, mechanism: Mechanism, damping: Damping) -> None:
+    def __init__(
+        self, client: Client, mechanism: Mechanism, damping: Damping, contact: Contact | None
+    ) -> None:
         self.client = client
         self.mechanism = mechanism
+        self._contact = contact
         self.parts, cut = split(mechanism)
         self.closures = (*mechanism.loops, *cut)
         self._principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
@@ -68,7 +72,9 @@ class Model:
             for k, link in enumerate(part.links):
                 self.places[link.body] = Place(number, k)
         rows = sum(self._close(joint) for joint in self.closures)
-        self.size = ModelSize(sum(_coordinate_count(part) for part in self.parts), rows)
+        self.size = ModelSize(
+            sum(_coordinate_count(part) for part in self.parts), rows, len(mechanism.sphere_body)
+        )
         self._base_pose = client.function("getBasePositionAndOrientation")
         self._base_rate = client.function("getBaseVelocity")
         self._link_states = client.function("getLinkStates")
@@ -203,11 +209,15 @@ class Model:
         number = build(
             "createMultiBody",
             baseMass=base_mass,
+            baseCollisionShapeIndex=self._shape(part.base, np.zeros(3)),
             basePosition=base_at.tolist(),
             baseInertialFramePosition=[0.0, 0.0, 0.0],
             baseInertialFrameOrientation=_xyzw(base_turn),
             linkMasses=[float(mass[link.body]) for link in part.links],
-            linkCollisionShapeIndices=[-1] * count,
+            linkCollisionShapeIndices=[
+                self._shape(link.body, -joint.in_child)
+                for link, joint in zip(part.links, joints, strict=True)
+            ],
             linkVisualShapeIndices=[-1] * count,
             linkPositions=[
                 (joint.anchor - origin[link.parent]).tolist()
@@ -229,18 +239,23 @@ class Model:
         name = [body.name for body in mechanism.scene.bodies]
         if part.base != WORLD_INDEX:
             self.client.note(f"{name[part.base]!r} is the base of {number}")
-            self._set_inertia(number, -1, part.base)
+            self._set_dynamics(number, -1, part.base)
         for k, (link, joint) in enumerate(zip(part.links, joints, strict=True)):
             self.client.note(f"{name[link.body]!r} on {joint.name!r} is link {k} of {number}")
-            self._set_inertia(number, k, link.body)
+            self._set_dynamics(number, k, link.body)
             self._switch_motor_off(number, k, joint)
         return int(number)
 
-    def _set_inertia(self, number: int, link: int, body: int) -> None:
+    def _set_dynamics(self, number: int, link: int, body: int) -> None:
         moments, _ = _principal_axes(self.mechanism.inertia[body])
         self.client.build(
             "changeDynamics", number, link, localInertiaDiagonal=moments.tolist(), jointDamping=0.0
         )
+        if self._contact:
+            self._contact.set_pair(number, link, body)
+
+    def _shape(self, body: int, com: Array) -> int:
+        return self._contact.shape(body, com) if self._contact else -1
 
     def _switch_motor_off(self, number: int, link: int, joint: PlacedJoint) -> None:
         if joint.kind == "ball":

@@ -30,6 +30,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
 from ._pybullet_client import Client
+from ._pybullet_contact import Contact, Law
 from ._pybullet_loads import Loads
 from ._pybullet_model import SPEED_CAP, Damping, Model
 
@@ -47,9 +48,18 @@ _OPTION_RANGES = {
     "erp": (0.0, 1.0),
     "linear_damping": (0.0, math.inf),
     "angular_damping": (0.0, math.inf),
+    "contact_recovery": (0.0, math.inf),
+    "contact_slop": (0.0, math.inf),
+    "contact_reach": (0.0, math.inf),
+    "bounce_threshold": (0.0, math.inf),
 }
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
 _TURN_CAP = math.pi / 4
+# PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
+_USUAL_CONTACT = {"bounce_threshold": 0.2, "contact_reach": 1e18, "contact_slop": 1e-5}
+_USUAL_CONTACT_ERP = 0.08
+# Steps of free fall that still count as rest.
+_FALLS = 4.0
 # The end of a listing: what a reader of it wants to see.
 _STEPPING = """
 for frame in range({steps}):
@@ -78,11 +88,14 @@ class PyBullet(Adapter):
         "erp": Option(0.8, "part of a loop's gap that a step closes (error reduction parameter)"),
         "linear_damping": Option(0.0, "drag on every link [1/s]; a user of the engine gets 0.04"),
         "angular_damping": Option(0.0, "the same for its rotation [1/s]"),
+        "contact_recovery": Option(1.0, "time that pushes an overlap with the ground out [s]"),
+        "bounce_threshold": Option(0.0, "slowest approach that bounces [m/s]; 0: 4 steps' fall"),
+        "contact_reach": Option(1e-6, "gap from which on a contact acts [m]"),
+        "contact_slop": Option(0.0, "overlap with the ground that counts as none [m]"),
     }
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
-        Feature.CONTACT: "contact is not translated yet",
     }
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
 
@@ -99,7 +112,10 @@ class PyBullet(Adapter):
                 "linear_damping": 0.04,
                 "angular_damping": 0.04,
             }
-            return Settings(method, nearest_step(scene.clock.frame, _USUAL_STEP), usual)
+            step = nearest_step(scene.clock.frame, _USUAL_STEP)
+            if scene.contacts:
+                usual |= {**_USUAL_CONTACT, "contact_recovery": step / _USUAL_CONTACT_ERP}
+            return Settings(method, step, usual)
         step = careful_step(scene.clock.frame, _CAREFUL_STEP, _CAREFUL_COUNT)
         return Settings(method, step)
 
@@ -133,7 +149,8 @@ class _Run(Run):
             float(adapter.option(settings, "linear_damping")),
             float(adapter.option(settings, "angular_damping")),
         )
-        self._model = Model(self._client, mechanism, damping)
+        self._contact = self._lay_ground(adapter, settings)
+        self._model = Model(self._client, mechanism, damping, self._contact)
         self._loads = Loads(self._client, self._model, mechanism)
         self._advance = self._client.function("stepSimulation")
         self._set_stepping(self._substeps)
@@ -142,6 +159,18 @@ class _Run(Run):
         turning = [link for link in mechanism.links if not link.joint or link.joint.kind == "ball"]
         self._turning = np.array([link.body for link in turning], dtype=np.int64)
         self._carrier = np.array([link.parent for link in turning], dtype=np.int64)
+
+    def _lay_ground(self, adapter: PyBullet, settings: Settings) -> Contact | None:
+        scene = self._mechanism.scene
+        if scene.ground is None:
+            return None
+        recovery, threshold, reach, slop = (
+            float(adapter.option(settings, name))
+            for name in ("contact_recovery", "bounce_threshold", "contact_reach", "contact_slop")
+        )
+        threshold = threshold or _FALLS * math.hypot(*scene.gravity) * self._step
+        law = Law(recovery, threshold, reach, slop)
+        return Contact(self._client, self._mechanism, scene.ground, law, self._step)
 
     def rollout(self, batch: Batch) -> Trajectory:
         time = np.arange(batch.steps + 1, dtype=np.float64) * self._frame
@@ -156,6 +185,9 @@ class _Run(Run):
     def _roll(self, batch: Batch, row: int, out: Trajectory, each_step: bool) -> Failure | None:
         state = self._start(batch, row)
         self._record(state, out, row, 0)
+        reason = self._trouble(state)
+        if reason:
+            return Failure(1, reason)
         for k in range(batch.steps):
             for _ in range(self._substeps if each_step else 1):
                 self._loads.apply(batch.force[row, k], batch.torque[row, k], state)
@@ -168,6 +200,8 @@ class _Run(Run):
         return None
 
     def _start(self, batch: Batch, row: int) -> BodyStates:
+        if self._contact:
+            self._contact.forget()
         native = self._mechanism.native_rotation(batch.orientation[row])
         self._model.put(
             BodyStates(
@@ -196,7 +230,7 @@ class _Run(Run):
         turn = self._step * np.linalg.norm(relative, axis=-1).max(initial=0.0)
         if turn > _TURN_CAP:
             return f"a body turns by {turn:.3g} rad in a step, the engine cuts that at π/4"
-        return None
+        return self._contact.trouble(state) if self._contact else None
 
     def _set_stepping(self, substeps: int) -> None:
         # Loads stay as they are over the sub-steps of one call.
@@ -219,6 +253,7 @@ class _Run(Run):
             step=world["fixedTimeStep"] / max(1, world["numSubSteps"]),
             joint_axis=joint_axis,
             damping=self._model.damping(),
+            contact=self._contact.readback(self._model.address) if self._contact else None,
         )
 
     def native(self) -> str:
