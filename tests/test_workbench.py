@@ -112,7 +112,9 @@ def test_every_joint_moves() -> None:
 
 def _bodies(**changed: Callable[[Body], Body]) -> Slip:
     def slip(scene: Scene, batch: Batch) -> tuple[Scene, Batch]:
-        bodies = tuple(changed.get(body.name, lambda body: body)(body) for body in scene.bodies)
+        bodies = tuple(
+            changed[body.name](body) if body.name in changed else body for body in scene.bodies
+        )
         return msgspec.structs.replace(scene, bodies=bodies), batch
 
     return slip
