@@ -77,7 +77,7 @@ class Record:
 
     @functools.cached_property
     def mismatch(self) -> Mismatch:
-        """What positions do between frames that velocities do not tell, without contact."""
+        """What positions do between frames that velocities do not tell, outside contact."""
         return mismatch_of(
             self.mechanism,
             self.bodies,

@@ -19,7 +19,7 @@ _ERRORS = 3.0  # standard errors
 
 
 def kinematics(record: Record) -> Finding | None:
-    """Measure how far positions move otherwise than velocities tell; None with contact.
+    """Measure how far positions move otherwise than velocities tell; None where nothing flies.
 
     A step's displacement less the integral of its velocities, as RMS velocity over the largest
     RMS speed. What the frames do not resolve is left out, and so is what a method of its order may
@@ -34,6 +34,8 @@ def kinematics(record: Record) -> Finding | None:
     left = np.maximum(mismatch.rms(mismatch.left) - allowed, 0.0)
     series[:, mismatch.frame] = left / speed[:, None]
     resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
+    if record.scene.contacts:
+        series[:, 0] = 0.0  # not every trajectory flies
     return Finding.of(
         "kinematics",
         "1",
@@ -44,7 +46,7 @@ def kinematics(record: Record) -> Finding | None:
 
 
 def velocity_lag(record: Record) -> Finding | None:
-    """Measure by how much time velocities are off the positions' own [s]; None with contact.
+    """Measure by how much time velocities are off the positions' own [s]; None without flight.
 
     It is the slope of the mismatch over the accelerations that changing joint rates make, by least
     squares over the steps, which weigh by what is resolved in them. The other accelerations are a
@@ -55,6 +57,8 @@ def velocity_lag(record: Record) -> Finding | None:
     if mismatch is None:
         return None
     lag, uncertainty = _slope(mismatch, _LAG * _step(record))
+    if record.scene.contacts:
+        lag = np.nan_to_num(lag)
     series = np.full(record.finite.shape, np.nan)
     rows = np.arange(len(series))
     series[rows, record.finite.sum(axis=1) - 1] = np.abs(lag)
@@ -69,7 +73,10 @@ def velocity_lag(record: Record) -> Finding | None:
 
 
 def _mismatch(record: Record) -> Mismatch | None:
-    return None if record.scene.contacts or record.steps < 1 else record.mismatch
+    """None where no step is clear of contact; most scenes have none."""
+    if record.steps < 1 or (record.scene.contacts and not np.isfinite(record.mismatch.blur).any()):
+        return None
+    return record.mismatch
 
 
 def _step(record: Record) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.checks.flight import flying
 from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.mechanism import Mechanism
 
@@ -35,7 +36,8 @@ class Mismatch:
     """Mean velocity over a step as positions have it, less what velocities make of it.
 
     Of four points a body: its centre of mass and, along each axis of its native frame, a point at
-    its radius of gyration. Shapes (trajectory, step, body, point, 3); NaN where frames are lost.
+    its radius of gyration. Shapes (trajectory, step, body, point, 3); NaN where frames are
+    lost or something may touch.
     """
 
     mechanism: Mechanism
@@ -83,7 +85,7 @@ def mismatch_of(
     frame: float,
     lag: float,
 ) -> Mismatch:
-    """Compare positions and velocities over every second step, without contact.
+    """Compare positions and velocities over every second step, outside contact.
 
     Args:
         mechanism: Whose motion.
@@ -96,8 +98,9 @@ def mismatch_of(
     first = np.arange(0, bodies.position.shape[1] - 1, 2)
     force, torque = force[:, first], torque[:, first]
     closed = _closed(mechanism, bodies)
+    free = flying(mechanism, bodies, frame)[:, first]
     begin, end = (
-        _points_at(mechanism, _frames(bodies, at), _frames(closed, at), force, torque, lag)
+        _points_at(mechanism, _frames(bodies, at), _frames(closed, at), free, force, torque, lag)
         for at in (first, first + 1)
     )
     moved = (end.position - begin.position) / frame
@@ -127,11 +130,12 @@ def _points_at(
     mechanism: Mechanism,
     states: BodyStates,
     closed: BodyStates,
+    free: Mask,
     force: Array,
     torque: Array,
     lag: float,
 ) -> _Points:
-    known = _known(states)
+    known = _known(states) & free
     points = np.full((len(_Points._fields), *known.shape, mechanism.body_count, 4, 3), np.nan)
     if known.any():
         kept, near = _picked(states, known), _picked(closed, known)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.supports import Balance, balances_of
 from mbds_xsim.mechanism import WORLD_INDEX
 
@@ -27,22 +28,27 @@ def momentum(record: Record) -> Finding | None:
     is the finding's uncertainty. With contact, periods of flight are looked at.
     """
     balances = balances_of(record.mechanism)
-    if not balances or record.steps < 1:
+    flights = [
+        flying(record.mechanism, record.bodies, record.frame, balance.bodies)
+        for balance in balances
+    ]
+    seen = [pair for pair in zip(balances, flights, strict=True) if pair[1].any()]
+    if not seen:
         return None
-    parts, errors = zip(*(_unbalanced(record, balance) for balance in balances), strict=True)
+    parts, errors = zip(*(_unbalanced(record, *pair) for pair in seen), strict=True)
     uncertainty = np.max(errors, axis=0)
     return Finding.of(
         "momentum",
         "1",
         np.stack(parts, axis=-1),
         budget=record.energy_budget,
-        names=tuple(balance.name for balance in balances),
+        names=tuple(balance.name for balance, _ in seen),
         uncertainty=uncertainty,
         note=f"impulses known to {uncertainty.max():.1g} of the scale",
     )
 
 
-def _unbalanced(record: Record, balance: Balance) -> tuple[Array, Array]:
+def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
     """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
     bodies = list(balance.bodies)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
@@ -52,9 +58,8 @@ def _unbalanced(record: Record, balance: Balance) -> tuple[Array, Array]:
     if balance.angular:
         impulse, blur = _moments(record, balance, load)
     left = (np.diff(state, axis=1) - impulse) @ balance.directions.T
-    flying = _flying(record, balance)
-    drift = np.linalg.norm(_summed(left, flying), axis=-1)
-    error = np.where(np.isfinite(blur) & flying, blur, 0.0).sum(axis=1)
+    drift = np.linalg.norm(_summed(left, flights), axis=-1)
+    error = np.where(np.isfinite(blur) & flights, blur, 0.0).sum(axis=1)
     found = np.concatenate([np.zeros((len(drift), 1)), drift], axis=1)
     found[~record.finite] = np.nan
     return found / scale[:, None], error / scale
@@ -139,25 +144,11 @@ def _mean(mass: Array, values: Array) -> Array:
     return np.einsum("b,tfbi->tfi", mass / mass.sum(), values)[:, :, None]
 
 
-def _flying(record: Record, balance: Balance) -> Mask:
-    """Steps in which no contact sphere of the group can reach the ground, (trajectory, step)."""
-    mechanism, states = record.mechanism, record.bodies
-    own = np.isin(mechanism.sphere_body, balance.bodies)
-    bodies = mechanism.sphere_body[own]
-    offset = rotation.rotate(states.native[:, :, bodies], mechanism.sphere_offset[own])
-    height = states.position[:, :, bodies, 2] + offset[..., 2] - mechanism.sphere_radius[own]
-    swing = np.cross(states.angular_velocity[:, :, bodies], offset)
-    fall = np.abs(states.velocity[:, :, bodies, 2] + swing[..., 2])
-    reach = record.frame * (fall + record.frame * float(np.linalg.norm(record.scene.gravity)))
-    clear: Mask = np.all(height > reach, axis=2)
-    return clear[:, 1:] & clear[:, :-1]
-
-
-def _summed(left: Array, flying: Mask) -> Array:
+def _summed(left: Array, flights: Mask) -> Array:
     """Sums over the steps of each flight; NaN where there is none; shape (trajectory, step, …)."""
-    total = np.cumsum(np.where(flying[..., None], left, 0.0), axis=1)
+    total = np.cumsum(np.where(flights[..., None], left, 0.0), axis=1)
     steps = np.arange(1, left.shape[1] + 1)
-    landed = np.maximum.accumulate(np.where(flying, 0, steps), axis=1)
+    landed = np.maximum.accumulate(np.where(flights, 0, steps), axis=1)
     padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
     before = np.take_along_axis(padded, landed[..., None], axis=1)
-    return np.where(flying[..., None], total - before, np.nan)
+    return np.where(flights[..., None], total - before, np.nan)

@@ -240,3 +240,9 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
     assert np.isnan(finding.series[0, 7:]).all()
     assert finding.passed.all()
     assert np.isfinite(finding.uncertainty).all()
+
+
+def test_what_never_flies_has_no_balance() -> None:
+    scene, motion = _bouncing(9.81)
+    lying = dataclasses.replace(motion, position=motion.position * [1.0, 1.0, 0.0])
+    assert momentum(Record(scene, draw_batch(scene, [0]), lying, RK4, 1e-3)) is None
