@@ -24,9 +24,12 @@ Faults are planted one at a time into one engine, as a user's mistake would be: 
 settings or the inputs that reach the adapter, in the adapter itself, or in what it records. Then
 the scene is validated in all four engines. A fault counts as caught where that engine fails and
 the three others pass. This is judged on the motion alone, with the comparison of the native model
-with the scene (read-back) switched off; the last column says whether that tells the fault too.
-Without a fault all engines pass on these scenes. `tests/faults` repeats all of it in every test
-run, {clocks}.
+with the scene (read-back) switched off. The table shows the checks that fail in every engine that
+has the fault, how often the vote of the engines and the reference names that engine, and how often
+reading the model back tells the fault too.
+
+Without a fault all engines pass. `tests/faults` repeats all of it in every test run, on
+{clocks}.
 """
 
 _SMALLEST = """
@@ -47,11 +50,10 @@ _NEVER = """
 - A mistake in what all share: adapters and reference get masses, centres of mass, inertias and
   anchors from one module, `mbds_xsim/mechanism.py`. If that is wrong, all agree on a wrong motion.
   It is tested against closed forms instead (`tests/test_mechanism.py`).
-- A mistake in what a scene does not use: a flipped axis of a hinge that no torque drives, or an
-  inertia about an axis that nothing turns a body about. The motion does not depend on it. Reading
-  the native model back tells it all the same, where the engine can say what it holds.
-- Damping of PyBullet's links and its joint motors cannot be read back, as the engine does not tell
-  them; the motion shows both.
+- What the scene does not exercise, of which the faults above are examples. Reading the native
+  model back tells such a mistake all the same, where the engine says what it holds: PyBullet does
+  not tell the damping of its links and its joint motors, nor do PyBullet and DART tell the axes
+  of hinges that close loops.
 """
 
 
@@ -69,7 +71,7 @@ def page() -> Iterator[str]:
     """Give the page, line by line."""
     tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
     clocks = ", ".join(f"{frames} frames of {name}" for name, frames in SCENES.items())
-    yield _HEAD.format(clocks=f"on {clocks}")
+    yield _HEAD.format(clocks=clocks)
     yield from _count(tries)
     yield ""
     yield "| fault | scene | caught in | by | odd one out | read back |"

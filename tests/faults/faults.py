@@ -275,6 +275,13 @@ FAULTS = (
         motion=_late(steps=0.5, places=False),
     ),
     Fault(
+        name="velocities half a step late, first order with loops",
+        scene="2ladder",
+        engines=("pybullet", "dart"),
+        checks=("kinematics", "velocity lag"),
+        motion=_late(steps=0.5, places=False),
+    ),
+    Fault(
         name="frames half a frame late",
         scene="3pendulum",
         engines=ENGINES,
@@ -328,6 +335,17 @@ FAULTS = (
         checks=_CONSISTENCY,
         told="mass [kg] of link1",
         model=_all_heavier(0.01),
+    ),
+    Fault(
+        name="axis of a hinge without a drive flipped",
+        scene="workbench",
+        engines=("mujoco", "dart"),
+        checks=(),
+        told="axis of rocker pin",
+        model=_flipped("rocker pin"),
+        unseen=dict.fromkeys(
+            ("mujoco", "dart"), "only the sign of the hinge's angle changes, which nothing uses"
+        ),
     ),
     Fault(
         name="inertia about the rods doubled",
