@@ -8,7 +8,10 @@ SCENE ?= 3ladder
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: validate test lint package clean
+STARTS ?= 20
+SMOOTH = 5pendulum 6pendulum 2ladder 3ladder
+
+.PHONY: validate test lint package reports clean
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -31,6 +34,12 @@ $(VENV)/ready: pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
+
+reports: $(VENV)/ready
+	for scene in $(SMOOTH); do \
+		$(BIN)/mbds-xsim validate $$scene --trajectories $(STARTS) --seed 1 \
+			--json reports/$$scene.json --markdown reports/$$scene.md || exit; \
+	done
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -113,6 +113,9 @@ def validate(
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
     ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the table as Markdown.")
+    ] = None,
 ) -> None:
     """Run a scene in all engines, check every trajectory, and tell which to trust."""
     from mbds_xsim.report.terminal import print_table
@@ -121,7 +124,7 @@ def validate(
 
     console = _console(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
-    _writable(json=json, html=html)
+    _writable(json=json, html=html, markdown=markdown)
     with _progress(console) as progress:
         validation, evidence = validate_with_evidence(
             _scene(scene),
@@ -141,6 +144,11 @@ def validate(
 
         write_page(validation, evidence, html)
         console.print(f"page: {html}")
+    if markdown is not None:
+        from mbds_xsim.report.markdown import to_markdown
+        from mbds_xsim.write import write_whole
+
+        write_whole(markdown, to_markdown(validation).encode())
     _write_json(to_json(validation), json)
     raise typer.Exit(0 if validation.verdict != "fail" else 1)
 

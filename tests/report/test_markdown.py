@@ -1,0 +1,24 @@
+"""What is kept of a validation as Markdown."""
+
+from __future__ import annotations
+
+from mbds_xsim.report.markdown import to_markdown
+
+from .conftest import Case
+
+
+def test_every_row_has_every_column(case: Case) -> None:
+    rows = [line for line in to_markdown(case.validation).splitlines() if line.startswith("|")]
+    assert len(rows) == 2 + len(case.validation.engines)
+    assert len({row.count("|") for row in rows}) == 1
+    for row, result in zip(rows[2:], case.validation.engines, strict=True):
+        assert row.startswith(f"| {result.engine} | {result.profile} | {result.method} |")
+        assert row.endswith(f"| {result.verdict} |")
+
+
+def test_failures_and_the_command_are_told(case: Case) -> None:
+    text = to_markdown(case.validation)
+    for result in case.validation.engines:
+        for reason in result.reasons:
+            assert reason in text
+    assert case.validation.command in text
