@@ -190,7 +190,7 @@ def scenes(json: JsonFile = None) -> None:
 
 
 @app.command(
-    epilog="Examples:  mbds-xsim show 3ladder  ·  "
+    epilog="Examples:  mbds-xsim show 3ladder --png ladder.png  ·  "
     "mbds-xsim show 5pendulum --native mujoco > pendulum.xml"
 )
 def show(
@@ -201,6 +201,13 @@ def show(
         typer.Option(metavar="ENGINE", help="Print exactly what this engine is given."),
     ] = None,
     settings: Annotated[str, typer.Option(help="With --native: matched or native.")] = "matched",
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw it into a file.")] = None,
+    start: Annotated[
+        int | None,
+        typer.Option(
+            help="With --png: the start of this trajectory; else the reference pose.", min=0
+        ),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given."""
@@ -211,8 +218,15 @@ def show(
     if sum(map(bool, (toml, native, json))) > 1:
         msg = "show gives one form at a time; choose one of --toml, --native and --json"
         raise InputError(msg)
-    _writable(json=json)
+    if start is not None and png is None:
+        msg = f"--start: got {start} without --png; it says which start is drawn, add --png FILE"
+        raise InputError(msg)
+    _writable(json=json, png=png)
     loaded = _scene(scene)
+    if png is not None:
+        from mbds_xsim.report.draw import draw_scene
+
+        draw_scene(loaded, png, start=start)
     if native is not None:
         print(native_text(loaded, native, settings))
     elif toml:

@@ -1,0 +1,376 @@
+"""A picture of a scene: particles, bodies, joints, springs, where it is held, which way it falls.
+
+Everything is projected orthographically onto one plane: a scene that lies in a coordinate plane is
+seen straight on, any other from above its front corner. Symbols have the picture's size, positions,
+ellipsoids and contact spheres that of the scene.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.assembly import Start
+from mbds_xsim.catalogue import scene_row
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.projection import View, outline, point_of, pose_of
+from mbds_xsim.report.skeleton import Skeleton, skeleton
+from mbds_xsim.scene import Scene
+from mbds_xsim.write import write_whole
+
+__all__ = ["draw_scene"]
+
+Array = NDArray[np.float64]
+
+_INK = "#1c2733"
+_GREY = "#8a949e"
+_FAINT = "#cfd5da"
+_BODY = "#6f8296"
+_RGB = tuple(int(_BODY[k : k + 2], 16) / 255 for k in (1, 3, 5))
+_KINDS = {"hinge": LIGHT[2], "slider": LIGHT[0], "ball": LIGHT[1], "fixed": _INK}
+_SPRING = LIGHT[3]
+_LINK = LIGHT[4]
+_CONTACT = LIGHT[5]
+_NAMED_BODIES = 12
+_LABEL = {"fontsize": 8, "color": _INK, "zorder": 9}
+
+
+def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
+    """Draw a scene into a PNG file.
+
+    Args:
+        scene: What to draw.
+        path: File to write.
+        start: Number of a trajectory, to draw where it starts; the reference pose when left out.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    picture = _Picture.of(scene, start)
+    with matplotlib.rc_context({"font.size": 9, "text.color": _INK}):
+        figure = Figure(figsize=picture.inches())
+        FigureCanvasAgg(figure)
+        picture.paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
+        _title(figure, scene, start)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
+    write_whole(path, stream.getvalue())
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A scene in one pose, with the view and the size of its symbols."""
+
+    mechanism: Mechanism
+    bones: Skeleton
+    pose: Start
+    view: View
+    points: Array
+    """The skeleton's moving points in W, shape (point, 3)."""
+    low: Array
+    high: Array
+    unit: float
+    """Radius of the heaviest particle [m]."""
+
+    @staticmethod
+    def of(scene: Scene, start: int | None) -> _Picture:
+        mechanism, bones = Mechanism.of(scene), skeleton(scene)
+        pose = pose_of(mechanism, start)
+        points = pose.position[bones.body] + rotation.rotate(pose.native[bones.body], bones.offset)
+        ends = [
+            point_of(pose, body, offset)
+            for pair in (*mechanism.distances, *mechanism.springs)
+            for body, offset in zip(pair.bodies, pair.in_body, strict=True)
+        ]
+        anchors = [point_of(pose, joint.child, joint.in_child) for joint in mechanism.joints]
+        solid = np.concatenate(
+            [points, bones.fixed, np.reshape([*anchors, *ends], (-1, 3)), pose.position]
+        )
+        view = View.of(solid, scene.dimension)
+        reach = np.concatenate([np.maximum(bones.radius, 0.0), np.zeros(len(solid) - len(points))])
+        flat = view.flat(solid)
+        low, high = (flat - reach[:, None]).min(axis=0), (flat + reach[:, None]).max(axis=0)
+        for body in np.flatnonzero(mechanism.particles_per_body == 0).tolist():
+            center, half = view.flat(pose.position[body]), outline(mechanism, pose, view, body)
+            size = np.sqrt(np.diag(half))
+            low, high = np.minimum(low, center - size), np.maximum(high, center + size)
+        extent = max(float((high - low).max()), 0.3 * scene.length)
+        return _Picture(mechanism, bones, pose, view, points, low, high, 0.013 * extent)
+
+    def inches(self) -> tuple[float, float]:
+        """Fit the picture, within reason, to the shape of the scene."""
+        width, height = self.high - self.low + 16.0 * self.unit
+        scale = 6.2 / max(width, height)
+        return max(6.0, width * scale), max(4.5, height * scale + 1.0)
+
+    def paint(self, axes: Any) -> None:
+        """Draw all of it."""
+        axes.set_axis_off()
+        axes.set_aspect("equal", adjustable="datalim")
+        pad = 8.0 * self.unit
+        width, height = self.inches()
+        low, high = self.low - pad, self.high + pad
+        # The title takes the top inch, the scale bar the margin below.
+        high[1] += (high[1] - low[1]) * 0.8 / max(height - 1.0, 1.0)
+        center, span = 0.5 * (low + high), high - low
+        span = np.maximum(span, span[::-1] * [width / height, height / width])
+        axes.set_xlim(center[0] - span[0] / 2, center[0] + span[0] / 2)
+        axes.set_ylim(center[1] - span[1] / 2, center[1] + span[1] / 2)
+        self._ground(axes)
+        self._bodies(axes)
+        self._skeleton(axes)
+        for spring in self.mechanism.springs:
+            self._spring(axes, spring)
+        for link in self.mechanism.distances:
+            ends = self.view.flat(self._ends(link))
+            axes.plot(*ends.T, color=_LINK, linewidth=1.8, zorder=5, label="distance link")
+        for joint in self.mechanism.joints:
+            self._joint(axes, joint)
+        self._center(axes)
+        self._names(axes)
+        self._scale_bar(axes)
+        self._directions(axes)
+        self._legend(axes)
+
+    def _ground(self, axes: Any) -> None:
+        if self.mechanism.scene.ground is None:
+            return
+        if self.view.axes[1, 2] > 0.999:
+            if axes.get_ylim()[0] < 0.0:
+                axes.axhspan(-1.5 * self.unit, 0.0, color=_FAINT, lw=0, zorder=0, label="ground")
+            return
+        (left, front), (right, back) = (
+            edge + sign * 4.0 * self.unit
+            for edge, sign in (
+                (self.points[:, :2].min(axis=0), -1.0),
+                (self.points[:, :2].max(axis=0), 1.0),
+            )
+        )
+        corners = np.array([[left, front], [right, front], [right, back], [left, back]])
+        flat = self.view.flat(np.column_stack([corners, np.zeros(4)]))
+        axes.fill(*flat.T, color=_FAINT, alpha=0.5, lw=0, zorder=0, label="ground")
+
+    def _bodies(self, axes: Any) -> None:
+        """Ellipsoids of bodies given by inertia; thin lines from centres of mass to joints."""
+        from matplotlib.patches import Ellipse
+
+        for joint in self.mechanism.joints:
+            for body in (joint.parent, joint.child):
+                if body != WORLD_INDEX:
+                    line = self.view.flat(np.array([self.pose.position[body], self._anchor(joint)]))
+                    axes.plot(*line.T, color=_FAINT, linewidth=1.0, zorder=1)
+        for body in np.flatnonzero(self.mechanism.particles_per_body == 0).tolist():
+            half = outline(self.mechanism, self.pose, self.view, body)
+            values, vectors = np.linalg.eigh(half)
+            tilt = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1]))
+            width, height = 2.0 * np.sqrt(np.maximum(values[::-1], 0.0))
+            center = tuple(self.view.flat(self.pose.position[body]))
+            axes.add_patch(
+                Ellipse(
+                    center, width, height, angle=tilt, fc=(*_RGB, 0.16), ec=_BODY, lw=0.9, zorder=2
+                )
+            )
+
+    def _skeleton(self, axes: Any) -> None:
+        from matplotlib.collections import LineCollection
+        from matplotlib.patches import Circle
+
+        nodes = np.concatenate([self.points, self.bones.fixed])
+        flat = self.view.flat(nodes)
+        lines = [(flat[a], flat[b]) for a, b in self.bones.edges]
+        axes.add_collection(LineCollection(lines, colors=_GREY, linewidths=1.4, zorder=3))
+        mass = np.array(
+            [p.mass for body in self.mechanism.scene.bodies for p in body.particles], dtype=float
+        )
+        size = self.unit * np.cbrt(mass / mass.max(initial=0.0)) if len(mass) else mass
+        near = np.argsort(self.view.depth(self.points[: len(mass)]), kind="stable")
+        for place, k in enumerate(near):
+            radius = max(float(size[k]), 0.25 * self.unit)
+            order = 4.0 + place / (len(near) + 1)
+            axes.add_patch(Circle(flat[k], radius, fc=_BODY, ec="white", lw=0.6, zorder=order))
+        for k in np.flatnonzero(self.bones.radius > 0):
+            radius = self.bones.radius[k]
+            axes.add_patch(Circle(flat[k], radius, fc="none", ec=_CONTACT, lw=1.2, zorder=5))
+            axes.plot([], [], "o", mfc="none", color=_CONTACT, label="contact sphere")
+        held = flat[len(self.points) :]
+        if len(held):
+            axes.plot(*held.T, "^", color=_INK, ms=8, zorder=6, label="fixed point", ls="none")
+
+    def _spring(self, axes: Any, spring: PointPair) -> None:
+        """A zigzag; a damper alone is a straight dashed line."""
+        begin, end = self.view.flat(self._ends(spring))
+        label = "spring" if spring.damping == 0 else "spring–damper"
+        if spring.stiffness == 0:
+            line, style, label = np.array([begin, end]), "--", "damper"
+        else:
+            along = np.linspace(0.0, 1.0, 21)
+            side = np.where(np.arange(21) % 2, 1.0, -1.0)
+            side[[0, 1, 2, 18, 19, 20]] = 0.0
+            direction = end - begin
+            normal = np.array([-direction[1], direction[0]])
+            normal *= 0.8 * self.unit / max(float(np.hypot(*normal)), 1e-12)
+            line, style = begin + along[:, None] * direction + side[:, None] * normal, "-"
+        axes.plot(*line.T, style, color=_SPRING, linewidth=1.3, zorder=5, label=label)
+
+    def _joint(self, axes: Any, joint: PlacedJoint) -> None:
+        """Ring for ball and hinge, bar for slider, square for fixed; hinge and slider axes."""
+        colour = _KINDS[joint.kind]
+        place = self.view.flat(self._anchor(joint))
+        marker = {"fixed": "s", "slider": "D"}.get(joint.kind, "o")
+        style = {"color": colour, "ls": "none", "mew": 1.3, "zorder": 7, "label": joint.kind}
+        axes.plot(*place, marker, ms=4.5, mfc=colour if joint.kind == "fixed" else "white", **style)
+        if joint.kind in ("hinge", "slider"):
+            turn = rotation.IDENTITY
+            if joint.parent != WORLD_INDEX:
+                turn = self.pose.native[joint.parent]
+            reach = (4.0 if joint.kind == "slider" else 2.5) * self.unit
+            axis = self.view.flat(rotation.rotate(turn, joint.axis)) * reach
+            line = np.array([place - axis, place + axis])
+            width = 2.6 if joint.kind == "slider" else 1.3
+            axes.plot(*line.T, color=colour, linewidth=width, zorder=6, solid_capstyle="round")
+        if WORLD_INDEX in (joint.parent, joint.child):
+            axes.plot(*place, "^", color=_INK, ms=11, zorder=5, label="fixed point", ls="none")
+
+    def _center(self, axes: Any) -> None:
+        mass = self.mechanism.mass
+        place = self.view.flat(mass @ self.pose.position / mass.sum())
+        axes.plot(*place, "o", ms=11, mfc="none", mec=_INK, mew=1.0, zorder=8)
+        axes.plot(*place, "+", ms=11, mec=_INK, mew=1.0, zorder=8, label="centre of mass")
+
+    def _names(self, axes: Any) -> None:
+        bodies = self.mechanism.scene.bodies
+        if not 1 < len(bodies) <= _NAMED_BODIES:
+            return
+        done: list[Array] = []
+        for body, place in zip(bodies, self.view.flat(self.pose.position), strict=True):
+            close = sum(
+                bool((np.abs(place - other) < [9.0, 3.0] * np.full(2, self.unit)).all())
+                for other in done
+            )
+            done.append(place)
+            axes.annotate(
+                body.name,
+                place,
+                xytext=(7, -3 - 13 * close),
+                textcoords="offset points",
+                bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.6},
+                **_LABEL,
+            )
+
+    def _scale_bar(self, axes: Any) -> None:
+        left, right = axes.get_xlim()
+        length = _round_number(0.22 * (right - left))
+        share = length / (right - left)
+        style = {"color": _INK, "transform": axes.transAxes, "zorder": 9, "clip_on": False}
+        axes.plot([0.96 - share, 0.96], [0.1, 0.1], linewidth=2.0, **style)
+        text = _length_text(length)
+        axes.text(0.96 - share / 2, 0.11, text, ha="center", transform=axes.transAxes)
+
+    def _directions(self, axes: Any) -> None:
+        """Axes of W at the lower left and gravity at the upper right, both in fixed size."""
+        self._arrows(axes, (0.09, 0.11), [(v, "xyz"[k], _GREY) for k, v in enumerate(np.eye(3))])
+        gravity = np.array(self.mechanism.scene.gravity)
+        size = float(np.hypot(*gravity[:2])) if gravity[2] == 0 else float(np.linalg.norm(gravity))
+        if size == 0:
+            axes.text(0.96, 0.8, "no gravity", ha="right", transform=axes.transAxes)
+            return
+        self._arrows(axes, (0.93, 0.8), [(gravity / size, f"{size:g} m/s²", LIGHT[3])])
+
+    def _arrows(
+        self, axes: Any, place: tuple[float, float], arrows: list[tuple[Array, str, str]]
+    ) -> None:
+        for direction, text, colour in arrows:
+            flat = self.view.flat(direction)
+            if float(np.hypot(*flat)) < 0.1:
+                towards = self.view.depth(direction) > 0
+                axes.annotate(
+                    ("⊙ " if towards else "⊗ ") + text,
+                    place,
+                    xycoords="axes fraction",
+                    color=colour,
+                    ha="right",
+                    va="top",
+                )
+                continue
+            axes.annotate(
+                text,
+                xy=place,
+                xycoords="axes fraction",
+                xytext=tuple(36 * flat),
+                textcoords="offset points",
+                color=colour,
+                ha="center",
+                va="center",
+                arrowprops={"arrowstyle": "<-", "color": colour, "shrinkA": 4, "shrinkB": 0},
+            )
+
+    def _legend(self, axes: Any) -> None:
+        handles, labels = axes.get_legend_handles_labels()
+        shown = dict(zip(labels, handles, strict=True))
+        axes.legend(
+            shown.values(),
+            shown.keys(),
+            loc="lower center",
+            bbox_to_anchor=(0.5, 0.0),
+            ncols=min(len(shown), 4),
+            frameon=False,
+            fontsize=8,
+        )
+
+    def _anchor(self, joint: PlacedJoint) -> Array:
+        return point_of(self.pose, joint.child, joint.in_child)
+
+    def _ends(self, pair: PointPair) -> Array:
+        ends = zip(pair.bodies, pair.in_body, strict=True)
+        return np.array([point_of(self.pose, body, offset) for body, offset in ends])
+
+
+def _round_number(value: float) -> float:
+    """Largest of 1, 2, 5 times a power of ten that is not above a value."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9))
+
+
+def _length_text(length: float) -> str:
+    for size, unit in ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm")):
+        if length >= size * (1 - 1e-9):
+            return f"{length / size:g} {unit}"
+    return f"{length / 1e-6:g} µm"
+
+
+def _title(figure: Any, scene: Scene, start: int | None) -> None:
+    row = scene_row(scene)
+    mass = float(Mechanism.of(scene).mass.sum())
+    pose = "reference pose" if start is None else f"start of trajectory {start}"
+    height = figure.get_figheight()
+    figure.text(0.04, 1 - 0.3 / height, scene.name, fontsize=13, fontweight="bold")
+    if scene.description:
+        figure.text(0.04, 1 - 0.5 / height, scene.description, fontsize=9)
+    counts = " · ".join(
+        [
+            _count(row.bodies, "body", "bodies"),
+            _count(row.particles, "particle"),
+            f"{mass:.4g} kg",
+            _count(row.joints, "joint"),
+            _count(row.loops, "loop"),
+            _count(row.degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+            pose,
+        ]
+    )
+    figure.text(0.04, 1 - 0.7 / height, counts, fontsize=8, color=_GREY)
+
+
+def _count(number: int, one: str, several: str = "") -> str:
+    return f"{number} {one if number == 1 else several or one + 's'}"
