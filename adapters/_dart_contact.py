@@ -25,20 +25,19 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Failure
 
-__all__ = ["DETECTORS", "SOLVERS", "contact_failures", "contact_statements", "pairs"]
+__all__ = [
+    "DETECTORS",
+    "SOLVERS",
+    "ContactSolver",
+    "contact_failures",
+    "contact_statements",
+    "pairs",
+]
 
 Array = NDArray[np.float64]
 
-DETECTORS = {
-    "fcl": "FCL",
-    "ode": "ODE",
-    "bullet": "BULLET",
-    "dart": "DART",
-}
-SOLVERS = {
-    "dantzig": "DantzigBoxedLcpSolver",
-    "nsgs": "NsgsFrictionSolver",
-}
+DETECTORS = ("fcl", "ode", "bullet", "dart")
+SOLVERS = ("dantzig", "nsgs")
 # Coefficients that DART takes for none.
 _NONE = 1e-3
 _FASTEST_REBOUND = 100.0
@@ -47,14 +46,24 @@ _NEARLY = 0.99
 _SOLVER = """\
 options = dart.constraint.NsgsFrictionSolver.Options()
 options.tolerance = {tolerance!r}
-options.maxSweeps = {sweeps!r}
 world.getConstraintSolver().setBoxedLcpSolver(dart.constraint.NsgsFrictionSolver(options))"""
-# Of contact velocities [m/s]; DART's own 1e-5 is a tenth of what gravity does in a small step.
-_TOLERANCE, _SWEEPS = 1e-9, 1000
+# Of the velocity that gravity adds in a step, allowed as violation of the contact law. DART's own
+# tolerance of 1e-5 m/s leaves to chance how four wheels share a car's weight: its regularisation,
+# which makes them share evenly, is as weak as that.
+_TOLERANCE = 5e-6
+_EARTH = 9.81
+# Violation of the contact law that counts as a failure [m/s].
+_WRONG = 1e-3
 
 
-def contact_statements(mechanism: Mechanism, detector: str, solver: str) -> Iterator[str]:
-    """Write the calls that put spheres on `bodies` and a ground into `world`; none without."""
+def contact_statements(
+    mechanism: Mechanism, step: float, detector: str, solver: str
+) -> Iterator[str]:
+    """Write the calls that put spheres on `bodies` and a ground into `world`; none without.
+
+    Raises:
+        Unsupported: DART takes a coefficient that is not 0 for 0.
+    """
     ground = mechanism.scene.ground
     if ground is None:
         return
@@ -62,9 +71,10 @@ def contact_statements(mechanism: Mechanism, detector: str, solver: str) -> Iter
         if 0.0 < value <= _NONE:
             msg = f"ground.{what}: got {value}, DART takes {_NONE} and less for 0"
             raise Unsupported(msg)
-    yield f"world.setCollisionDetector(dart.simulation.CollisionDetectorType.{DETECTORS[detector]})"
+    yield f"world.setCollisionDetector(dart.simulation.CollisionDetectorType.{detector.upper()})"
     if solver == "nsgs":
-        yield _SOLVER.format(tolerance=_TOLERANCE, sweeps=_SWEEPS)
+        pull = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
+        yield _SOLVER.format(tolerance=_TOLERANCE * pull * step)
     yield "ground = dart.dynamics.Skeleton()"
     yield "_, plane = ground.createWeldJointAndBodyNodePair()"
     yield "shapes = [plane.createShapeNode(dart.dynamics.PlaneShape([0.0, 0.0, 1.0], 0.0))]"
@@ -104,6 +114,31 @@ def pairs(shapes: list[Any]) -> Array | None:
             for shape, sphere in zip(shapes[1:], spheres, strict=True)
         ]
     )
+
+
+class ContactSolver:
+    """Tells whether the solver did solve; where it did not, DART goes on without a word."""
+
+    def __init__(self, world: Any) -> None:
+        solver = world.getConstraintSolver().getBoxedLcpSolver()
+        # Dantzig keeps no record.
+        self._solver = solver if hasattr(solver, "getStats") else None
+
+    def restart(self) -> None:
+        """Forget what has been."""
+        if self._solver is not None:
+            self._solver.resetStats()
+
+    def trouble(self) -> str | None:
+        """Say what went wrong since the restart."""
+        if self._solver is None:
+            return None
+        stats = self._solver.getStats()
+        if stats.numFailed:
+            return "DART's contact solver failed and a pyramid took the place of the friction cone"
+        if stats.maxViolation > _WRONG:
+            return f"contacts solved to {stats.maxViolation:.2g} m/s only"
+        return None
 
 
 def contact_failures(

@@ -30,7 +30,14 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
-from ._dart_contact import DETECTORS, SOLVERS, contact_failures, contact_statements, pairs
+from ._dart_contact import (
+    DETECTORS,
+    SOLVERS,
+    ContactSolver,
+    contact_failures,
+    contact_statements,
+    pairs,
+)
 from ._dart_listing import build_listing
 from ._dart_loads import Loads
 from ._dart_model import Model
@@ -46,6 +53,8 @@ _BLOW_UP = 1e5
 _NATIVE_STEP = 1e-3
 # Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
+# Keeps the ball scenes' budgets; what follows on an impact of several spheres knows none.
+_CONTACT_STEP = 1e-4
 # The gap falls up to 1, where an error that is put right too late would be put right twice.
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
@@ -113,7 +122,8 @@ class Dart(Adapter):
             options[_ERROR_REDUCTION] = _LOOP_ERROR_REDUCTION
         if scene.contacts:
             options |= {_DETECTOR: "ode", _FRICTION: "nsgs"}
-        return Settings(method, careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT), options)
+        longest = _CONTACT_STEP if scene.contacts else _CAREFUL_STEP
+        return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         share = float(self.option(settings, _ERROR_REDUCTION))
@@ -124,7 +134,8 @@ class Dart(Adapter):
             self._name(settings, option, allowed)
             for option, allowed in ((_DETECTOR, DETECTORS), (_FRICTION, SOLVERS))
         )
-        contact = list(contact_statements(Mechanism.of(scene), detector, solver))
+        step = scene.clock.frame / settings.substeps(scene.clock.frame)
+        contact = list(contact_statements(Mechanism.of(scene), step, detector, solver))
         return _DartRun(scene, settings, share, contact)
 
     def _name(self, settings: Settings, option: str, allowed: Collection[str]) -> str:
@@ -147,6 +158,7 @@ class _DartRun(Run):
         with _error_reduction(error_reduction):
             self._model = Model(self._mechanism, self._listing)
         self._loads = Loads(self._model)
+        self._contact = ContactSolver(self._model.world)
         self._stepper = _STEPPERS[settings.method](self._model, self._loads, self._step)
         rows = {"ball": 3, "hinge": 6, "fixed": 6}
         self.size = ModelSize(
@@ -193,6 +205,7 @@ class _DartRun(Run):
         """Fill q and u (frame, coordinate) with one trajectory."""
         skeleton, printed = self._model.skeleton, caught.size()
         self._model.set_state(start_q, start_u)
+        self._contact.restart()
         q[0], u[0] = start_q, start_u
         for k in range(batch.steps):
             self._loads.hold(batch.force[row, k], batch.torque[row, k])
@@ -203,6 +216,8 @@ class _DartRun(Run):
             fastest = float(np.abs(rate).max())
             if not (fastest < _BLOW_UP and np.isfinite(here).all()):
                 return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
+            if trouble := self._contact.trouble():
+                return Failure(k + 1, trouble)
             q[k + 1], u[k + 1] = here, rate
         return None
 
