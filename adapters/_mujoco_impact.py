@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 # Of the spring that lifts what has come to rest in the ground, k h², where an impact is a single
 # step. A rebound gains this share, so it is small.
-_LIFT = 1e-4
+_LIFT = 1e-5
 _PHASES = 400
 # A damping of 1 takes the whole velocity in a step.
 _STRONGEST = 1.0

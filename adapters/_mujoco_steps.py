@@ -67,9 +67,21 @@ class FinerNearGround:
     def frame(self, model: Any, data: Any) -> None:
         for _ in range(self._count):
             if not self._flies(model, data):
+                self._lead(model, data, -0.5)
                 mujoco.mj_step(model, data, self._division)
+                self._lead(model, data, 0.5)
             if data.warning.number.any():
                 return
+
+    def _lead(self, model: Any, data: Any, steps: float) -> None:
+        """Move velocities on by a part of a finer step where nothing touches.
+
+        Those of semi-implicit Euler belong to half a step before its positions. Taken for the
+        positions' own they would lift every bounce by g h v.
+        """
+        if self._spheres.gaps(model, data).min() > 0.0:
+            mujoco.mj_forward(model, data)
+            data.qvel += steps * self._finer * data.qacc
 
     def _flies(self, model: Any, data: Any) -> bool:
         """Take one step in the air, or leave everything as it is where a sphere may touch."""

@@ -96,18 +96,18 @@ def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
     for row in range(3):
         climbs = np.diff(exact.velocity[row, :, 0, 2]) > 0.5
         first, second, third, *_ = (np.flatnonzero(climbs) + 1).tolist()
-        assert error[row, :first].max() < 1e-4
+        assert error[row, :first].max() < 1e-10
         assert error[row, first:third].max() < 2e-2
         rebound, expected = (
             values[row, first:second].max() - 5 * R
             for values in (motion.position[..., 0, 2], height)
         )
-        assert rebound == pytest.approx(expected, rel=5e-3)
+        assert rebound == pytest.approx(expected, rel=1e-3)
     assert motion.position[..., 2].min() > 5 * R - 1e-3
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9332, 1.0])
-@pytest.mark.parametrize("speed", [0.1, 1.0, 3.0, 8.0])
+@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
 def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
     """Told from the energy at the first frame after the impact, with the ball still in the air."""
     scene = ball(0.01 * speed, (0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=1)
@@ -116,7 +116,8 @@ def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: flo
     impact = math.sqrt(speed**2 + 2 * G * 0.01 * speed)
     height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
     rebound = math.sqrt(max(0.0, velocity**2 + 2 * G * height))
-    assert rebound / impact == pytest.approx(restitution, abs=2e-3 + 4e-4 / speed)
+    # Gravity of one step of 1e-4 s is what an impact may miss.
+    assert rebound / impact == pytest.approx(restitution, abs=2e-4 + G * 1e-4 / speed)
 
 
 @pytest.mark.parametrize("heading", [(1.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5)), (-0.6, 0.8)])
@@ -167,6 +168,15 @@ def test_what_is_read_back_is_the_engines_own() -> None:
     assert [line.split()[0] for line in differences] == ["friction"]
 
 
+def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
+    motion = alone(ball(0.2, ground=Ground(MU, 1.0), steps=200))
+    height, velocity = motion.position[0, :, 0, 2] - R, motion.velocity[0, :, 0, 2]
+    energy = (0.5 * velocity**2 + G * height)[height > 0] / (G * 0.2)
+
+    assert np.sum(np.diff(np.sign(velocity)) > 0) > 5
+    np.testing.assert_allclose(energy, 1.0, atol=3e-4)
+
+
 @pytest.mark.parametrize("speed", [0.3, 3.0, 8.0])
 def test_an_impact_of_several_steps_gives_the_restitution_in_the_mean(speed: float) -> None:
     """Over heights that spread the impact over the phases of a step."""
@@ -212,11 +222,11 @@ def test_the_cubli_flies_as_the_reference_does_until_it_lands() -> None:
             mechanism.particle_positions(one.position[row, until], one.orientation[row, until])
             for one in (motion, exact)
         )
-        assert np.abs(places - expected).max() < 2e-5
+        assert np.abs(places - expected).max() < 1e-8
         turn = rotation.multiply(
             rotation.conjugate(exact.orientation[row, until]), motion.orientation[row, until]
         )
-        assert np.abs(rotation.to_vector(turn)).max() < 5e-5
+        assert np.abs(rotation.to_vector(turn)).max() < 1e-8
 
 
 def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
