@@ -1,0 +1,235 @@
+"""The ground in Bullet: what the engine holds of it, what it keeps, cuts and refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import readback, rotation
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import (
+    PARTICLE_RADIUS,
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Joint,
+    Particle,
+    Scene,
+)
+from mbds_xsim.state import Trajectory
+
+pybullet: Any = pytest.importorskip("pybullet")
+
+ENGINE = load_adapter("pybullet")
+METHOD = "semi-implicit-euler"
+CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+R = PARTICLE_RADIUS
+MU, E = 0.43, 0.9332
+STILL = (0.0, 0.0, 0.0)
+
+
+def simulate(scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
+    batch = draw_batch(scene, [0], noise=False)
+    careful = {**ENGINE.settings(scene, "matched").options, **options}
+    with ENGINE.open(scene, Settings(METHOD, scene.clock.frame / substeps, careful)) as run:
+        motion = run.rollout(batch)
+    assert motion.failures == (None,)
+    return motion
+
+
+def ball(
+    *,
+    height: float = 0.0,
+    velocity: Vector = STILL,
+    spin: Vector = STILL,
+    ground: Ground | None = None,
+    steps: int = 50,
+) -> Scene:
+    centre = (0.0, 0.0, R + height)
+    body = Body("ball", (Particle(centre),), velocity=velocity, angular_velocity=spin)
+    return Scene(
+        "probe",
+        (body,),
+        length=1.0,
+        contacts=(ContactSphere("ball", centre, R),),
+        ground=ground or Ground(MU, E),
+        clock=Clock(steps=steps),
+    )
+
+
+def bottoms(scene: Scene, motion: Trajectory) -> Array:
+    """Height of each sphere's lowest point [m], shape (trajectory, frame, sphere)."""
+    mechanism = Mechanism.of(scene)
+    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
+    arms = rotation.rotate(turn, mechanism.sphere_offset)
+    centres = motion.position[..., mechanism.sphere_body, :] + arms
+    return np.asarray(centres[..., 2] - mechanism.sphere_radius)
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+@pytest.mark.parametrize("profile", ["native", "matched"])
+def test_the_contact_is_read_back_as_the_scene_has_it(name: str, profile: Any) -> None:
+    scene = load_scene(name)
+    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
+    with ENGINE.open(scene, settings) as run:
+        model = run.readback(batch)
+        assert run.size.contact_pairs == len(scene.contacts)
+    assert readback.compare(Mechanism.of(scene), batch, settings, model) == []
+    assert model.contact is not None
+    ground = scene.ground
+    assert ground is not None
+    assert model.contact.shape == (len(scene.contacts), 3)
+    np.testing.assert_allclose(
+        model.contact[:, 1:] - [ground.friction, ground.restitution], 0.0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+def test_a_trajectory_does_not_depend_on_those_before_it(name: str) -> None:
+    """Bullet keeps the points of contact from step to step."""
+    scene = load_scene(name)
+    batch = draw_batch(scene, range(3)).truncated(60)
+    with ENGINE.open(scene, Settings(METHOD, 1e-3)) as run:
+        first, second, alone = run.rollout(batch), run.rollout(batch), run.rollout(batch[[2]])
+    assert (bottoms(scene, first).min(axis=(1, 2)) < 0.03).all()
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        assert np.array_equal(getattr(first, key), getattr(second, key))
+        assert np.array_equal(getattr(first, key)[[2]], getattr(alone, key))
+
+
+@pytest.mark.parametrize("profile", ["native", "matched"])
+def test_where_a_ball_touched_before_is_forgotten(profile: Any) -> None:
+    """Put back by a tenth of a radius, it would still have its old point in reach as a second."""
+    scene = ball(velocity=(0.01, 0.0, 0.0), spin=(0.0, 0.01 / R, 0.0), steps=20)
+    batch = draw_batch(scene, [0])
+    settings = Settings(METHOD, 1e-3, ENGINE.settings(scene, profile).options)
+    with ENGINE.open(scene, settings) as run:
+        first, second = run.rollout(batch), run.rollout(batch)
+    assert np.array_equal(first.position, second.position)
+
+
+def test_spheres_touch_the_ground_and_nothing_else() -> None:
+    first = ball(velocity=(1.0, 0.0, 0.0), spin=(0.0, 1.0 / R, 0.0))
+    centre = (0.5, 0.0, R)
+    other = Body("other", (Particle(centre),))
+    both = msgspec.structs.replace(
+        first,
+        bodies=(*first.bodies, other),
+        contacts=(*first.contacts, ContactSphere("other", centre, R)),
+    )
+    motion = simulate(both)
+    np.testing.assert_allclose(motion.position[0, -1, :, 0], [1.0, 0.5], atol=1e-9)
+
+
+@pytest.mark.parametrize("part", ["base", "link"])
+def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
+    """On a free body and on one that hangs from a hinge, both with turned principal axes."""
+    odd = Inertia(1.0, (0.03, 0.05, 0.06), (0.01, -0.004, 0.008), com=(0.1, 0.0, 1.0))
+    centre = (0.4, 0.3, 0.9)
+    hinge = Joint("hinge", "hinge", "world", "a", (-0.3, 0.0, 0.6), axis=(0.0, 1.0, 0.0))
+    scene = Scene(
+        "probe",
+        (Body("a", inertia=odd),),
+        length=1.0,
+        joints=(hinge,) if part == "link" else (),
+        contacts=(ContactSphere("a", centre, 0.15),),
+        ground=Ground(MU, E),
+        clock=Clock(steps=50),
+    )
+    motion = simulate(scene, 200)
+    lowest = bottoms(scene, motion)[0, :, 0]
+    assert (np.diff(lowest) > 0).any()  # it has bounced
+    assert -1e-3 < lowest.min() < 0.05
+
+
+def test_an_ordinary_user_gets_the_engines_own_contact() -> None:
+    """The native profile is a world in which nothing about contact but the pair was set."""
+    scene = ball(height=0.3, velocity=(2.0, 0.0, 0.0), ground=Ground(0.5, 0.5), steps=100)
+    settings = ENGINE.settings(scene, "native")
+    with ENGINE.open(scene, settings) as run:
+        motion = run.rollout(draw_batch(scene, [0]))
+    p = pybullet
+    client = p.connect(p.DIRECT)
+    p.setGravity(0, 0, -9.81, physicsClientId=client)
+    p.setTimeStep(settings.step, physicsClientId=client)
+    plane = p.createMultiBody(
+        0.0, p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client), physicsClientId=client
+    )
+    shape = p.createCollisionShape(p.GEOM_SPHERE, radius=R, physicsClientId=client)
+    body = p.createMultiBody(1.0, shape, basePosition=[0, 0, 0.3 + R], physicsClientId=client)
+    p.changeDynamics(plane, -1, lateralFriction=1.0, restitution=1.0, physicsClientId=client)
+    p.changeDynamics(
+        body, -1, lateralFriction=0.5, restitution=0.5, localInertiaDiagonal=[6.17e-4] * 3,
+        physicsClientId=client,
+    )  # fmt: skip
+    p.resetBaseVelocity(body, [2.0, 0.0, 0.0], physicsClientId=client)
+    for _ in range(round(2.0 / settings.step)):
+        p.stepSimulation(physicsClientId=client)
+    end = p.getBasePositionAndOrientation(body, physicsClientId=client)[0]
+    p.disconnect(client)
+    np.testing.assert_allclose(motion.position[0, -1, 0], end, rtol=0, atol=1e-7)
+
+
+def test_what_goes_wrong_ends_the_trajectory() -> None:
+    fast = ball(velocity=(10.0, 0.0, 0.0), spin=(0.0, 10.0 / R, 0.0))
+    sunk = msgspec.structs.replace(ball(height=-1.5 * R), name="sunk")
+    for scene, reason in ((fast, "π/4"), (sunk, "contact is lost: sphere 0 on 'ball'")):
+        with ENGINE.open(scene, Settings(METHOD, 0.004)) as run:
+            motion = run.rollout(draw_batch(scene, [0]))
+        failure = motion.failures[0]
+        assert failure is not None
+        assert failure.frame == 1
+        assert reason in failure.reason
+        assert np.isnan(motion.position[0, 1:]).all()
+
+
+def test_what_bullet_would_cut_or_cannot_mean_is_refused() -> None:
+    with pytest.raises(Unsupported, match="friction: got 11, allowed is up to 10"):
+        ENGINE.open(ball(ground=Ground(11.0, E)), Settings(METHOD, 1e-3))
+    for options in (
+        {"contact_recovery": 1e-4},
+        {"bounce_threshold": -1.0},
+        {"contact_reach": -1.0},
+    ):
+        with pytest.raises(InputError, match=next(iter(options))):
+            ENGINE.open(ball(), Settings(METHOD, 1e-3, options))
+
+
+def test_scenes_without_contact_have_no_ground() -> None:
+    scene = load_scene("5pendulum")
+    settings = ENGINE.settings(scene, "native")
+    with ENGINE.open(scene, settings) as run:
+        assert run.size.contact_pairs == 0
+        assert "createCollisionShape" not in run.native()
+    assert not any("contact" in name for name in settings.options)
+
+
+def test_the_listing_runs_without_the_toolkit(tmp_path: Path) -> None:
+    scene = load_scene("particlecar")
+    batch = draw_batch(scene, [0], noise=False, inputs=False).truncated(20)
+    scene = msgspec.structs.replace(scene, clock=Clock(steps=20))
+    with ENGINE.open(scene, Settings(METHOD, 1e-3)) as run:
+        run.rollout(batch)  # the listing starts afresh, whatever was before
+        end = run.rollout(batch).position[0, -1]
+        (tmp_path / "model.py").write_text(run.native())
+    done = subprocess.run(
+        [sys.executable, tmp_path / "model.py"], capture_output=True, check=True, text=True
+    )
+    for place in end.tolist():
+        assert str(tuple(place)) in done.stdout
