@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -16,7 +17,7 @@ import msgspec
 import pytest
 
 from mbds_xsim import registry
-from mbds_xsim.result import SCHEMA, Validation
+from mbds_xsim.result import SCHEMA, EngineResult, FindingResult, ReferenceResult, Validation
 
 CommandLine = Callable[..., Any]
 
@@ -166,6 +167,16 @@ def _living(session: int) -> list[Path]:
             if own_session == str(session) and state != "Z":
                 found.append(status)
     return found
+
+
+@pytest.mark.parametrize("kind", [Validation, EngineResult, FindingResult, ReferenceResult])
+def test_the_page_of_the_json_names_every_key_and_no_other(kind: type[msgspec.Struct]) -> None:
+    page = (Path(__file__).parents[2] / "docs/validate-json.md").read_text("utf-8")
+    (section,) = re.findall(rf"^## {kind.__name__}\n(.*?)(?=^## |\Z)", page, re.M | re.S)
+
+    keys = [key for cell in re.findall(r"^\| (`.*?) \|", section, re.M) for key in cell.split(", ")]
+
+    assert keys == [f"`{key}`" for key in kind.__struct_fields__]
 
 
 def _wait(happened: Callable[[], bool]) -> None:
