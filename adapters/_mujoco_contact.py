@@ -41,7 +41,8 @@ _HARDNESS = 0.9999
 # Softness of the normal row over that of the tangential rows in the cone.
 _SOFT_CONE = 1e-9
 _NOSLIP_ITERATIONS = 100
-_NOSLIP_TOLERANCE = 1e-14
+# Tighter, it runs through all its iterations and changes nothing.
+_NOSLIP_TOLERANCE = 1e-9
 # How far a sphere may get within a step, in lengths of a straight path.
 _REACH = 2.0
 

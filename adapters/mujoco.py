@@ -116,6 +116,9 @@ class MuJoCo(Adapter):
         substeps = settings.substeps(scene.clock.frame)
         step = scene.clock.frame / substeps
         division = self._division(scene, settings)
+        if division and solver == "PGS":
+            msg = "solver: PGS does not converge on contacts, allowed is Newton or CG"
+            raise InputError(msg)
         finer = step / division if division else 0.0
         stepping = Stepping(
             "Euler" if division else settings.method,

@@ -320,6 +320,7 @@ def test_wrong_options_are_refused() -> None:
     scene = load_scene("ballscroll")
     for name, value in (
         ("solver", "Jacobi"),
+        ("solver", "PGS"),
         ("loop_time_constant", -1.0),
         ("link_time_constant", float("inf")),
         ("contact_substeps", -1),
