@@ -1,0 +1,471 @@
+"""Contact in DART: friction, impacts, rolling, rest and flight, against exact answers."""
+
+from __future__ import annotations
+
+import math
+import re
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import reference, rotation
+from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import UnknownName, Unsupported
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.readback import compare
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import HingeRate
+from mbds_xsim.scene import (
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Particle,
+    Scene,
+    Torque,
+    Vector,
+)
+from mbds_xsim.state import Batch, Trajectory
+
+dartpy: Any = pytest.importorskip("dartpy")
+
+ENGINE = load_adapter("dart")
+CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
+ROUND = {"collision_detector": "ode", "friction_solver": "nsgs"}
+G, MU, E = 9.81, 0.43, 0.9332
+R = math.sqrt(5 * 6.17e-4 / 2)
+STILL = (0.0, 0.0, 0.0)
+Array = NDArray[np.float64]
+replaced = msgspec.structs.replace
+
+
+def matched(scene: Scene) -> Settings:
+    return settings_for(scene, ENGINE, "matched")
+
+
+def careful(steps_per_frame: int, **options: str) -> Settings:
+    return Settings("semi-implicit-euler", 0.02 / steps_per_frame, ROUND | options)
+
+
+def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
+    with ENGINE.open(scene, settings or matched(scene)) as run:
+        return run.rollout(batch)
+
+
+def ball(
+    height: float = 0.0,
+    velocity: Vector = STILL,
+    spin: Vector = STILL,
+    restitution: float = E,
+    steps: int = 50,
+) -> Scene:
+    """Make one particle with its lowest point at a height."""
+    centre = (0.0, 0.0, R + height)
+    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
+    return Scene(
+        "ball",
+        bodies=(body,),
+        contacts=(ContactSphere("ball", centre, R),),
+        ground=Ground(MU, restitution),
+        length=1.0,
+        clock=Clock(steps=steps),
+    )
+
+
+def gaps(scene: Scene, motion: Trajectory) -> Array:
+    """Heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
+    mechanism = Mechanism.of(scene)
+    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
+    arm = rotation.rotate(turn, mechanism.sphere_offset)
+    centre = motion.position[..., mechanism.sphere_body, 2] + arm[..., 2]
+    return np.asarray(centre - mechanism.sphere_radius)
+
+
+def particle_errors(scene: Scene, one: Trajectory, other: Trajectory) -> Array:
+    """RMS over particles of the distance [m], shape (trajectory, frame)."""
+    mechanism = Mechanism.of(scene)
+    places = (mechanism.particle_positions(m.position, m.orientation) for m in (one, other))
+    return np.asarray(np.sqrt(np.mean(np.sum(np.subtract(*places) ** 2, axis=-1), axis=-1)))
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_ballscroll_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, range(6), seed=1, noise=noise)
+    motion = rollout(scene, batch)
+
+    assert motion.failures == (None,) * 6
+    assert particle_errors(scene, motion, reference.solve(scene, batch)).max() < 2e-3
+    assert gaps(scene, motion).min() > -1e-7
+    assert not motion.position[..., 1].any()
+
+
+@pytest.mark.parametrize("noise", [False, True])
+def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("balldrop")
+    batch = draw_batch(scene, range(6), seed=1, noise=noise)
+    exact, motion = reference.solve(scene, batch), rollout(scene, batch)
+    error = particle_errors(scene, motion, exact)
+
+    assert np.abs(motion.position[..., 1]).max() < 1e-12
+    assert gaps(scene, motion).min() > -0.01
+    for row in range(len(batch)):
+        kicks = np.flatnonzero(np.diff(exact.velocity[row, :, 0, 2]) > 0.5)
+        first, second, third = (int(k) for k in kicks[:3])
+        assert error[row, : first + 1].max() < 5e-4
+        assert error[row, : third + 1].max() < 2e-2
+        peak, wanted = (
+            gaps(scene, each)[row, first + 1 : second + 1].max() for each in (motion, exact)
+        )
+        assert peak == pytest.approx(wanted, rel=0.02)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4])
+@pytest.mark.parametrize("detector", ["ode", "fcl", "bullet", "dart"])
+def test_a_ball_slides_then_rolls_alike_in_every_direction(heading: float, detector: str) -> None:
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    scene = ball(velocity=(7 * ahead[0], 7 * ahead[1], 0.0), steps=60)
+    settings = careful(20, collision_detector=detector)
+    motion = rollout(scene, draw_batch(scene, [0]), settings)
+    slowing, stop = MU * G, 2 * 7 / (7 * MU * G)
+    slid = np.minimum(motion.time, stop)
+    along = 7 * slid - 0.5 * slowing * slid**2 + 5.0 * (motion.time - slid)
+    exact = np.append(along[:, None] * ahead, np.full((61, 1), R), axis=1)
+
+    # First order: μ g h t / 2 too far while it slides.
+    allowed = 0.5 * slowing * 1e-3 * stop + 1e-4
+    np.testing.assert_allclose(motion.position[0, :, 0], exact, rtol=0, atol=allowed)
+    np.testing.assert_allclose(motion.velocity[0, -1, 0, :2], 5 * ahead, rtol=1e-6)
+
+
+def test_friction_of_an_ordinary_user_is_bounded_by_a_box() -> None:
+    """Box friction at 45° is √2 times Coulomb's; along x it is Coulomb's."""
+    for heading, factor in ((0.0, 1.0), (math.pi / 4, math.sqrt(2.0))):
+        velocity = (7 * math.cos(heading), 7 * math.sin(heading), 0.0)
+        scene = ball(velocity=velocity, steps=10)
+        settings = ENGINE.settings(scene, "native")
+        assert not settings.options
+        motion = rollout(scene, draw_batch(scene, [0]), settings)
+        slowed = 7 - np.linalg.norm(motion.velocity[0, -1, 0])
+        assert slowed == pytest.approx(factor * MU * G * 0.2, rel=1e-2)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, E, 1.0])
+@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
+def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
+    scene = ball(0.02 * speed, velocity=(0.0, 0.0, -speed), restitution=restitution, steps=2)
+    scene = replaced(scene, gravity=STILL)
+    motion = rollout(scene, draw_batch(scene, [0]), careful(100))
+    assert motion.velocity[0, -1, 0, 2] == pytest.approx(restitution * speed, rel=2e-5, abs=1e-3)
+
+
+def test_slow_rebounds_do_not_happen() -> None:
+    """DART's own limit, compiled in: what would rebound below 0.1 m/s stays down."""
+    for speed, rebound in ((0.099 / E, 0.0), (0.101 / E, 0.101)):
+        scene = ball(0.005 * speed, velocity=(0.0, 0.0, -speed), steps=1)
+        scene = replaced(scene, gravity=STILL)
+        motion = rollout(scene, draw_batch(scene, [0]), careful(100))
+        assert motion.velocity[0, -1, 0, 2] == pytest.approx(rebound, abs=1.1e-3)
+
+
+def test_an_elastic_ball_gains_what_gravity_adds_in_the_step_of_an_impact() -> None:
+    """DART reflects the velocity after gravity's share of the step: V g h of energy a bounce."""
+    gains = []
+    for count in (50, 100):
+        scene = ball(1.0, restitution=1.0, steps=200)
+        motion = rollout(scene, draw_batch(scene, [0]), careful(count))
+        speed = motion.velocity[0, :, 0, 2]
+        energy = 0.5 * speed**2 + G * (motion.position[0, :, 0, 2] - R)
+        # What semi-implicit Euler keeps in flight.
+        kept = energy - 0.5 * G * 0.02 / count * speed
+        bounces = np.flatnonzero(np.diff(speed) > 0.5)
+        gains.append((kept[bounces[-1] + 1] - kept[0]) / len(bounces))
+        assert gains[-1] == pytest.approx(math.sqrt(2 * G) * G * 0.02 / count, rel=0.1)
+    assert gains[0] / gains[1] == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("offset", [(0.1, 0.0, -0.2), (0.3, 0.1, -0.1), (0.0, 0.25, -0.05)])
+def test_an_eccentric_impact_is_newtons_and_coulombs(offset: Vector) -> None:
+    """One impact off the centre of mass; with much restitution its law may even give energy."""
+    height = 0.01 + 0.05 - offset[2]
+    inertia = Inertia(2.0, (0.05, 0.08, 0.1), com=(0.0, 0.0, height))
+    body = Body("brick", inertia=inertia, velocity=(0.4, 0.2, -3.0))
+    centre = (offset[0], offset[1], 0.01 + 0.05)
+    scene = Scene(
+        "brick",
+        bodies=(body,),
+        contacts=(ContactSphere("brick", centre, 0.05),),
+        ground=Ground(MU, E),
+        length=1.0,
+        gravity=STILL,
+        clock=Clock(steps=1),
+    )
+    arm = np.array([*offset[:2], offset[2] - 0.05])
+    skew = np.array([[0, -arm[2], arm[1]], [arm[2], 0, -arm[0]], [-arm[1], arm[0], 0]])
+    yielding = np.eye(3) / 2.0 - skew @ np.diag([1 / 0.05, 1 / 0.08, 1 / 0.1]) @ skew
+    before = np.array([0.4, 0.2, -3.0])
+    impulse = newton_coulomb(yielding, before)
+    motion = rollout(scene, draw_batch(scene, [0]), careful(400))
+    np.testing.assert_allclose(motion.velocity[0, 1, 0], before + impulse / 2.0, rtol=0, atol=3e-3)
+    wanted = np.cross(arm, impulse) / [0.05, 0.08, 0.1]
+    # The brick turns after the impact, for half the frame: as Euler's equations have it.
+    assert np.linalg.norm(motion.angular_velocity[0, 1, 0] - wanted) < 0.1 * np.linalg.norm(wanted)
+
+
+def newton_coulomb(yielding: Array, before: Array) -> Array:
+    """Impulse of Newton's restitution with Coulomb's cone, by fixed-point projection."""
+    target = np.array([0.0, 0.0, -E * before[2]])
+    impulse, step = np.zeros(3), 0.5 / np.trace(yielding)
+    for _ in range(20_000):
+        impulse = impulse - step * (before + yielding @ impulse - target)
+        impulse[2] = max(impulse[2], 0.0)
+        sideways = float(np.hypot(*impulse[:2]))
+        impulse[:2] *= min(1.0, MU * impulse[2] / sideways) if sideways else 1.0
+    return impulse
+
+
+def lowered_cubli(steps: int) -> Scene:
+    """Put the cubli with four corners on the ground, at rest."""
+    cubli = load_scene("simplecubli")
+
+    def down(point: Vector) -> Vector:
+        return (point[0], point[1], point[2] - 0.4 + R)
+
+    return replaced(
+        cubli,
+        bodies=tuple(
+            replaced(
+                body,
+                particles=tuple(replaced(p, position=down(p.position)) for p in body.particles),
+            )
+            for body in cubli.bodies
+        ),
+        joints=tuple(replaced(joint, anchor=down(joint.anchor)) for joint in cubli.joints),
+        contacts=tuple(replaced(s, center=down(s.center)) for s in cubli.contacts),
+        sampling=(),
+        noise=0.0,
+        clock=Clock(steps=steps),
+    )
+
+
+@pytest.mark.parametrize("scene", [ball(), lowered_cubli(25)], ids=["ball", "cubli"])
+@pytest.mark.parametrize("options", [{}, ROUND], ids=["default", "round"])
+def test_what_rests_stays_at_rest(scene: Scene, options: dict[str, str]) -> None:
+    settings = Settings("semi-implicit-euler", 5e-4, options)
+    motion = rollout(scene, draw_batch(scene, [0]), settings)
+    assert np.abs(motion.position - motion.position[:, :1]).max() < 1e-6
+    assert np.abs(motion.velocity).max() < 1e-5
+
+
+def even_car(rate: float, torque: float, steps: int) -> Scene:
+    """Give the car equal wheels, and no noise."""
+    car = load_scene("particlecar")
+    wheels = tuple(joint.name for joint in car.joints)
+    return replaced(
+        car,
+        torques=tuple(Torque(name, (torque,)) for name in wheels) if torque else (),
+        sampling=(HingeRate(wheels, rate=(rate, rate), travel=(0.2, 0.0, 0.0)),),
+        noise=0.0,
+        clock=Clock(steps=steps),
+    )
+
+
+def test_torques_on_the_wheels_drive_the_car() -> None:
+    scene = even_car(5.0, 3.0, 50)
+    motion = rollout(scene, draw_batch(scene, [0]), careful(40))
+    about_axle = 12 * (0.2 - R) ** 2 + 13 * 6.17e-4
+    gain = 4 * 3.0 / 0.2 / (72.0 + 4 * about_axle / 0.2**2)
+    time = motion.time
+    # First order in the step of 5e-4 s.
+    exact = time + 0.5 * gain * time * (time + 5e-4)
+    np.testing.assert_allclose(motion.position[0, :, 0, 0], exact, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(motion.velocity[0, :, 0, 0], 1.0 + gain * time, rtol=0, atol=1e-6)
+    assert np.abs(motion.position[0, :, 0, 1]).max() < 1e-6
+
+
+def test_the_car_drives_at_a_hundred_radians_a_second() -> None:
+    scene = even_car(100.0, 0.0, 25)
+    motion = rollout(scene, draw_batch(scene, [0]), careful(20))
+    np.testing.assert_allclose(motion.position[0, :, 0, 0], 20.0 * motion.time, atol=1e-7)
+    np.testing.assert_allclose(motion.angular_velocity[0, :, 1:, 1], 100.0, rtol=1e-9)
+    assert np.abs(gaps(scene, motion)).max() < 1e-7
+
+
+def test_drawn_cars_converge_with_the_step() -> None:
+    """How the wheels share the weight must not depend on where the solver stops."""
+    scene = load_scene("particlecar")
+    batch = draw_batch(scene, [2], seed=1).truncated(50)
+    ends = [rollout(scene, batch, careful(n)).position[0, -1, 0] for n in (10, 20, 40)]
+    coarse, fine = (np.linalg.norm(b - a) for a, b in pairwise(ends))
+    assert fine < 2e-3
+    assert coarse / fine == pytest.approx(2.0, abs=0.3)
+
+
+def test_the_cubli_flies_as_the_reference_until_it_lands() -> None:
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, range(3), seed=1).truncated(30)
+    exact, motion = reference.solve(scene, batch), rollout(scene, batch)
+    assert all(isinstance(end, reference.FirstImpact) for end in exact.failures)
+    turn = rotation.multiply(rotation.conjugate(exact.orientation), motion.orientation)
+    assert np.nanmax(particle_errors(scene, motion, exact)) < 5e-4
+    assert np.nanmax(np.linalg.norm(rotation.to_vector(turn), axis=-1)) < 1e-3
+
+
+def test_flight_keeps_the_angular_momentum_of_frame_and_flywheels() -> None:
+    scene = load_scene("simplecubli")
+    mechanism = Mechanism.of(scene)
+    motion = rollout(scene, draw_batch(scene, [2], seed=1, noise=False).truncated(10))
+    assert gaps(scene, motion).min() > 0
+    turn = rotation.matrix(mechanism.native_rotation(motion.orientation[0]))
+    inertia = turn @ mechanism.inertia @ turn.swapaxes(-1, -2)
+    share = mechanism.mass / mechanism.mass.sum()
+    place, speed = motion.position[0], motion.velocity[0]
+    place, speed = (a - (share @ a)[:, None] for a in (place, speed))
+    total = np.einsum("fbij,fbj->fi", inertia, motion.angular_velocity[0])
+    total += np.einsum("b,fbi->fi", mechanism.mass, np.cross(place, speed))
+    wheels = motion.angular_velocity[0, :, 1:] - motion.angular_velocity[0, :, :1]
+    assert np.abs(wheels[-1] - wheels[0]).max() > 5.0
+    assert np.linalg.norm(total - total[0], axis=1).max() < 1e-3 * np.linalg.norm(total[0])
+
+
+@pytest.mark.parametrize("ground", [Ground(0.0, E), Ground(MU, 0.5)], ids=["smooth", "rough"])
+def test_the_cubli_gains_no_energy_on_the_ground(ground: Ground) -> None:
+    """Newton's law itself gives energy where rough corners rebound almost elastically."""
+    scene = replaced(load_scene("simplecubli"), ground=ground)
+    batch = draw_batch(scene, range(2), seed=3, noise=False, inputs=False).truncated(100)
+    motion = rollout(scene, batch, careful(80))
+    energy = energy_of(Record(scene, batch, motion))
+    free = gaps(scene, motion).min(axis=-1) > 0
+    for row in range(len(batch)):
+        left = energy.total[row][free[row]]
+        rise = (left - np.minimum.accumulate(left)).max()
+        assert rise < 1e-3 * energy.scale[row]
+    assert gaps(scene, motion).min() > -0.02 * scene.length
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+@pytest.mark.parametrize("profile", ["native", "matched"])
+def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> None:
+    scene = load_scene(name)
+    batch, settings = draw_batch(scene, [2]), settings_for(scene, ENGINE, profile)
+    mechanism = Mechanism.of(scene)
+    with ENGINE.open(scene, settings) as run:
+        assert run.size.contact_pairs == len(scene.contacts)
+        assert compare(mechanism, batch, settings, run.readback(batch)) == []
+        shapes = run._model.shapes  # type: ignore[attr-defined]
+        shapes[0].getDynamicsAspect().setFrictionCoeff(0.3)
+        shapes[1].getDynamicsAspect().setRestitutionCoeff(0.5)
+        found = compare(mechanism, batch, settings, run.readback(batch))
+    assert [line.partition(" of ")[0] for line in found] == ["friction", "restitution"]
+
+
+def test_spheres_lie_where_the_scene_has_them() -> None:
+    scene = load_scene("simplecubli")
+    mechanism = Mechanism.of(scene)
+    batch = draw_batch(scene, [4])
+    with ENGINE.open(scene, matched(scene)) as run:
+        run.readback(batch)
+        spheres = run._model.shapes[1:]  # type: ignore[attr-defined]
+        got = [shape.getWorldTransform().translation() for shape in spheres]
+    turn = mechanism.native_rotation(batch.orientation[0])[mechanism.sphere_body]
+    arm = rotation.rotate(turn, mechanism.sphere_offset)
+    np.testing.assert_allclose(got, batch.position[0, mechanism.sphere_body] + arm, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+def test_a_trajectory_does_not_depend_on_those_before_it(name: str) -> None:
+    scene = load_scene(name)
+    batch = draw_batch(scene, [2, 0, 1]).truncated(40)
+    with ENGINE.open(scene, careful(10)) as run:
+        first, again, alone = run.rollout(batch), run.rollout(batch), run.rollout(batch[[1]])
+    assert first.failures == (None,) * 3
+    np.testing.assert_array_equal(first.position, again.position)
+    np.testing.assert_array_equal(first.angular_velocity[[1]], alone.angular_velocity)
+
+
+def test_spheres_touch_the_ground_and_nothing_else() -> None:
+    one, other = ball(velocity=(2.0, 0.0, 0.0)), ball()
+    still = replaced(other.bodies[0], name="still", position=(0.5, 0.0, 0.0))
+    centre = (0.5, 0.0, R)
+    scene = replaced(
+        one,
+        bodies=(*one.bodies, still),
+        contacts=(*one.contacts, ContactSphere("still", centre, R)),
+    )
+    settings = careful(20)
+    both, alone = (rollout(each, draw_batch(each, [0]), settings) for each in (scene, one))
+    np.testing.assert_allclose(both.position[0, :, 0], alone.position[0, :, 0], atol=1e-12)
+    np.testing.assert_allclose(both.position[0, :, 1], [centre] * 51, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("height", "speed", "reason"),
+    [(3.0, 120.0, "hits the ground at 120.*cuts rebounds to 100"), (1.0, 90.0, "in the ground")],
+)
+def test_what_contact_cannot_do_ends_the_trajectory(
+    height: float, speed: float, reason: str
+) -> None:
+    scene = ball(height, velocity=(0.0, 0.0, -speed), steps=5)
+    motion = rollout(scene, draw_batch(scene, [0]), careful(1))
+    failure = motion.failures[0]
+    assert failure is not None
+    assert re.search(reason, failure.reason)
+    assert np.isnan(motion.position[0, failure.frame :]).all()
+    assert np.isfinite(motion.position[0, : failure.frame]).all()
+
+
+def test_a_contact_solver_that_fails_ends_the_trajectory() -> None:
+    scene = ball(0.05, steps=10)
+    with ENGINE.open(scene, careful(10)) as run:
+        world = run._model.world  # type: ignore[attr-defined]
+        solver = world.getConstraintSolver().getBoxedLcpSolver()
+        options = solver.getOptions()
+        options.maxSweeps = -1
+        solver.setOptions(options)
+        failure = run.rollout(draw_batch(scene, [0])).failures[0]
+    assert failure is not None
+    # It falls for 0.101 s.
+    assert failure.frame == 6
+    assert "contact solver failed" in failure.reason
+
+
+def test_what_dart_cannot_mean_is_refused() -> None:
+    for ground, what in ((Ground(5e-4, E), "friction"), (Ground(MU, 5e-4), "restitution")):
+        with pytest.raises(Unsupported, match=f"ground.{what}: got 0.0005"):
+            ENGINE.open(replaced(ball(), ground=ground), careful(20))
+    with pytest.raises(UnknownName, match="ode"):
+        ENGINE.open(ball(), careful(20, collision_detector="eyes"))
+    with pytest.raises(UnknownName, match="nsgs"):
+        ENGINE.open(ball(), careful(20, friction_solver="hope"))
+    with pytest.raises(Unsupported, match="no impacts"):
+        ENGINE.open(ball(), Settings("forward-dynamics-RK4", 0.02))
+
+
+def test_scenes_without_contact_have_no_ground() -> None:
+    with ENGINE.open(load_scene("5pendulum"), Settings("semi-implicit-euler", 0.02)) as run:
+        assert run.size.contact_pairs == 0
+        assert run._model.world.getNumSkeletons() == 1  # type: ignore[attr-defined]
+        assert "Shape" not in run.native()
+
+
+def test_the_listing_alone_gives_the_same_motion() -> None:
+    scene = ball(0.1, velocity=(1.0, 2.0, 0.0), steps=20)
+    batch = draw_batch(scene, [0])
+    with ENGINE.open(scene, careful(20)) as run:
+        expected, text = run.rollout(batch), run.native()
+    names: dict[str, Any] = {}
+    exec(text, names)
+    names["skeleton"].setVelocities([0.0, 0.0, 0.0, 1.0, 2.0, 0.0])
+    for _ in range(400):
+        names["world"].step(False)
+    got = names["skeleton"].getPositions()[3:]
+    np.testing.assert_allclose(got, expected.position[0, -1, 0], rtol=0, atol=1e-12)
