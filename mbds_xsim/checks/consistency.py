@@ -129,8 +129,10 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
         return Extrapolation(limit, sizes[0] + floor, np.full(known.shape, np.nan), known)
     apart = _running(limit - runs[-2] - moved[-2])
     settled = gain * sizes[0] <= floor
+    # Orders of largest values jump where one of them grows; those of all values together do not.
+    coarse, fine = (np.cumsum(np.sum(move**2, axis=-1), axis=1) for move in moved)
     with np.errstate(divide="ignore", invalid="ignore"):
-        observed = np.where(settled, np.nan, np.log2(sizes[0] / sizes[1]))
+        observed = np.where(settled, np.nan, 0.5 * np.log2(coarse / fine))
     faster = observed > order + _ORDER_OFF
     unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
     asymptotic = settled | (observed >= order - _ORDER_OFF)
