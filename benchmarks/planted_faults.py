@@ -28,7 +28,7 @@ with the scene (read-back) switched off. The table shows the checks that fail in
 has the fault, how often the vote of the engines and the reference names that engine, and how often
 reading the model back tells the fault too.
 
-Without a fault all engines pass. `tests/faults` repeats all of it in every test run, on
+Without a fault all engines pass. `tests/faults` repeats the table in every test run, on
 {clocks}.
 """
 
