@@ -9,6 +9,9 @@ the pair's friction and a restitution of 1. Measured on 6.20:
   origin, and miss none, but they differ in where the point of contact lies: at the sphere's lowest
   point (ode, bullet), on the plane (dart) or half-way (fcl).
 - A rebound below 0.1 m/s does not happen and one above 100 m/s is cut; both limits are compiled in.
+- What is reflected has gravity's share of the step h in it, so that an impact at v delivers about
+  e + 2 g h / v. With e = 0.93 and steps of 1 ms the last bounces, 1 mm high, never die out; with
+  0.5 ms they do.
 """
 
 from __future__ import annotations
