@@ -95,7 +95,9 @@ def validate(
     settings: Annotated[
         str, typer.Option(help="matched, native, or both side by side (matched,native).")
     ] = "matched",
-    trajectories: Annotated[int, typer.Option(help="Starts of each interval.", min=1)] = 1,
+    trajectories: Annotated[
+        int, typer.Option(help="Starts of each interval.", min=1, max=10_000)
+    ] = 1,
     seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
     method: Annotated[
         str | None, typer.Option(help="Step with this method, with --engines of one engine.")

@@ -32,6 +32,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "not a number": ("validate 2pendulum --seed one", ["--seed", "valid integer"]),
     "option without a value": ("scenes --json", ["--json", "requires an argument"]),
     "negative trajectories": ("validate 2pendulum --trajectories -1", ["--trajectories", "to 1"]),
+    "trajectories for years": (
+        "validate 2pendulum --trajectories 9999999999",
+        ["--trajectories", "to 10000"],
+    ),
     "no workers": ("validate 2pendulum --workers 0", ["--workers", "to 1"]),
     "negative seed": ("validate 2pendulum --seed -1", ["--seed", "to 0"]),
     "unknown scene": ("validate teapot", ["'teapot'", "3ladder", "Npendulum", ".toml"]),
