@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.flight import flying
-from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
 __all__ = ["Mismatch", "mismatch_of"]
@@ -25,9 +26,8 @@ __all__ = ["Mismatch", "mismatch_of"]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_MOMENT = 1e-5  # over which jerks are differences of accelerations [s]
+_MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
 _FACTOR = 5.0  # errors of the quintic are up to so many times their estimate (measured: 4.6)
-_FIELDS = ("position", "native", "velocity", "angular_velocity")
 _ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
 
@@ -97,10 +97,11 @@ def mismatch_of(
     """
     first = np.arange(0, bodies.position.shape[1] - 1, 2)
     force, torque = force[:, first], torque[:, first]
-    closed = _closed(mechanism, bodies)
+    flow = Flow(mechanism, _MOMENT * frame)
+    closed = flow.closed(bodies)
     free = flying(mechanism, bodies, frame)[:, first]
     begin, end = (
-        _points_at(mechanism, _frames(bodies, at), _frames(closed, at), free, force, torque, lag)
+        _points_at(flow, _frames(bodies, at), _frames(closed, at), free, force, torque, lag)
         for at in (first, first + 1)
     )
     moved = (end.position - begin.position) / frame
@@ -127,7 +128,7 @@ def mismatch_of(
 
 
 def _points_at(
-    mechanism: Mechanism,
+    flow: Flow,
     states: BodyStates,
     closed: BodyStates,
     free: Mask,
@@ -135,59 +136,40 @@ def _points_at(
     torque: Array,
     lag: float,
 ) -> _Points:
-    known = _known(states) & free
-    points = np.full((len(_Points._fields), *known.shape, mechanism.body_count, 4, 3), np.nan)
+    known = known_states(states) & free
+    count = flow.mechanism.body_count
+    points = np.full((len(_Points._fields), *known.shape, count, 4, 3), np.nan)
     if known.any():
-        kept, near = _picked(states, known), _picked(closed, known)
+        kept, near = picked(states, known), picked(closed, known)
         if lag:
-            rates = _accelerations(mechanism, near, force[known], torque[known])
-            gain = _gain(mechanism, near, *rates)
+            rates = flow.accelerations(near, force[known], torque[known])
+            gain = flow.of_rates(near, *rates)
             kept = _faster(kept, *gain, -lag)
-            near = _closed(mechanism, _faster(near, *gain, -lag))
-        points[:, known] = _derivatives(mechanism, kept, near, force[known], torque[known])
+            near = flow.closed(_faster(near, *gain, -lag))
+        points[:, known] = _derivatives(flow, kept, near, force[known], torque[known])
     return _Points(*points)
 
 
 def _derivatives(
-    mechanism: Mechanism, states: BodyStates, closed: BodyStates, force: Array, torque: Array
+    flow: Flow, states: BodyStates, closed: BodyStates, force: Array, torque: Array
 ) -> Array:
-    rates = _accelerations(mechanism, closed, force, torque)
-    later = _closed(mechanism, _moved_on(closed, *rates))
-    then = _accelerations(mechanism, later, force, torque)
+    mechanism = flow.mechanism
+    rates = flow.accelerations(closed, force, torque)
+    later = flow.closed(flow.later(closed, *rates))
+    then = flow.accelerations(later, force, torque)
     position, velocity, acceleration = _carried(mechanism, states, *rates)
     change = _carried(mechanism, later, *then)[2] - _carried(mechanism, closed, *rates)[2]
-    gained = dataclasses.replace(
-        states, **dict(zip(_FIELDS[2:], _gain(mechanism, closed, *rates), strict=True))
-    )
+    pull, push = flow.of_rates(closed, *rates)
+    gained = dataclasses.replace(states, velocity=pull, angular_velocity=push)
     return np.stack(
         [
             position,
             velocity,
             acceleration,
-            change / _MOMENT,
+            change / flow.moment,
             _carried(mechanism, gained, *rates)[1],
         ]
     )
-
-
-def _gain(
-    mechanism: Mechanism, states: BodyStates, pull: Array, push: Array
-) -> tuple[Array, Array]:
-    """Accelerations of bodies by their velocity coordinates alone, shapes (state, body, 3).
-
-    These are joint rates, and velocities of free bodies. The rest of the accelerations comes from
-    places that change while the coordinates stand still.
-    """
-    here = to_links(mechanism, states)
-    later = to_links(mechanism, _moved_on(states, pull, push))
-    gained = dataclasses.replace(
-        here,
-        angular_velocity=(later.angular_velocity - here.angular_velocity) / _MOMENT,
-        rate=(later.rate - here.rate) / _MOMENT,
-        velocity=(later.velocity - here.velocity) / _MOMENT,
-    )
-    found = to_bodies(mechanism, gained)
-    return found.velocity, found.angular_velocity
 
 
 def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodyStates:
@@ -195,48 +177,6 @@ def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodySt
         states,
         velocity=states.velocity + time * pull,
         angular_velocity=states.angular_velocity + time * push,
-    )
-
-
-def _closed(mechanism: Mechanism, bodies: BodyStates) -> BodyStates:
-    """Close the joints of mechanisms whose loops may hold their bodies twice.
-
-    Where constraints depend on one another, gaps as small as engines leave tear them apart, and
-    accelerations jump. The tree's joints are closed first, so that a flat loop is flat. Ball
-    joints alone never depend on one another, but at single configurations.
-    """
-    if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
-        return bodies
-    from mbds_xsim.reference.dynamics import dynamics_of
-
-    known, dynamics = _known(bodies), dynamics_of(mechanism)
-    tree = to_bodies(mechanism, to_links(mechanism, _picked(bodies, known)))
-    found = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
-    filled = []
-    for name in _FIELDS:
-        values = np.full_like(getattr(bodies, name), np.nan)
-        values[known] = getattr(found, name)
-        filled.append(values)
-    return BodyStates(*filled)
-
-
-def _accelerations(
-    mechanism: Mechanism, states: BodyStates, force: Array, torque: Array
-) -> tuple[Array, Array]:
-    # The reference loads the compiled parts of scipy, which most uses of the checks do without.
-    from mbds_xsim.reference import accelerations
-
-    return accelerations(mechanism, states, force, torque)
-
-
-def _moved_on(states: BodyStates, pull: Array, push: Array) -> BodyStates:
-    """States a moment later."""
-    turn = _MOMENT * (states.angular_velocity + _MOMENT / 2 * push)
-    return BodyStates(
-        states.position + _MOMENT * (states.velocity + _MOMENT / 2 * pull),
-        rotation.multiply(rotation.from_vector(turn), states.native),
-        states.velocity + _MOMENT * pull,
-        states.angular_velocity + _MOMENT * push,
     )
 
 
@@ -256,12 +196,4 @@ def _carried(
 
 
 def _frames(bodies: BodyStates, frames: NDArray[np.int64]) -> BodyStates:
-    return BodyStates(*(getattr(bodies, name)[:, frames] for name in _FIELDS))
-
-
-def _known(states: BodyStates) -> Mask:
-    return np.asarray(np.isfinite(states.position).all(axis=(-1, -2)))
-
-
-def _picked(states: BodyStates, known: Mask) -> BodyStates:
-    return BodyStates(*(getattr(states, name)[known] for name in _FIELDS))
+    return BodyStates(*(getattr(bodies, name)[:, frames] for name in FIELDS))
