@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.markers import marker_positions
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Trajectory
 
@@ -17,10 +18,10 @@ __all__ = [
     "error_at",
     "error_at_horizons",
     "growth_weighted",
+    "markers_of",
     "odd_one_out",
     "pairwise",
     "particle_error",
-    "particles_of",
 ]
 
 Array = NDArray[np.float64]
@@ -34,25 +35,21 @@ _DISAGREEMENT = 0.01  # of the scene's length
 _APART = 3.0
 
 
-def particles_of(mechanism: Mechanism, trajectory: Trajectory) -> Array:
-    """Give particle centres, or centres of mass of a scene without particles [m].
-
-    Shape (trajectory, frame, particle, 3).
-    """
-    if not len(mechanism.particle_body):
-        return trajectory.position
-    return mechanism.particle_positions(trajectory.position, trajectory.orientation)
+def markers_of(mechanism: Mechanism, trajectory: Trajectory) -> Array:
+    """Give the points by which motions are compared [m], shape (trajectory, frame, marker, 3)."""
+    native = mechanism.native_rotation(trajectory.orientation)
+    return marker_positions(mechanism, trajectory.position, native)
 
 
 def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Trajectory) -> Array:
-    """Compute the RMS over particles of their distance [m], shape (trajectory, frame).
+    """Compute the RMS over particles (markers) of their distance [m], (trajectory, frame).
 
     Where one of the two ends early its frames are left out; NaN frames stay NaN.
     """
     frames = min(len(trajectory.time), len(reference.time))
     apart = (
-        (particles_of(mechanism, trajectory)[:, :frames])
-        - (particles_of(mechanism, reference)[:, :frames])
+        (markers_of(mechanism, trajectory)[:, :frames])
+        - (markers_of(mechanism, reference)[:, :frames])
     )
     return np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.checks.agreement import CHAOS, particles_of
+from mbds_xsim.checks.agreement import CHAOS, markers_of
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.engine import Method
@@ -84,7 +84,7 @@ def consistency(
     """
     order = method.order_for(scene)
     mechanism = Record(scene, batch, reference).mechanism
-    places = [_flat(particles_of(mechanism, run)) for run in (*runs, reference)]
+    places = [_flat(markers_of(mechanism, run)) for run in (*runs, reference)]
     energies = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
     levels = [energy.by_body / energies[-1].scale[:, None, None] for energy in energies]
     shape = places[-1].shape[:2]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.markers import marker_positions, markers
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
@@ -80,7 +81,7 @@ def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) 
     twice = batch[np.repeat(np.arange(len(batch)), 2)]
     marched = integrate(scene, pairs, twice, rtol, companions=2, progress=progress)
     bodies = dynamics.unpack(marched.states)
-    markers = _marker_positions(mechanism, bodies.position, bodies.native)
+    markers = marker_positions(mechanism, bodies.position, bodies.native)
     distance = _rms(markers[::2] - markers[1::2])
     return np.asarray(distance / distance[:, :1])
 
@@ -123,25 +124,10 @@ def _allowed_twist(
     trial[:-1, 10:] /= mechanism.scene.length
     trial = dynamics.project(trial[None])[0]
     bodies = dynamics.unpack(trial)
-    body, offset = _markers(mechanism)
+    body, offset = markers(mechanism)
     arm = rotation.rotate(bodies.native[body], offset)
     rate = bodies.velocity[body] + np.cross(bodies.angular_velocity[body], arm)
     return np.asarray(trial[:, 7:] * (_SIZE / _rms(rate)))
-
-
-def _markers(mechanism: Mechanism) -> tuple[Indices, Array]:
-    """The particles; in a body without any, points around its centre at its radii of gyration."""
-    bare = np.flatnonzero(mechanism.particles_per_body == 0)
-    radius = np.sqrt(np.einsum("kii->k", mechanism.inertia[bare]) / (2.0 * mechanism.mass[bare]))
-    star = np.concatenate([np.eye(3), -np.eye(3)])
-    body = np.concatenate([mechanism.particle_body, np.repeat(bare, len(star))])
-    offset = (radius[:, None, None] * star).reshape(-1, 3)
-    return body, np.concatenate([mechanism.particle_offset, offset])
-
-
-def _marker_positions(mechanism: Mechanism, position: Array, native: Array) -> Array:
-    body, offset = _markers(mechanism)
-    return position[..., body, :] + rotation.rotate(native[..., body, :], offset)
 
 
 def _rms(vectors: Array) -> Array:
