@@ -129,10 +129,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
         return Extrapolation(limit, sizes[0] + floor, np.full(known.shape, np.nan), known)
     apart = _running(limit - runs[-2] - moved[-2])
     settled = gain * sizes[0] <= floor
-    # Orders of largest values jump where one of them grows; those of all values together do not.
-    coarse, fine = (np.cumsum(np.sum(move**2, axis=-1), axis=1) for move in moved)
+    coarse, fine = map(_gathered, moved)
     with np.errstate(divide="ignore", invalid="ignore"):
-        observed = np.where(settled, np.nan, 0.5 * np.log2(coarse / fine))
+        observed = np.where(settled, np.nan, np.log2(coarse / fine))
     faster = observed > order + _ORDER_OFF
     unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
     asymptotic = settled | (observed >= order - _ORDER_OFF)
@@ -163,14 +162,20 @@ def _flat(points: Array) -> Array:
 
 
 def _running(values: Array) -> Array:
-    """Largest norm up to each frame: an error that passes through zero is still known.
+    """Largest norm up to each frame: an error that passes through zero is still known."""
+    return _shared(np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1))
 
-    The first frames, of which none may be typical, take the largest of all of them.
-    """
-    largest = np.maximum.accumulate(np.sqrt(np.sum(values**2, axis=-1)), axis=1)
-    first = min(LEAST_SPAN, largest.shape[1])
-    largest[:, :first] = largest[:, first - 1 : first]
-    return np.asarray(largest)
+
+def _gathered(values: Array) -> Array:
+    """Norm of all values up to each frame; unlike the largest one it grows smoothly."""
+    return _shared(np.sqrt(np.cumsum(np.sum(values**2, axis=-1), axis=1)))
+
+
+def _shared(grown: Array) -> Array:
+    """Let the first frames, of which none may be typical, take what all of them come to."""
+    first = min(LEAST_SPAN, grown.shape[1])
+    grown[:, :first] = grown[:, first - 1 : first]
+    return np.asarray(grown)
 
 
 def _longest(mask: Mask) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -179,3 +180,21 @@ def test_a_wrong_model_shows_though_it_converges_faster_than_declared(
 def test_one_run_cannot_be_extrapolated() -> None:
     with pytest.raises(InputError, match="allowed are 2 or 3"):
         extrapolate([np.zeros((1, 1, 1))], 1, np.zeros((1, 1)))
+
+
+def test_short_motions_are_judged_from_their_first_frame(pendulum: Any, runs: Any) -> None:
+    def cut(motion: Trajectory) -> Trajectory:
+        fields = ("position", "orientation", "velocity", "angular_velocity")
+        first = {name: getattr(motion, name)[:, :8] for name in fields}
+        return dataclasses.replace(motion, time=motion.time[:8], **first)
+
+    for finding in consistency(
+        pendulum.scene,
+        pendulum.batch.truncated(7),
+        [cut(motion) for motion in runs("midpoint", _same)],
+        cut(pendulum.exact),
+        METHODS["midpoint"][0],
+        resolution=1e-8,
+    ):
+        assert np.isfinite(finding.series).all()
+        assert finding.passed.all()
