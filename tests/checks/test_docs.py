@@ -1,0 +1,67 @@
+"""The page on the checks names every check, with its budget."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim import judge
+from mbds_xsim.checks import CHECKS
+from mbds_xsim.checks import consistency as consistency_module
+from mbds_xsim.scene import Budget
+
+PAGE = (Path(__file__).parents[2] / "docs" / "checks.md").read_text("utf-8")
+
+
+def _names(source: object) -> list[str]:
+    """Names that the source gives to findings: first arguments of `Finding.of`."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(source)))  # type: ignore[arg-type]
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    first = [call.args[0] for call in calls if ast.unparse(call.func) == "Finding.of" and call.args]
+    return [str(arg.value) for arg in first if isinstance(arg, ast.Constant)]
+
+
+def _anchors(page: str) -> list[str]:
+    headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
+    return [heading.lower().replace(" ", "-") for heading in headings]
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_every_check_has_a_section_and_a_row(check: object) -> None:
+    names = _names(check)
+    assert names, f"{check} gives its finding no name"
+    for name in names:
+        assert f"\n### {name}\n" in PAGE
+        assert f"\n| [{name}](#{name.replace(' ', '-')}) |" in PAGE
+
+
+def test_the_checks_against_others_are_there() -> None:
+    consistency = re.findall(r'"(consistency of \w+)"', inspect.getsource(consistency_module))
+    errors = _names(judge)
+    assert len(consistency) == 2
+    assert len(errors) == 2
+    for name in (*consistency, *errors, "vote", "read-back"):
+        assert f"\n| [{name}](#" in PAGE
+
+
+def test_every_budget_is_named_with_its_default() -> None:
+    for key in Budget.__struct_fields__:
+        rows = [line for line in PAGE.splitlines() if f"`{key}`" in line and line.startswith("| [")]
+        assert rows, key
+        powers = {float(number) for number in re.findall(r"\d+e-\d+", " ".join(rows))}
+        assert getattr(Budget(), key) in powers, key
+
+
+def test_links_within_the_page_lead_somewhere() -> None:
+    links = set(re.findall(r"\]\(#([^)]*)\)", PAGE))
+    assert links <= set(_anchors(PAGE))
+
+
+def test_links_to_other_pages_lead_somewhere() -> None:
+    for target in set(re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", PAGE)):
+        assert (Path(__file__).parents[2] / "docs" / target).exists(), target
