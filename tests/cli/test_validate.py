@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -140,7 +141,7 @@ def test_an_interrupted_run_leaves_nothing_behind(
     scratch.mkdir()
     words = ["validate", "3ladder", "--no-cache", "--json", "v.json", "--html", "v.html"]
     running = subprocess.Popen(
-        ["mbds-xsim", *words],
+        [sys.executable, "-m", "mbds_xsim", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
