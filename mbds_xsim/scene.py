@@ -294,6 +294,21 @@ class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     """The same for methods of order 1."""
     planarity: float = 1e-6
     """Excursion out of the scene's dimensions over its length."""
+    penetration: float = 0.02
+    """Overlap of a contact sphere with the ground over the scene's length."""
+    contact_gap: float = 2e-3
+    """Distance from the ground at which it carries a sphere, over the scene's length."""
+    passivity: float = 1e-3
+    """Energy that contact creates over the energy scale; height that a ball gains by it, over the
+    scene's length."""
+    friction: float = 0.01
+    """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
+    rolling: float = 1e-3
+    """Slip of a ball that rolls over its largest speed."""
+    restitution: float = 0.01
+    """Deviation of the coefficient of restitution that a ball's rebound shows."""
+    resting: float = 1e-3
+    """Distance that a body at rest moves over the scene's length."""
 
     def __post_init__(self) -> None:
         for key in self.__struct_fields__:

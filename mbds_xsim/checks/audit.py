@@ -8,10 +8,15 @@ import numpy as np
 
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.friction import friction, rolling
+from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.momentum import momentum
+from mbds_xsim.checks.overlap import contact_gap, penetration
+from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.checks.resting import hop, resting
 from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
@@ -30,6 +35,15 @@ CHECKS: tuple[Check, ...] = (
     velocity_lag,
     energy_balance,
     momentum,
+    penetration,
+    contact_gap,
+    passivity,
+    energy_rise,
+    friction,
+    rolling,
+    restitution,
+    hop,
+    resting,
 )
 """Each gives a finding, or None where it does not apply to the scene."""
 

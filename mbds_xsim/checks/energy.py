@@ -9,6 +9,7 @@ from scipy.integrate import cumulative_simpson
 from mbds_xsim import rotation
 from mbds_xsim.assembly import joint_coordinate
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.joints import pair_distance, with_world
 
 __all__ = [
@@ -52,16 +53,19 @@ class Energy:
 
 
 def energy_balance(record: Record) -> Finding | None:
-    """Measure |E − E(0) − W| over the energy scale; None for scenes with contact.
+    """Measure |E − E(0) − W| over the energy scale; with contact, over each period of flight.
 
     The work of held inputs is exact; that of dampers is a quadrature, whose error is the
-    finding's uncertainty.
+    finding's uncertainty. None where nothing flies.
     """
-    if record.scene.contacts:
+    flights = flying(record.mechanism, record.bodies, record.frame)
+    if record.scene.contacts and not flights.any():
         return None
     energy = energy_of(record)
     loss, error = damper_loss(record)
     balance = energy.total - energy.total[:, :1] - input_work(record) + loss
+    if record.scene.contacts:
+        balance[:, 1:] = summed(np.diff(balance, axis=1)[..., None], flights)[..., 0]
     note = ""
     if record.mechanism.springs and np.nanmax(error, initial=0.0) > 0:
         note = f"damper work known to {np.nanmax(error / energy.scale):.1g} of the scale"

@@ -9,8 +9,9 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["flying"]
+__all__ = ["clear", "flying", "summed"]
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
@@ -19,15 +20,36 @@ def flying(
 ) -> Mask:
     """Find the steps in which no contact sphere of a group (or of all) can reach the ground.
 
-    At both ends a sphere must be higher than it would fall, at its own speed and at what gravity
-    adds to it, in a whole frame. Shape (trajectory, step).
+    Shape (trajectory, step).
     """
     own = np.isin(mechanism.sphere_body, range(mechanism.body_count) if group is None else group)
-    carrier = mechanism.sphere_body[own]
-    arm = rotation.rotate(bodies.native[:, :, carrier], mechanism.sphere_offset[own])
-    height = bodies.position[:, :, carrier, 2] + arm[..., 2] - mechanism.sphere_radius[own]
+    return np.asarray(clear(mechanism, bodies, frame)[:, :, own].all(axis=2))
+
+
+def clear(mechanism: Mechanism, bodies: BodyStates, frame: float) -> Mask:
+    """Tell in which steps each contact sphere cannot reach the ground.
+
+    At both ends it must be higher than it would fall, at its own speed and at what gravity adds
+    to it, in a whole frame. Shape (trajectory, step, sphere).
+    """
+    carrier = mechanism.sphere_body
+    arm = rotation.rotate(bodies.native[:, :, carrier], mechanism.sphere_offset)
+    height = bodies.position[:, :, carrier, 2] + arm[..., 2] - mechanism.sphere_radius
     swing = np.cross(bodies.angular_velocity[:, :, carrier], arm)
     speed = np.abs(bodies.velocity[:, :, carrier, 2] + swing[..., 2])
     pull = float(np.linalg.norm(mechanism.scene.gravity))
-    clear: Mask = np.all(height > frame * (speed + frame * pull), axis=2)
-    return clear[:, 1:] & clear[:, :-1]
+    high: Mask = height > frame * (speed + frame * pull)
+    return high[:, 1:] & high[:, :-1]
+
+
+def summed(values: Array, flights: Mask) -> Array:
+    """Sum over the steps of each flight up to each step; NaN where there is none.
+
+    Shape (trajectory, step, component), as the values.
+    """
+    total = np.cumsum(np.where(flights[..., None], values, 0.0), axis=1)
+    steps = np.arange(1, values.shape[1] + 1)
+    landed = np.maximum.accumulate(np.where(flights, 0, steps), axis=1)
+    padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
+    before = np.take_along_axis(padded, landed[..., None], axis=1)
+    return np.where(flights[..., None], total - before, np.nan)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flight import flying
+from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.supports import Balance, balances_of
 from mbds_xsim.mechanism import WORLD_INDEX
 
@@ -58,7 +58,7 @@ def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array,
     if balance.angular:
         impulse, blur = _moments(record, balance, load)
     left = (np.diff(state, axis=1) - impulse) @ balance.directions.T
-    drift = np.linalg.norm(_summed(left, flights), axis=-1)
+    drift = np.linalg.norm(summed(left, flights), axis=-1)
     error = np.where(np.isfinite(blur) & flights, blur, 0.0).sum(axis=1)
     found = np.concatenate([np.zeros((len(drift), 1)), drift], axis=1)
     found[~record.finite] = np.nan
@@ -142,13 +142,3 @@ def _arms(record: Record, balance: Balance) -> Array:
 
 def _mean(mass: Array, values: Array) -> Array:
     return np.einsum("b,tfbi->tfi", mass / mass.sum(), values)[:, :, None]
-
-
-def _summed(left: Array, flights: Mask) -> Array:
-    """Sums over the steps of each flight; NaN where there is none; shape (trajectory, step, …)."""
-    total = np.cumsum(np.where(flights[..., None], left, 0.0), axis=1)
-    steps = np.arange(1, left.shape[1] + 1)
-    landed = np.maximum.accumulate(np.where(flights, 0, steps), axis=1)
-    padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
-    before = np.take_along_axis(padded, landed[..., None], axis=1)
-    return np.where(flights[..., None], total - before, np.nan)

@@ -1,0 +1,128 @@
+"""Contact spheres over the ground, and the impulses that the ground gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.flight import clear
+from mbds_xsim.checks.supports import balances_of
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+
+__all__ = ["Push", "Spheres", "around", "pushes_of", "spheres_of"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CENTRED = 1e-9  # [m]
+_SUPPORT = 2.0  # times the impulse of gravity
+_STEADY = 0.1  # of it, in vertical speed
+
+
+@dataclass(frozen=True, eq=False)
+class Spheres:
+    """Contact spheres, each array of shape (…, sphere)."""
+
+    gap: Array
+    """Between the sphere and the ground [m]."""
+    climb: Array
+    """Rate of the gap [m/s]."""
+    slip: Array
+    """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """What the ground does to a group of connected bodies that nothing else supports."""
+
+    name: str
+    bodies: tuple[int, ...]
+    spheres: NDArray[np.int64]
+    """Which contact spheres the group has."""
+    mass: float
+    ball: bool
+    """A single body with one sphere, around its centre of mass: normal and tangential motion do
+    not mix."""
+    impulse: Array
+    """Of the ground over each step [N·s], shape (trajectory, step, 3)."""
+    blur: Array
+    """What of it may belong to a neighbouring step, where velocities lag [N·s], (trajectory, step).
+    """
+    reach: Mask
+    """Spheres that may touch in a step, shape (trajectory, step, sphere of the group)."""
+    resting: Mask
+    """Frames around which the ground carries the weight steadily, shape (trajectory, frame)."""
+    supported: Mask
+    """Steps with no impact that counts: the ground gives no more than twice what gravity takes, and
+    spheres that may touch are slower than gravity would make them; shape (trajectory, step)."""
+
+
+def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
+    """Compute gaps, their rates and slips of all contact spheres, from states (…, body, …)."""
+    carrier = mechanism.sphere_body
+    arm = rotation.rotate(bodies.native[..., carrier, :], mechanism.sphere_offset)
+    gap = bodies.position[..., carrier, 2] + arm[..., 2] - mechanism.sphere_radius
+    down = mechanism.sphere_radius[:, None] * np.array([0.0, 0.0, -1.0])
+    swing = np.cross(bodies.angular_velocity[..., carrier, :], arm + down)
+    speed = bodies.velocity[..., carrier, :] + swing
+    return Spheres(gap, speed[..., 2], speed[..., :2])
+
+
+def pushes_of(record: Record) -> list[Push]:
+    """Find what the ground does to each group that has contact spheres and no other support.
+
+    Linear momentum less the impulses of gravity and inputs: exact, as forces are held over steps.
+    """
+    mechanism = record.mechanism
+    return [
+        _push(record, balance.name.removeprefix("linear momentum, "), balance.bodies)
+        for balance in balances_of(mechanism)
+        if not balance.angular
+        and len(balance.directions) == 3
+        and np.isin(mechanism.sphere_body, balance.bodies).any()
+    ]
+
+
+def around(steps: Mask) -> Mask:
+    """Tell which frames lie between two such steps, or at an end of one at an end of the motion."""
+    padded = np.pad(steps, ((0, 0), (1, 1)), mode="edge")
+    return np.asarray(padded[:, 1:] & padded[:, :-1])
+
+
+def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
+    mechanism, group = record.mechanism, list(bodies)
+    mass, gravity = mechanism.mass[group], np.array(record.scene.gravity)
+    momentum = np.einsum("b,tfbi->tfi", mass, record.bodies.velocity[:, :, group])
+    load = record.batch.force[:, : record.steps, group].sum(axis=2) + mass.sum() * gravity
+    impulse = np.diff(momentum, axis=1) - record.frame * load
+    change = np.linalg.norm(np.diff(load, axis=1, prepend=load[:, :1]), axis=-1)
+    spheres = np.flatnonzero(np.isin(mechanism.sphere_body, group))
+    reach = ~clear(mechanism, record.bodies, record.frame)[:, :, spheres]
+    fall = record.frame * float(np.linalg.norm(gravity))
+    climb = np.abs(spheres_of(mechanism, record.bodies).climb[:, :, spheres])
+    fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
+    lift = impulse[..., 2] / (mass.sum() * (fall or 1.0))
+    supported = reach.any(axis=2) & (fastest <= _SUPPORT * fall) & (lift <= _SUPPORT)
+    steady = supported & (fastest <= _STEADY * fall) & (np.abs(lift - 1.0) <= 0.5)
+    return Push(
+        name=name,
+        bodies=bodies,
+        spheres=spheres,
+        mass=float(mass.sum()),
+        ball=_is_ball(mechanism, bodies, spheres),
+        impulse=impulse,
+        blur=abs(record.lag) * change,
+        reach=reach,
+        resting=around(steady),
+        supported=supported,
+    )
+
+
+def _is_ball(mechanism: Mechanism, bodies: tuple[int, ...], spheres: NDArray[np.int64]) -> bool:
+    offset = mechanism.sphere_offset[spheres]
+    return len(bodies) == len(spheres) == 1 and bool(np.abs(offset).max() <= _CENTRED)

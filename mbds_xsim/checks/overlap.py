@@ -1,0 +1,64 @@
+"""Where the ground is: how deep spheres sink into it, and at what distance it pushes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.impacts import impacts_of
+
+__all__ = ["contact_gap", "penetration"]
+
+Array = NDArray[np.float64]
+
+
+def penetration(record: Record) -> Finding | None:
+    """Measure the deepest overlap of a contact sphere with the ground over the scene's length.
+
+    Of recorded frames: an impact may go deeper between them. None without contact.
+    """
+    scene = record.scene
+    if not scene.contacts:
+        return None
+    overlap = np.maximum(-spheres_of(record.mechanism, record.bodies).gap, 0.0)
+    share = np.nanmax(overlap / record.mechanism.sphere_radius, initial=0.0)
+    return Finding.of(
+        "penetration",
+        "1",
+        overlap / scene.length,
+        budget=scene.budget.penetration,
+        names=tuple(sphere.body for sphere in scene.contacts),
+        note=f"{share:.2g} of a radius",
+    )
+
+
+def contact_gap(record: Record) -> Finding | None:
+    """Measure how far spheres are from the ground that carries them, over the scene's length.
+
+    At frames where the ground carries a steady weight it is the gap of the lowest sphere; in a
+    ball's impact the gap at which the motions before and after it meet; elsewhere only what is
+    above the ground, as a soft impact goes deeper. None without contact.
+    """
+    pushes = pushes_of(record)
+    if not pushes:
+        return None
+    gaps = np.stack([_gaps(record, push) for push in pushes], axis=-1)
+    return Finding.of(
+        "contact gap",
+        "1",
+        gaps / record.scene.length,
+        budget=record.scene.budget.contact_gap,
+        names=tuple(push.name for push in pushes),
+    )
+
+
+def _gaps(record: Record, push: Push) -> Array:
+    """Distances where they are known [m], NaN elsewhere, shape (trajectory, frame)."""
+    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres].min(axis=2)
+    found = np.where(push.resting, np.abs(gap), np.nan)
+    hits = impacts_of(record, push)
+    found[hits.row, hits.step + 1] = np.abs(hits.gap) if push.ball else np.maximum(hits.gap, 0.0)
+    found[:, 0] = np.nan_to_num(found[:, 0])  # not every trajectory touches
+    return np.asarray(found)

@@ -1,0 +1,149 @@
+"""Does a ball that lies on the ground stay on it, and a body at rest where it is?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.ground import Push, around, pushes_of, spheres_of
+from mbds_xsim.checks.impacts import untouched
+from mbds_xsim.checks.passivity import stored
+
+__all__ = ["hop", "resting"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SLOW = 1e-3  # of the speed √(g · length)
+_NEAR = 1e-3  # of the scene's length
+_ROUND = 0.95 * np.pi  # widest angle between spheres that surround a point
+
+
+def hop(record: Record) -> Finding | None:
+    """Measure how high balls get by themselves, over the scene's length; None without balls.
+
+    Nothing couples the vertical motion of a ball to the other ones, so that its energy of climb
+    and height less the work of vertical forces never rises: above the running minimum, as in
+    `passivity`.
+    """
+    pushes = [push for push in pushes_of(record) if push.ball]
+    if not pushes or not any(record.scene.gravity):
+        return None
+    scene, pull = record.scene, float(np.linalg.norm(record.scene.gravity))
+    climb = record.bodies.velocity[..., 2]
+    rises = np.stack([_rise(record, push, pull) for push in pushes], axis=-1)
+    # Semi-implicit Euler keeps v²/2 + g z + g h v/2.
+    step = 0.0 if record.order > 1 else record.frame if record.step is None else record.step
+    fastest = np.nanmax(np.abs(climb), axis=(1, 2), initial=0.0)
+    return Finding.of(
+        "hop",
+        "1",
+        rises / scene.length,
+        budget=scene.budget.passivity,
+        names=tuple(push.name for push in pushes),
+        uncertainty=0.5 * step * fastest / scene.length,
+    )
+
+
+def resting(record: Record) -> Finding | None:
+    """Measure how far bodies move that were at rest, over the scene's length.
+
+    At rest is what three spheres or more carry, around the centre of mass, and what hardly moves
+    over a step; it has to stay as long as the inputs stay as they are. None without contact, or
+    with inputs that always change.
+    """
+    pushes = [push for push in pushes_of(record) if len(push.spheres) >= 3]
+    if not pushes:
+        return None
+    moved = np.stack([_moved(record, push) for push in pushes], axis=-1)
+    if np.isnan(moved).all():
+        return None
+    moved[:, 0] = np.nan_to_num(moved[:, 0])  # not every trajectory comes to rest
+    return Finding.of(
+        "resting",
+        "1",
+        moved / record.scene.length,
+        budget=record.scene.budget.resting,
+        names=tuple(push.name for push in pushes),
+    )
+
+
+def _rise(record: Record, push: Push, pull: float) -> Array:
+    """Height that the energy of climb and height gains [m], shape (trajectory, frame)."""
+    body = push.bodies[0]
+    height, climb = record.bodies.position[:, :, body, 2], record.bodies.velocity[:, :, body, 2]
+    lift = record.batch.force[:, : record.steps, body, 2] / push.mass
+    work = np.cumsum(lift * np.diff(height, axis=1), axis=1)
+    energy = 0.5 * climb**2 + pull * height + stored(record, push) / push.mass
+    energy[:, 1:] -= work
+    compared = record.finite & (untouched(record, push) | around(push.supported))
+    lowest = np.minimum.accumulate(np.where(compared, energy, np.inf), axis=1)
+    rise = np.where(compared, (energy - lowest) / pull, np.nan)
+    rise[:, 0] = 0.0
+    return rise
+
+
+def _moved(record: Record, push: Push) -> Array:
+    """Largest displacement of spheres since they came to rest [m], NaN where there is no rest."""
+    same = _same_inputs(record)
+    still = _still(record, push)
+    places = _places(record, push)
+    found = np.full(record.finite.shape, np.nan)
+    for row in range(len(found)):
+        held: Array | None = None
+        for frame in range(1, record.steps + 1):
+            if held is None and still[row, frame] and still[row, frame - 1]:
+                held = places[row, frame]
+            if held is not None:
+                found[row, frame] = np.abs(places[row, frame] - held).max()
+            if frame < record.steps and not same[row, frame]:
+                held = None
+    return found
+
+
+def _same_inputs(record: Record) -> Mask:
+    """Tell whether a step has the inputs of the one before, shape (trajectory, step)."""
+    force, torque = (
+        values[:, : record.steps] for values in (record.batch.force, record.batch.torque)
+    )
+    changed = np.zeros(force.shape[:2], dtype=bool)
+    changed[:, 1:] = (np.diff(force, axis=1) != 0.0).any(axis=(2, 3))
+    changed[:, 1:] |= (np.diff(torque, axis=1) != 0.0).any(axis=2)
+    return ~changed
+
+
+def _still(record: Record, push: Push) -> Mask:
+    """Frames in which a group hardly moves on a support that carries it safely."""
+    scene, bodies = record.scene, list(push.bodies)
+    speed = np.linalg.norm(record.bodies.velocity[:, :, bodies], axis=-1)
+    spin = np.linalg.norm(record.bodies.angular_velocity[:, :, bodies], axis=-1)
+    unit = np.sqrt(float(np.linalg.norm(scene.gravity)) * scene.length)
+    slow = (speed + spin * scene.length).max(axis=2) < _SLOW * unit
+    return np.asarray(slow & push.resting & _carried(record, push))
+
+
+def _carried(record: Record, push: Push) -> Mask:
+    """Whether touching spheres surround the centre of mass: no half of the plane is without one."""
+    bodies, mass = list(push.bodies), record.mechanism.mass[list(push.bodies)]
+    middle = np.einsum("b,tfbi->tfi", mass / mass.sum(), record.bodies.position[:, :, bodies])
+    arm = _places(record, push)[..., :2] - middle[:, :, None, :2]
+    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres]
+    touching = np.abs(gap) < _NEAR * record.scene.length
+    count = touching.sum(axis=2)
+    # Those that do not touch repeat the first one that does.
+    angle = np.arctan2(arm[..., 1], arm[..., 0])
+    first = np.take_along_axis(angle, touching.argmax(axis=2)[..., None], axis=2)
+    angle = np.sort(np.where(touching, angle, first), axis=2)
+    round_again = 2 * np.pi + angle[:, :, 0] - angle[:, :, -1]
+    widest = np.maximum(np.diff(angle, axis=2).max(axis=2), round_again)
+    return np.asarray((count >= 3) & (widest < _ROUND))
+
+
+def _places(record: Record, push: Push) -> Array:
+    """Centres of the group's contact spheres [m], shape (trajectory, frame, sphere, 3)."""
+    mechanism, bodies = record.mechanism, record.bodies
+    carrier = mechanism.sphere_body[push.spheres]
+    offset = rotation.rotate(bodies.native[:, :, carrier], mechanism.sphere_offset[push.spheres])
+    return np.asarray(bodies.position[:, :, carrier] + offset)
