@@ -1,4 +1,4 @@
-"""Measured on 48 starts of 3pendulum and 5pendulum each, see docs/checks.md."""
+"""Models that are right, slightly wrong, and of another order than they declare."""
 
 from __future__ import annotations
 

@@ -241,6 +241,7 @@ def test_only_flights_are_looked_at_where_there_is_contact() -> None:
     assert velocity_lag(Record(scene, batch[[1]], motion[[1]])) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
     batch = draw_batch(case.scene, [0])
