@@ -94,12 +94,12 @@ def _moved(record: Record, push: Push) -> Array:
     for row in range(len(found)):
         held: Array | None = None
         for frame in range(1, record.steps + 1):
-            if held is None and still[row, frame] and still[row, frame - 1]:
-                held = places[row, frame]
+            if not same[row, frame - 1]:
+                held = None
             if held is not None:
                 found[row, frame] = np.abs(places[row, frame] - held).max()
-            if frame < record.steps and not same[row, frame]:
-                held = None
+            elif still[row, frame] and still[row, frame - 1]:
+                held = places[row, frame]
     return found
 
 

@@ -1,0 +1,195 @@
+"""Energy in impacts beside the centre of mass, where the law itself may add to it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.ground import pushes_of
+from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import Throw
+from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.state import Batch, Trajectory
+
+Array = NDArray[np.float64]
+
+RK4 = load_adapter("mujoco").methods["RK4"]
+OFFSET, RADIUS, MOMENT, GRAVITY = np.array([0.2, -0.1]), 0.02, 0.02, 9.81
+
+
+def _club(friction: float = 0.43, restitution: float = 0.9332) -> Scene:
+    """Make a body in the x–z plane with one contact sphere beside its centre of mass."""
+    x, z = OFFSET.tolist()
+    spans = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.3))
+    return Scene(
+        name="club",
+        dimension=2,
+        bodies=(Body("club", inertia=Inertia(1.0, (MOMENT,) * 3), position=(0.0, 0.0, 0.4)),),
+        contacts=(ContactSphere("club", (x, 0.0, 0.4 + z), RADIUS),),
+        ground=Ground(friction, restitution),
+        length=0.4,
+        clock=Clock(0.02, 20),
+        sampling=(
+            Throw(
+                "club",
+                displacement=spans,
+                orientation="about_y",
+                velocity=((-2.0, 2.0), (0.0, 0.0), (-2.0, 0.0)),
+                angular_velocity=((0.0, 0.0), (-8.0, 8.0), (0.0, 0.0)),
+            ),
+        ),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _State:
+    """Of planar motion: place and velocity (x, z), angle and rate about y."""
+
+    place: Array
+    velocity: Array
+    angle: float
+    rate: float
+
+    def later(self, t: float) -> _State:
+        pull = np.array([0.0, -GRAVITY])
+        place = self.place + t * self.velocity + 0.5 * t**2 * pull
+        angle = self.angle + t * self.rate
+        return _State(place, self.velocity + t * pull, angle, self.rate)
+
+    @property
+    def lever(self) -> Array:
+        """From the centre of mass to the sphere's lowest point."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return np.array([[c, s], [-s, c]]) @ OFFSET - [0.0, RADIUS]
+
+    @property
+    def gap(self) -> float:
+        return float(self.place[1] + self.lever[1])
+
+    @property
+    def speed(self) -> Array:
+        """Of the lowest point."""
+        x, z = self.lever
+        return np.asarray(self.velocity + self.rate * np.array([z, -x]))
+
+    def hit(self, friction: float, restitution: float) -> _State:
+        """Bounce by Newton's and Coulomb's laws: stick, or slip with friction against it."""
+        x, z = self.lever
+        give = np.eye(2) + np.outer([z, -x], [z, -x]) / MOMENT
+        goal = -self.speed - [0.0, restitution * self.speed[1]]
+        impulse = np.linalg.solve(give, goal)
+        if abs(impulse[0]) > friction * impulse[1]:
+            for sense in (1.0, -1.0):
+                along = np.array([-sense * friction, 1.0])
+                impulse = along * goal[1] / (give[1] @ along)
+                if sense * (self.speed + give @ impulse)[0] >= 0.0:
+                    break
+        rate = self.rate + (z * impulse[0] - x * impulse[1]) / MOMENT
+        return _State(self.place, self.velocity + impulse, self.angle, rate)
+
+
+def _frame_later(state: _State, friction: float, restitution: float) -> _State:
+    left = 0.02
+    while left > 0.0:
+        times = np.linspace(1e-9, left, 20)
+        below = [t for t in times if state.later(t).gap < 0.0]
+        if not below:
+            return state.later(left)
+        hit = brentq(lambda t, s=state: s.later(t).gap, 1e-12, below[0], xtol=1e-15)
+        state, left = state.later(hit).hit(friction, restitution), left - hit
+    return state
+
+
+def _thrown(scene: Scene, restitution: float) -> tuple[Batch, Trajectory]:
+    """Follow clubs through rigid impacts with a restitution, which may be above 1."""
+    assert scene.ground is not None
+    batch = draw_batch(scene, range(60))
+    motion = Trajectory.empty(np.linspace(0.0, 0.4, 21), len(batch), 1)
+    for row in range(len(batch)):
+        w, _, y, _ = batch.orientation[row, 0]
+        place, velocity = batch.position[row, 0, ::2], batch.velocity[row, 0, ::2]
+        angle, rate = 2 * float(np.arctan2(y, w)), float(batch.angular_velocity[row, 0, 1])
+        state = _State(place, velocity, angle, rate)
+        for frame in range(21):
+            if frame:
+                state = _frame_later(state, scene.ground.friction, restitution)
+            half = 0.5 * state.angle
+            motion.position[row, frame, 0] = [state.place[0], 0.0, state.place[1]]
+            motion.velocity[row, frame, 0] = [state.velocity[0], 0.0, state.velocity[1]]
+            motion.orientation[row, frame, 0] = [np.cos(half), 0.0, np.sin(half), 0.0]
+            motion.angular_velocity[row, frame, 0] = [0.0, state.rate, 0.0]
+    return batch, motion
+
+
+def _record(
+    friction: float = 0.43, restitution: float = 0.9332, delivered: float | None = None
+) -> Record:
+    scene = _club(friction, restitution)
+    return Record(scene, *_thrown(scene, restitution if delivered is None else delivered), RK4)
+
+
+@pytest.fixture(scope="module")
+def lawful() -> Record:
+    return _record()
+
+
+def _figures(record: Record) -> tuple[Array, Array]:
+    unexplained, whole = passivity(record), energy_rise(record)
+    assert unexplained is not None
+    assert whole is not None
+    return unexplained.figure, whole.figure
+
+
+def test_what_the_law_of_impact_adds_is_explained(lawful: Record) -> None:
+    unexplained, whole = _figures(lawful)
+
+    assert (whole > 1e-2).sum() >= 5
+    assert unexplained.max() < 1e-9
+
+
+@pytest.mark.parametrize("ground", [(0.43, 0.6), (0.0, 0.9332)])
+def test_less_restitution_or_no_friction_adds_nothing(ground: tuple[float, float]) -> None:
+    unexplained, whole = _figures(_record(*ground))
+
+    assert whole.max() < 1e-9
+    assert unexplained.max() < 1e-9
+
+
+@pytest.mark.parametrize("delivered", [1.0, 1.1])
+def test_more_than_the_law_adds_is_not_explained(delivered: float) -> None:
+    unexplained, whole = _figures(_record(delivered=delivered))
+    made = whole > 1e-3
+
+    assert made.sum() >= 20
+    assert (unexplained[made] > 1e-3).all()
+
+
+def test_impacts_are_taken_apart_exactly(lawful: Record) -> None:
+    (push,) = pushes_of(lawful)
+    hits = impacts_of(lawful, push)
+
+    assert len(hits.row) > 50
+    assert hits.leaving / hits.arriving == pytest.approx(0.9332, abs=1e-6)
+    assert np.abs(hits.gap).max() < 1e-7
+
+
+def test_an_impact_of_two_spheres_is_no_single_one(lawful: Record) -> None:
+    """Where another sphere may touch in the same step, the law's gain is a bound."""
+    (sphere,) = lawful.scene.contacts
+    twin = msgspec.structs.replace(sphere, center=(0.2, 0.1, sphere.center[2]))
+    scene = msgspec.structs.replace(lawful.scene, contacts=(sphere, twin))
+    twins = dataclasses.replace(lawful, scene=scene)
+    (push,) = pushes_of(twins)
+
+    assert len(impacts_of(twins, push).row) == 0
+    unexplained, _ = _figures(twins)
+    assert unexplained.max() < 1e-9

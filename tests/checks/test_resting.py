@@ -1,0 +1,94 @@
+"""A body at rest on the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks.resting import resting
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
+from mbds_xsim.state import Trajectory
+
+Array = NDArray[np.float64]
+
+CORNERS = [(x, y) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
+
+
+def _box(corners: list[tuple[float, float]] = CORNERS, **parts: Any) -> Scene:
+    return Scene(
+        name="box",
+        bodies=(Body("box", inertia=Inertia(1.0, (0.02,) * 3), position=(0.0, 0.0, 0.1)),),
+        contacts=tuple(ContactSphere("box", (x, y, 0.02), 0.02) for x, y in corners),
+        ground=Ground(0.5, 0.0),
+        length=0.4,
+        clock=Clock(0.02, 50),
+        **parts,
+    )
+
+
+def _lying(scene: Scene, *, creep: float = 0.0, sink: float = 0.0) -> Record:
+    """Lie still, or move at a constant velocity along x or down [m/s]."""
+    batch = draw_batch(scene, range(1))
+    time = np.linspace(0.0, 1.0, 51)
+    moved = time[:, None] * np.array([creep, 0.0, -sink])
+    shape = (1, 51, 1, 3)
+    turn = np.broadcast_to(batch.orientation[:, None], (1, 51, 1, 4))
+    place = batch.position[:, None] + moved[:, None]
+    speed = np.broadcast_to([creep, 0.0, -sink], shape)
+    return Record(scene, batch, Trajectory(time, place, turn, speed, np.zeros(shape), (None,)))
+
+
+def _found(record: Record) -> Finding:
+    finding = resting(record)
+    assert finding is not None
+    return finding
+
+
+def test_what_lies_still_passes() -> None:
+    assert _found(_lying(_box())).figure.tolist() == [0.0]
+    pushed = Force("box", ((1.0, 0.0, 0.0),))
+    assert _found(_lying(_box(forces=(pushed,)))).figure.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("motion", [{"creep": 1e-3}, {"sink": 1e-3}])
+def test_what_creeps_or_sinks_does_not(motion: dict[str, float]) -> None:
+    finding = _found(_lying(_box(), **motion))
+    # A millimetre a second, from the first frames on, until it has sunk too far.
+    assert finding.figure == pytest.approx(1e-3 * 0.98 / 0.4, rel=0.65)
+    assert not finding.passed.any()
+
+
+def test_what_wakes_up_is_seen() -> None:
+    record = _lying(_box())
+    place, speed = record.trajectory.position.copy(), record.trajectory.velocity.copy()
+    place[:, 30:, :, 0] += 0.1 * 0.02 * np.arange(21)[:, None]
+    speed[:, 31:, :, 0] = 0.1
+    moved = dataclasses.replace(record.trajectory, position=place, velocity=speed)
+    finding = _found(dataclasses.replace(record, trajectory=moved))
+    assert finding.figure == pytest.approx(0.1 * 0.4 / 0.4)
+
+
+def test_other_inputs_may_wake_it() -> None:
+    push = Force("box", ((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), hold=25)
+    record = _lying(_box(forces=(push,)))
+    place, speed = record.trajectory.position.copy(), record.trajectory.velocity.copy()
+    fast = 4.0 * 0.02 * np.arange(1, 26)
+    speed[:, 26:, :, 0], place[:, 26:, :, 0] = fast[:, None], np.cumsum(0.02 * fast)[:, None]
+    moved = dataclasses.replace(record.trajectory, position=place, velocity=speed)
+    assert _found(dataclasses.replace(record, trajectory=moved)).figure.tolist() == [0.0]
+
+
+@pytest.mark.parametrize("corners", [CORNERS[:2], [(0.2, 0.2), (0.2, -0.2), (0.3, 0.0)]])
+def test_what_is_not_carried_safely_may_fall(corners: list[tuple[float, float]]) -> None:
+    assert resting(_lying(_box(corners), creep=1e-3)) is None
+
+
+def test_noise_leaves_nothing_to_see() -> None:
+    scene = _box(noise=0.0, forces=(Force("box", tuple((0.1 * k, 0.0, 0.0) for k in range(50))),))
+    assert resting(_lying(scene)) is None
