@@ -12,7 +12,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
-from ._exudyn_model import HEAD, Held, inertia_text, loads_listing
+from ._exudyn_model import Held, inertia_text, loads_listing
 
 __all__ = ["RigidBodies"]
 
@@ -38,10 +38,7 @@ class RigidBodies:
     def __init__(self, mechanism: Mechanism) -> None:
         self._mechanism = mechanism
 
-    def listing(self) -> str:
-        return "\n".join([HEAD, *self._statements(), "mbs.Assemble()", ""])
-
-    def _statements(self) -> Iterator[str]:
+    def statements(self) -> Iterator[str]:
         mechanism = self._mechanism
         for k in range(mechanism.body_count):
             yield from _body(mechanism, k)
@@ -55,6 +52,12 @@ class RigidBodies:
                 f"stiffness={spring.stiffness!r}, damping={spring.damping!r})"
             )
         yield from loads_listing(mechanism)
+
+    def marker(self, body: int, point: Array) -> str:
+        return (
+            f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=bodies[{body}], "
+            f"localPosition={point.tolist()!r}))"
+        )
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         shift = bodies.position - self._mechanism.com

@@ -50,8 +50,11 @@ class Model(Protocol):
     markers at the centres of mass, parallel to the native frames.
     """
 
-    def listing(self) -> str:
-        """Write the program that builds the model."""
+    def statements(self) -> Iterator[str]:
+        """Lines that build the model, after `HEAD`."""
+
+    def marker(self, body: int, point: Array) -> str:
+        """Write a marker at a point of a body's native frame, parallel to it."""
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         """Coordinates and velocities of body states, each of shape (…, coordinate)."""

@@ -14,7 +14,8 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-from ._exudyn_model import Model
+from ._exudyn_contact import Contact, Spheres, contact_listing
+from ._exudyn_model import HEAD, Model
 from ._exudyn_settings import Stepping
 
 __all__ = ["ExudynRun"]
@@ -28,10 +29,12 @@ _LENGTHS_PER_FRAME = 1e3
 class ExudynRun(Run):
     """Runs the listing, then the solver once a frame."""
 
-    def __init__(self, mechanism: Mechanism, model: Model, stepping: Stepping) -> None:
+    def __init__(
+        self, mechanism: Mechanism, model: Model, stepping: Stepping, contact: Contact
+    ) -> None:
         self._mechanism = mechanism
         self._model = model
-        self._listing = model.listing() + stepping.listing(mechanism)
+        self._listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
         exudyn.config.printToConsole = False
         exudyn.config.suppressWarnings = True
         # The listing is the model: running it leaves no call that it does not show.
@@ -39,7 +42,10 @@ class ExudynRun(Run):
         exec(compile(self._listing, "<exudyn model>", "exec"), self._names)
         self._mbs = self._names["mbs"]
         data = self._mbs.systemData
-        self.size = ModelSize(coordinates=data.ODE2Size(), constraints=data.AEsize())
+        count = len(mechanism.sphere_body)
+        self.size = ModelSize(data.ODE2Size(), data.AEsize(), contact_pairs=count)
+        self._spheres = Spheres(mechanism, self._names) if count else None
+        self._frame = mechanism.scene.clock.frame
         # Also the multipliers, which a later trajectory would start Newton's method from.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
@@ -70,6 +76,10 @@ class ExudynRun(Run):
             data.SetODE2Coordinates(coordinates, configuration)
             data.SetODE2Coordinates_t(velocities, configuration)
             data.SetODE2Coordinates_tt(np.zeros_like(velocities), configuration)
+        if self._spheres is not None:
+            memory = self._spheres.memory()
+            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Initial)
+            data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
 
     def _record(self, row: Batch, positions: Array, velocities: Array) -> str | None:
         """Step through one trajectory; tell what the solver stumbled over, if it did.
@@ -82,14 +92,33 @@ class ExudynRun(Run):
         for k in range(row.steps):
             self._load(row.force[0, k], row.torque[0, k])
             try:
-                self._names["step_frame"]()
+                self._step()
             except Exception as error:
                 return _reason(self._mbs.sys["dynamicSolver"], error)
+            if self._spheres is not None and self._spheres.sunk():
+                return "a contact sphere is in the ground up to its centre, and falls through it"
             positions[k + 1] = data.GetODE2Coordinates()
             velocities[k + 1] = data.GetODE2Coordinates_t()
             if not np.isfinite(velocities[k + 1]).all():
                 return "a velocity is not a number"
         return None
+
+    def _step(self) -> None:
+        """Get to the next frame, in finer steps if a sphere may touch the ground."""
+        spheres, step_frame = self._spheres, self._names["step_frame"]
+        if spheres is None:
+            step_frame()
+            return
+        data = self._mbs.systemData
+        before = data.GetSystemState(exudyn.ConfigurationType.Initial)
+        if not spheres.may_touch(self._frame):
+            step_frame()
+            if spheres.gaps().min() > 0.0:
+                return
+            # Driven down harder than foreseen.
+            data.SetSystemState(before, exudyn.ConfigurationType.Initial)
+            data.SetSystemState(before, exudyn.ConfigurationType.Current)
+        step_frame(self._names["near_ground"])
 
     def _load(self, force: Array, torque: Array) -> None:
         put = self._mbs.SetLoadParameter
@@ -147,6 +176,7 @@ class ExudynRun(Run):
             step=(stepping.endTime - stepping.startTime) / stepping.numberOfSteps,
             joint_axis=self._model.joint_axes(self._names, turn),
             damping=None,
+            contact=self._spheres.coefficients() if self._spheres is not None else None,
         )
 
     def _output(self, name: str) -> Array:
@@ -161,6 +191,13 @@ class ExudynRun(Run):
     def close(self) -> None:
         self._names.clear()
         self._mbs = None
+
+
+def _listing(mechanism: Mechanism, model: Model, contact: Contact) -> str:
+    lines = [HEAD, *model.statements()]
+    if mechanism.scene.contacts:
+        lines += contact_listing(mechanism, contact, model.marker)
+    return "\n".join([*lines, "mbs.Assemble()", ""])
 
 
 def _reason(solver: Any, error: Exception) -> str:

@@ -19,6 +19,24 @@ SOLVERS = {
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 
 _ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
+# A step may be shortened, down to a share, to end where a sphere touches down or leaves, and is
+# back at its full length some steps later. By default it would stay short after a step that took
+# Newton's method many iterations, as very short ones do for their rounding.
+_SHORTEST_SHARE = 1e-5
+# A touch is met well enough where the error of the contact force is that of a shortest step's way
+# at this speed; if even a shortest step misses it, the solver gives up [m/s].
+_FASTEST_IMPACT = 100.0
+_NEAR_GROUND = """\
+near_ground = steps_of_a_frame({count})
+stepping = near_ground.timeIntegration
+stepping.adaptiveStep = True
+stepping.adaptiveStepRecoverySteps = 1
+stepping.adaptiveStepRecoveryIterations = 1000
+stepping.minimumStepSize = {share} * stepping.endTime / stepping.numberOfSteps
+stiffness = max(mbs.GetObject(number)["contactStiffness"] for number in contacts)
+stepping.discontinuous.iterationTolerance = {fastest} * stiffness * stepping.minimumStepSize
+stepping.stepInformation = 0
+"""
 # From this many bodies on the sparse factorisation is faster.
 _SPARSE_FROM = 8
 
@@ -33,30 +51,52 @@ class Stepping:
     linear_solver: str
     spectral_radius: float
     modified_newton: bool
+    division: int = 0
+    """Finer steps of a step near the ground; 0 where the scene has no contact."""
 
     def listing(self, mechanism: Mechanism) -> str:
         """Write the program that makes `settings`, and `step_frame` to call once a frame."""
         redundant = has_redundant_constraints(mechanism)
         return f"""
-settings = exu.SimulationSettings()
-settings.solution.file.write = False
-settings.solution.sensors.active = False
-stepping = settings.timeIntegration
-stepping.endTime = {self.frame!r}
-stepping.numberOfSteps = {self.substeps}
-stepping.adaptiveStep = False
-stepping.automaticStepSize = False
-stepping.newton.useModifiedNewton = {self.modified_newton}
-stepping.generalizedAlpha.spectralRadius = {self.spectral_radius!r}
-settings.linearSolver.solverType = exu.LinearSolverType.{self._linear_solver(mechanism, redundant)}
-settings.linearSolver.ignoreSingularJacobian = {redundant}
 
 
-def step_frame():
+def steps_of_a_frame(count):
+    settings = exu.SimulationSettings()
+    settings.solution.file.write = False
+    settings.solution.sensors.active = False
+    stepping = settings.timeIntegration
+    stepping.endTime = {self.frame!r}
+    stepping.numberOfSteps = count
+    stepping.adaptiveStep = False
+    stepping.automaticStepSize = False
+    stepping.newton.useModifiedNewton = {self.modified_newton}
+    stepping.generalizedAlpha.spectralRadius = {self.spectral_radius!r}
+    settings.linearSolver.solverType = \
+        exu.LinearSolverType.{self._linear_solver(mechanism, redundant)}
+    settings.linearSolver.ignoreSingularJacobian = {redundant}
+    return settings
+
+
+settings = steps_of_a_frame({self.substeps})
+{self._near_ground()}
+
+def step_frame(settings=settings):
     mbs.SolveDynamic(
         settings, solverType=exu.DynamicSolverType.{SOLVERS[self.method]}, updateInitialValues=True
     )
 """
+
+    def _near_ground(self) -> str:
+        """Write `near_ground`, the settings of a frame in which a sphere may touch."""
+        return (
+            _NEAR_GROUND.format(
+                count=self.substeps * self.division,
+                share=_SHORTEST_SHARE,
+                fastest=_FASTEST_IMPACT,
+            )
+            if self.division
+            else ""
+        )
 
     def _linear_solver(self, mechanism: Mechanism, redundant: bool) -> str:
         if redundant:

@@ -12,7 +12,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
-from ._exudyn_model import HEAD, Held, inertia_text, loads_listing
+from ._exudyn_model import Held, inertia_text, loads_listing
 
 __all__ = ["KinematicTree"]
 
@@ -32,10 +32,7 @@ class KinematicTree:
         self._mechanism = mechanism
         self._order = [link.body for link in mechanism.links]
 
-    def listing(self) -> str:
-        return "\n".join([HEAD, *self._statements(), "mbs.Assemble()", ""])
-
-    def _statements(self) -> Iterator[str]:
+    def statements(self) -> Iterator[str]:
         mechanism = self._mechanism
         yield "links = []"
         for link in mechanism.links:
@@ -43,7 +40,7 @@ class KinematicTree:
         gravity = list(mechanism.scene.gravity)
         yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r})"
         for k in range(mechanism.body_count):
-            yield f"frames.append({self._marker(k, np.zeros(3))})"
+            yield f"frames.append({self.marker(k, np.zeros(3))})"
         for spring in mechanism.springs:
             yield (
                 f"mbs.CreateSpringDamper(itemNumbers=[{self._ends(spring)}], "
@@ -69,8 +66,7 @@ class KinematicTree:
             f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]))"
         )
 
-    def _marker(self, body: int, point: Array) -> str:
-        """Write a marker at a point of the native frame, parallel to it."""
+    def marker(self, body: int, point: Array) -> str:
         number = self._order.index(body)
         joint = _joint(self._mechanism.links[number])
         back = _frame(joint).T
@@ -83,7 +79,7 @@ class KinematicTree:
         return ", ".join(
             f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition={at.tolist()}))"
             if body == WORLD_INDEX
-            else self._marker(body, at)
+            else self.marker(body, at)
             for body, at in zip(pair.bodies, pair.in_body, strict=True)
         )
 

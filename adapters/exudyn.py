@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import ClassVar
@@ -13,6 +14,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.steps import careful_step, nearest_step
 
 from ._exudyn_bodies import RigidBodies
+from ._exudyn_contact import Contact
 from ._exudyn_model import Model
 from ._exudyn_run import ExudynRun
 from ._exudyn_settings import LINEAR_SOLVERS, Stepping
@@ -23,6 +25,14 @@ __all__ = ["Exudyn"]
 _USUAL_STEP = 1e-3
 # Keeps the budgets of the pendulums; in a scene that moves faster, a twentieth of a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 6.25e-4, 20
+# The slip speed is the engine's default; its contacts have no other one.
+_NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
+    "linear_solver": "EXUdense",
+    "contact_substeps": 1,
+    "slip_speed": 1e-3,
+}
+# With fewer steps an impact is not resolved.
+_SHORTEST_IMPACT = 4
 _LOOPS = (
     Feature.LOOP_BALL,
     Feature.LOOP_HINGE,
@@ -30,7 +40,11 @@ _LOOPS = (
     Feature.LOOP_FIXED,
     Feature.DISTANCE_LINK,
 )
-_NO_JOINTS = dict.fromkeys(
+_NO_FRICTION = {
+    Feature.CONTACT: "friction in an impact is too stiff for Exudyn's explicit solvers, which "
+    "then create energy",
+}
+_NO_JOINTS = _NO_FRICTION | dict.fromkeys(
     (Feature.BALL, Feature.HINGE, Feature.SLIDER, Feature.FIXED, *_LOOPS),
     "Exudyn's explicit solvers take no constraints",
 )
@@ -39,6 +53,7 @@ _ONLY_A_TREE = {
     "ball joint are singular when the second turns by 90°",
     Feature.FIXED: "a kinematic tree has hinges and sliders only; make the two bodies one",
     Feature.FREE_BODY: "a kinematic tree stands on the world",
+    **_NO_FRICTION,
     **dict.fromkeys(_LOOPS, "Exudyn's explicit solvers take no constraints"),
 }
 
@@ -65,8 +80,15 @@ class Exudyn(Adapter):
         "modified_newton": Option(
             True, "whether Newton's method keeps its Jacobian over several steps"
         ),
+        "contact_substeps": Option(
+            10, "steps into which a step is divided in frames in which a sphere may touch"
+        ),
+        "impact_steps": Option(12, "such steps that an impact lasts, at least"),
+        "slip_speed": Option(
+            1e-2, "[m/s]: below it friction is proportional to the slip, above it Coulomb's"
+        ),
     }
-    limits: ClassVar = {Feature.CONTACT: "contact is not translated yet"}
+    limits: ClassVar[dict[Feature, str]] = {}
     coordinates = "maximal"
 
     def version(self) -> str:
@@ -78,7 +100,7 @@ class Exudyn(Adapter):
         frame = scene.clock.frame
         if profile == "native":
             step = nearest_step(frame, _USUAL_STEP)
-            return Settings("generalised-alpha", step, {"linear_solver": "EXUdense"})
+            return Settings("generalised-alpha", step, _NATIVE_OPTIONS)
         return Settings("trapezoidal", careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
@@ -97,9 +119,26 @@ class Exudyn(Adapter):
             linear_solver=solver,
             spectral_radius=float(radius),
             modified_newton=bool(self.option(settings, "modified_newton")),
+            division=self._count(settings, "contact_substeps", 1) if scene.contacts else 0,
         )
         mechanism = Mechanism.of(scene)
-        return ExudynRun(mechanism, _MODELS.get(settings.method, RigidBodies)(mechanism), stepping)
+        model = _MODELS.get(settings.method, RigidBodies)(mechanism)
+        return ExudynRun(mechanism, model, stepping, self._contact(settings))
+
+    def _contact(self, settings: Settings) -> Contact:
+        speed = self.option(settings, "slip_speed")
+        if not (isinstance(speed, int | float) and 0 < speed < math.inf):
+            msg = f"slip_speed: got {speed!r}, allowed is any speed above 0"
+            raise InputError(msg)
+        finest = settings.step / self._count(settings, "contact_substeps", 1)
+        return Contact(finest * self._count(settings, "impact_steps", _SHORTEST_IMPACT), speed)
+
+    def _count(self, settings: Settings, name: str, least: int) -> int:
+        value = self.option(settings, name)
+        if not (isinstance(value, int) and value >= least):
+            msg = f"{name}: got {value!r}, allowed is a whole number of steps from {least}"
+            raise InputError(msg)
+        return value
 
 
 _MODELS: dict[str, Callable[[Mechanism], Model]] = {"tree-RK44": KinematicTree}

@@ -14,10 +14,9 @@ from scipy import stats
 
 from mbds_xsim import cli, rotation
 from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.engine import Feature
 from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import PAPER_SCENES, installed_engines, load_adapter, load_scene
+from mbds_xsim.registry import PAPER_SCENES, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import HingeRate, Roll
 from mbds_xsim.scene import Clock, ContactSphere, Scene
@@ -650,17 +649,14 @@ def test_only_what_moves_is_shown(
     assert "high [70, 100]; travel: [0.2, 0, 0])" in car
 
 
-@pytest.mark.parametrize("name", CONTACT_SCENES)
-def test_engines_that_cannot_do_contact_refuse_in_one_line(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_methods_that_cannot_do_contact_refuse_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    engines = [e for e in installed_engines() if Feature.CONTACT in load_adapter(e).limits]
-    if not engines:
-        pytest.skip("every engine that is installed does contact")
-    words = ["validate", name, "--engines", ",".join(engines)]
+    pytest.importorskip("exudyn")
+    words = ["validate", "ballscroll", "--engines", "exudyn", "--method", "RK44"]
     code, out, error = _call(words, monkeypatch, capsys)
 
     assert code == 2
     assert not out
-    assert error.count("\n") == 1
-    assert "cannot do sphere on the ground: contact is not translated yet" in error
+    assert "exudyn RK44 cannot do sphere on the ground: friction" in error
+    assert "use --method trapezoidal" in error

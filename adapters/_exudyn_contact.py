@@ -1,0 +1,144 @@
+"""Contact spheres on the ground: Exudyn's sphere on one large triangle, a penalty contact.
+
+- Normal: a spring so stiff that an impact lasts a given number of the finest steps, and the
+  damping of `_exudyn_impact`. What rests sinks by its weight over the stiffness.
+- Tangential: Coulomb's friction against the slip, isotropic; below `slip_speed` it is
+  proportional to the slip.
+- The solver is let shorten a step so that it ends where a sphere touches down. Otherwise the
+  spring acts from the start of that step, and an impact gains or loses up to (π / n)² of its
+  energy where it lasts n steps.
+- The triangle has two sides and no inside: a sphere is pushed out as long as its centre is above
+  the ground, and falls for ever once it is below.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import exudyn
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.mechanism import Mechanism
+
+from ._exudyn_impact import coefficient, delivered
+
+__all__ = ["Contact", "Spheres", "contact_listing"]
+
+Array = NDArray[np.float64]
+Marker = Callable[[int, Array], str]
+
+# No body gets as far within a trajectory; the ground ends there [m].
+_FAR = 1e4
+# Slower impacts, of what comes to rest, are damped as if they had this speed [m/s].
+_SLOWEST_IMPACT = 1e-2
+# How far a sphere may get within a frame, in lengths of its path under gravity alone.
+_REACH = 2.0
+_OUTPUT = exudyn.OutputVariableType
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How hard the ground is."""
+
+    duration: float
+    """Shortest time that an impact lasts [s]."""
+    slip_speed: float
+    """Slip from which on friction is Coulomb's [m/s]."""
+
+
+def contact_listing(mechanism: Mechanism, contact: Contact, marker: Marker) -> Iterator[str]:
+    """Lines that make `spheres`, markers at the centres, and `contacts`, one a sphere.
+
+    Args:
+        mechanism: With contact spheres.
+        contact: How hard the ground is.
+        marker: Writes a marker at a point of a body's native frame.
+    """
+    ground = mechanism.scene.ground
+    assert ground is not None
+    corners = [[-2 * _FAR, -_FAR, 0.0], [2 * _FAR, -_FAR, 0.0], [0.0, 2 * _FAR, 0.0]]
+    yield f"corners = exu.Vector3DList([np.array(corner) for corner in {corners!r}])"
+    yield "plane = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))"
+    yield "spheres, contacts = [], []"
+    for k, body in enumerate(mechanism.sphere_body):
+        yield f"spheres.append({marker(int(body), mechanism.sphere_offset[k])})"
+        # Gap, speed of the slip and of the impact, and one that is not used.
+        yield "node = mbs.AddNode(items.NodeGenericData("
+        yield "    initialCoordinates=[1.0, 0.0, 0.0, 0.0], numberOfDataCoordinates=4))"
+        yield "contacts.append(mbs.AddObject(items.ObjectContactSphereTriangle("
+        yield f"    markerNumbers=[spheres[{k}], plane], nodeNumber=node,"
+        yield f"    sphereRadius={float(mechanism.sphere_radius[k])!r}, trianglePoints=corners,"
+        # Model 0 would ignore the restitution, model 1 misses it.
+        yield f"    impactModel=2, restitutionCoefficient={coefficient(ground.restitution)!r},"
+        yield f"    minimumImpactVelocity={_SLOWEST_IMPACT!r},"
+        yield f"    contactStiffness={_stiffness(mechanism, k, contact.duration)!r},"
+        yield f"    dynamicFriction={ground.friction!r},"
+        yield f"    frictionProportionalZone={contact.slip_speed!r}, includeEdges=0)))"
+
+
+def _stiffness(mechanism: Mechanism, sphere: int, duration: float) -> float:
+    """Of a spring on which the sphere's body alone bounces in a time [N/m].
+
+    Joints only add to the mass that a body turns against a push, so impacts last longer.
+    """
+    body = mechanism.sphere_body[sphere]
+    x, y, z = mechanism.sphere_offset[sphere]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turning = cross.T @ np.linalg.solve(mechanism.inertia[body], cross)
+    lightest = 1.0 / (1.0 / mechanism.mass[body] + np.linalg.eigvalsh(turning).max())
+    return float(lightest * (math.pi / duration) ** 2)
+
+
+class Spheres:
+    """The contact spheres of a model that is built."""
+
+    def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:
+        self._mbs, self._markers = names["mbs"], names["spheres"]
+        self._contacts = names["contacts"]
+        self._radius = mechanism.sphere_radius
+        self._arm = np.linalg.norm(mechanism.sphere_offset, axis=-1)
+        self._gravity = float(np.linalg.norm(mechanism.scene.gravity))
+
+    def gaps(self) -> Array:
+        """Heights of the spheres' lowest points [m]."""
+        return self._told(_OUTPUT.Position)[:, 2] - self._radius
+
+    def sunk(self) -> bool:
+        """Whether the centre of a sphere is in the ground."""
+        return bool(np.any(self.gaps() < -self._radius))
+
+    def may_touch(self, duration: float) -> bool:
+        """Whether a sphere can get to the ground within a time [s]."""
+        speed = np.maximum(0.0, -self._told(_OUTPUT.Velocity)[:, 2])
+        spin = self._told(_OUTPUT.AngularVelocity)
+        pull = self._gravity + np.einsum("ki,ki->k", spin, spin) * self._arm
+        return bool(np.any(self.gaps() < _REACH * duration * (speed + pull * duration)))
+
+    def memory(self) -> Array:
+        """What the contacts' nodes hold where they know of no impact, from the state as it is."""
+        velocity, spin = self._told(_OUTPUT.Velocity), self._told(_OUTPUT.AngularVelocity)
+        slip_x = velocity[:, 0] - spin[:, 1] * self._radius
+        slip_y = velocity[:, 1] + spin[:, 0] * self._radius
+        none = np.zeros_like(slip_x)
+        return np.stack([self.gaps(), np.hypot(slip_x, slip_y), none, none], axis=-1).ravel()
+
+    def coefficients(self) -> Array:
+        """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
+        held = [self._mbs.GetObject(number) for number in self._contacts]
+        return np.array(
+            [
+                (
+                    contact["sphereRadius"],
+                    contact["dynamicFriction"],
+                    delivered(contact["restitutionCoefficient"]),
+                )
+                for contact in held
+            ]
+        )
+
+    def _told(self, variable: Any) -> Array:
+        return np.array([self._mbs.GetMarkerOutput(number, variable) for number in self._markers])

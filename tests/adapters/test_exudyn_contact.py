@@ -1,0 +1,392 @@
+"""Contact in Exudyn: the impact law, friction, rolling, rest and flight, against exact answers."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from mbds_xsim import readback, reference, rotation
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import HingeRate
+from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Particle, Scene, Vector
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.straight_car import straight_run
+
+pytest.importorskip("exudyn")
+impact: Any = importlib.import_module("mbds_xsim_adapters._exudyn_impact")
+
+Array = NDArray[np.float64]
+ENGINE = load_adapter("exudyn")
+CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
+G, MU, E = 9.81, 0.43, 0.9332
+R = math.sqrt(5 * 6.17e-4 / 2)
+STILL = (0.0, 0.0, 0.0)
+replaced = msgspec.structs.replace
+
+
+def careful(substeps: int, impact_steps: int, slip_speed: float = 1e-2) -> Settings:
+    options = {
+        "contact_substeps": substeps,
+        "impact_steps": impact_steps,
+        "slip_speed": slip_speed,
+    }
+    return Settings("trapezoidal", 0.005, options)
+
+
+STIFF = careful(400, 32)
+
+
+def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
+    chosen = settings or settings_for(scene, ENGINE, "matched")
+    with ENGINE.open(scene, chosen) as run:
+        return run.rollout(batch)
+
+
+def ball(
+    height: float = 0.0,
+    velocity: Vector = STILL,
+    spin: Vector = STILL,
+    ground: Ground | None = None,
+    steps: int = 50,
+) -> Scene:
+    """Make one particle with its lowest point at a height."""
+    centre = (0.0, 0.0, R + height)
+    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
+    return Scene(
+        "ball",
+        (body,),
+        length=1.0,
+        contacts=(ContactSphere("ball", centre, R),),
+        ground=ground or Ground(MU, E),
+        clock=Clock(0.02, steps),
+    )
+
+
+def alone(scene: Scene, settings: Settings | None = None) -> Trajectory:
+    """Run a scene that draws nothing."""
+    motion = rollout(scene, draw_batch(scene, [0]), settings)
+    assert motion.failures == (None,)
+    return motion
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_ballscroll_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, range(3), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)
+    assert motion.failures == (None,) * 3
+    assert error.max() < 1e-3
+    assert np.abs(motion.position[..., 2] - R).max() < 1e-5  # neither hops nor sinks
+    assert np.abs(motion.position[..., 1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
+    scene = load_scene("balldrop")
+    batch = draw_batch(scene, range(6), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)[..., 0]
+    height = exact.position[..., 0, 2]
+    assert motion.failures == (None,) * 6
+    for row in range(6):
+        climbs = np.diff(exact.velocity[row, :, 0, 2]) > 0.5
+        first, second, third, *_ = (np.flatnonzero(climbs) + 1).tolist()
+        assert error[row, :first].max() < 1e-10
+        assert error[row, first:third].max() < 2e-2
+        apex, expected = (
+            values[row, first:second].max() - 5 * R
+            for values in (motion.position[..., 0, 2], height)
+        )
+        assert apex == pytest.approx(expected, rel=3e-3)
+    assert motion.position[..., 2].min() > 5 * R - 5e-3
+    assert np.abs(motion.position[..., 1]).max() < 1e-8
+
+
+@pytest.mark.parametrize("restitution", [0.3, 0.5, E, 1.0])
+@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
+def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
+    """Told from the energy at the first frame after the impact, with the ball still in the air."""
+    # What gravity does within an impact of 4e-4 s.
+    within = 1e-3 + G * 4e-4 / speed
+    assert rebound(restitution, speed) == pytest.approx(restitution, abs=within)
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
+def test_without_restitution_next_to_nothing_comes_back(speed: float) -> None:
+    """The law's least restitution is 0.01; it lets go so slowly that gravity takes the rest."""
+    assert rebound(0.0, speed) < impact.LEAST + 1e-3
+
+
+def rebound(restitution: float, speed: float) -> float:
+    """Speed after an impact over that before it."""
+    scene = ball(0.01 * speed, (0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=1)
+    motion = alone(scene, STIFF)
+    height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
+    left = max(0.0, velocity**2 + 2 * G * height)
+    return math.sqrt(left / (speed**2 + 2 * G * 0.01 * speed))
+
+
+@pytest.mark.parametrize("impact_steps", [6, 12, 24])
+def test_impacts_of_few_steps_still_give_the_restitution(impact_steps: int) -> None:
+    """At heights that spread the impact over the phases of a step."""
+    rebounds = []
+    for k in range(8):
+        drop = 0.03 + k / 8 * 3e-4
+        motion = alone(ball(drop, (0.0, 0.0, -3.0), steps=1), careful(50, impact_steps))
+        height, velocity = motion.position[0, 1, 0, 2] - R, motion.velocity[0, 1, 0, 2]
+        rebounds.append(math.sqrt((velocity**2 + 2 * G * height) / (9.0 + 2 * G * drop)))
+
+    assert np.mean(rebounds) == pytest.approx(E, abs=0.3 / impact_steps**2 + 1e-3)
+    assert np.ptp(rebounds) < 1e-3  # steps end where the ball touches down and leaves
+
+
+@pytest.mark.parametrize("restitution", [0.05, 0.2, 0.5, E, 0.99])
+def test_laws_of_impact_give_what_they_are_asked_for(restitution: float) -> None:
+    """Integrated here from the law as Exudyn documents it."""
+    value = impact.coefficient(restitution)
+    damping = (
+        1.5 * (1 - value) * (11 - value) / (1 + 9 * value)
+        if value > 1 / 3
+        else (1 - value**2) / value
+    )
+
+    def rate(_: float, y: Array) -> Array:
+        return np.array([y[1], -y[0] * (1 + damping * y[1])])
+
+    def leaves(_: float, y: Array) -> float:
+        return float(y[0])
+
+    leaves.terminal, leaves.direction = True, -1.0  # type: ignore[attr-defined]
+    out = solve_ivp(rate, (0, 1e3), [1e-12, 1.0], "DOP853", events=leaves, rtol=1e-11, atol=1e-13)
+
+    assert -out.y[1, -1] == pytest.approx(restitution, rel=1e-6)
+    assert impact.delivered(value) == pytest.approx(restitution, rel=1e-9)
+
+
+@pytest.mark.parametrize("heading", [(1.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5)), (-0.6, 0.8)])
+def test_slides_then_rolls_alike_in_every_direction(heading: tuple[float, float]) -> None:
+    along, across = np.array(heading), np.array([-heading[1], heading[0]])
+    scene = ball(velocity=(*(5.0 * along).tolist(), 0.0))
+    motion = alone(scene, careful(25, 6))
+    time, place = motion.time, motion.position[0, :, 0, :2]
+
+    end = 2 * 5.0 / (7 * MU * G)
+    slid = 5.0 * time - 0.5 * MU * G * time**2
+    rolled = 5.0 * end - 0.5 * MU * G * end**2 + 25.0 / 7.0 * (time - end)
+    np.testing.assert_allclose(place @ along, np.where(time < end, slid, rolled), atol=3e-4)
+    assert np.abs(place @ across).max() < 1e-9
+    spin, velocity = motion.angular_velocity[0, -1, 0], motion.velocity[0, -1, 0]
+    assert np.linalg.norm(velocity[:2] - R * np.array([spin[1], -spin[0]])) < 2e-4
+
+
+def test_without_friction_nothing_turns() -> None:
+    scene = ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5))
+    motion = alone(scene, STIFF)
+
+    np.testing.assert_allclose(motion.velocity[0, :, 0, :2], [[3.0, 1.0]] * 51, atol=1e-9)
+    np.testing.assert_allclose(motion.angular_velocity[0, :, 0], [[0.0, 0.0, 4.0]] * 51, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", CONTACT_SCENES)
+@pytest.mark.parametrize("profile", ["native", "matched"])
+def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> None:
+    scene = load_scene(name)
+    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
+    with ENGINE.open(scene, settings) as run:
+        found, size = run.readback(batch), run.size
+
+    assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
+    assert size.contact_pairs == len(scene.contacts)
+    assert found.contact is not None
+
+
+def test_what_is_read_back_is_the_engines_own() -> None:
+    scene = ball()
+    batch, settings = draw_batch(scene, [0]), ENGINE.settings(scene, "matched")
+    with ENGINE.open(scene, settings) as run:
+        found = run.readback(batch)
+
+    other = replaced(
+        scene,
+        ground=Ground(0.185, 0.88),
+        contacts=(ContactSphere("ball", (0.0, 0.0, R), 1.01 * R),),
+    )
+    differences = readback.compare(Mechanism.of(other), batch, settings, found)
+    assert [line.split()[0] for line in differences] == ["radius", "friction", "restitution"]
+
+
+def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
+    motion = alone(ball(0.2, ground=Ground(MU, 1.0), steps=200), STIFF)
+    height, velocity = motion.position[0, :, 0, 2] - R, motion.velocity[0, :, 0, 2]
+    energy = (0.5 * velocity**2 + G * height)[height > 0] / (G * 0.2)
+
+    assert np.sum(np.diff(np.sign(velocity)) > 0) > 5
+    np.testing.assert_allclose(energy, 1.0, atol=1e-3)
+
+
+def test_the_cubli_flies_as_the_reference_does_until_it_lands() -> None:
+    scene = load_scene("simplecubli")
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(3)).truncated(60)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    assert motion.failures == (None,) * 3
+    for row, hit in enumerate(exact.failures):
+        assert hit is not None
+        until = slice(0, hit.frame)
+        places, expected = (
+            mechanism.particle_positions(one.position[row, until], one.orientation[row, until])
+            for one in (motion, exact)
+        )
+        assert np.abs(places - expected).max() < 1e-4
+        turn = rotation.multiply(
+            rotation.conjugate(exact.orientation[row, until]), motion.orientation[row, until]
+        )
+        assert np.abs(rotation.to_vector(turn)).max() < 2e-4
+
+
+def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
+    """Without flywheel torques; the energy is compared where no corner touches."""
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, range(3), noise=False, inputs=False)
+    motion = rollout(scene, batch)
+    gap = lowest_points(scene, motion)
+
+    assert motion.failures == (None,) * 3
+    assert gap.min() > -0.02 * scene.length
+    for row in range(len(batch)):
+        energy = total_energy(scene, motion)[row, gap[row] > 0]
+        rise = np.max(energy - np.minimum.accumulate(energy))
+        assert rise < 1e-4 * energy[0]
+        assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
+
+
+def test_a_cubli_laid_down_stays_where_it_is() -> None:
+    """On four corners, with its flywheels at rest."""
+    scene = replaced(load_scene("simplecubli"), sampling=(), clock=Clock(steps=50))
+    batch = draw_batch(scene, [0], noise=False)
+    batch.position[..., 2] += 0.2 + R - 0.6
+    motion = rollout(scene, batch)
+
+    assert motion.failures == (None,)
+    assert np.abs(motion.position - batch.position[:, None]).max() < 1e-4
+    assert np.abs(motion.velocity[:, -1]).max() < 5e-3
+
+
+def test_a_ball_laid_down_stays_where_it_is() -> None:
+    motion = alone(ball(), careful(25, 6))
+
+    assert np.abs(motion.position - motion.position[:, :1]).max() < 5e-6
+
+
+def test_a_car_drives_straight_as_the_equations_say() -> None:
+    """Wheels spinning in front, braked behind, and torques that change."""
+    car = replaced(load_scene("particlecar"), clock=Clock(steps=60))
+    torque = np.repeat(np.random.default_rng(0).uniform(-2.0, 2.0, (6, 2)), 10, axis=0)
+    batch, exact = straight_run(car, speed=5.0, rates=(40.0, 15.0), torque=torque)
+    motion = rollout(car, batch)
+
+    assert np.abs(motion.position - exact.position).max() < 1e-3
+    spin, wanted = (each.angular_velocity[0, :, 1:, 1] for each in (motion, exact))
+    assert np.abs(spin - wanted).max() < 0.1
+
+
+def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
+    """Its wheels start at 100 rad/s and the car at rest: they slip at 20 m/s, none lifts off."""
+    car = load_scene("particlecar")
+    rates = HingeRate(tuple(j.name for j in car.joints), rate=(100.0, 100.0))
+    scene = replaced(car, sampling=(rates,), noise=0.0, clock=Clock(steps=25))
+    motion = alone(scene)
+
+    first = motion.angular_velocity[0, 1, 1:, 1]
+    slowing = MU * 18.0 * G * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
+    assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
+    gap = lowest_points(scene, motion)
+    assert -1e-3 < gap.min() <= gap.max() < 1e-3
+
+
+def test_the_native_text_alone_gives_the_same_motion() -> None:
+    scene = ball(velocity=(4.0, 0.0, 0.0), steps=3)
+    settings = careful(25, 6)
+    with ENGINE.open(scene, settings) as run:
+        ours = run.rollout(draw_batch(scene, [0]))
+        text = run.native()
+    names: dict[str, Any] = {}
+    exec(text, names)
+    data, kinds = names["mbs"].systemData, names["exu"].ConfigurationType
+    data.SetODE2Coordinates_t([4.0, 0, 0, 0, 0, 0], kinds.Initial)
+    data.SetDataCoordinates([0.0, 4.0, 0.0, 0.0], kinds.Initial)
+    for _ in range(3):
+        names["step_frame"](names["near_ground"])
+    np.testing.assert_allclose(ours.position[0, -1, 0, 0], data.GetODE2Coordinates()[0], atol=1e-12)
+
+
+def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
+    """From the far side of the triangle it would be pushed on down."""
+    scene = ball(0.5, (0.0, 0.0, -20.0))
+    motion = rollout(scene, draw_batch(scene, [0]), careful(2, 12))
+
+    failure = motion.failures[0]
+    assert failure is not None
+    assert "in the ground" in failure.reason
+    assert np.isnan(motion.position[0, failure.frame :]).all()
+    alone(scene, STIFF)  # here it bounces
+
+
+def test_rows_do_not_touch_each_other() -> None:
+    scene = load_scene("balldrop")
+    batch = draw_batch(scene, [2, 0]).truncated(60)
+    with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
+        together, again = run.rollout(batch), run.rollout(batch[[1]])
+    np.testing.assert_array_equal(together.position[1], again.position[0])
+
+
+def test_only_contact_scenes_get_a_ground() -> None:
+    for name, expected in (("balldrop", True), ("5pendulum", False)):
+        scene = load_scene(name)
+        with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
+            text = run.native()
+        assert ("SphereTriangle" in text) == ("near_ground" in text) == expected
+
+
+def test_wrong_requests_are_one_clear_line() -> None:
+    scene = ball()
+    with pytest.raises(Unsupported, match="RK67 cannot do sphere on the ground: friction"):
+        ENGINE.open(scene, Settings("RK67", 0.002))
+    for option, value in (("contact_substeps", 0), ("impact_steps", 2), ("slip_speed", 0.0)):
+        with pytest.raises(InputError, match=f"{option}: got {value}"):
+            ENGINE.open(scene, Settings("trapezoidal", 0.002, {option: value}))
+
+
+def lowest_points(scene: Scene, motion: Trajectory) -> Array:
+    """Height of the lowest contact sphere [m], shape (trajectory, frame)."""
+    mechanism = Mechanism.of(scene)
+    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
+    arms = rotation.rotate(turn, mechanism.sphere_offset)
+    heights = motion.position[..., mechanism.sphere_body, 2] + arms[..., 2]
+    return np.asarray((heights - mechanism.sphere_radius).min(axis=-1))
+
+
+def total_energy(scene: Scene, motion: Trajectory) -> Array:
+    """Over the ground [J], shape (trajectory, frame)."""
+    mechanism = Mechanism.of(scene)
+    turn = rotation.matrix(mechanism.native_rotation(motion.orientation))
+    spin = np.einsum("...ji,...j->...i", turn, motion.angular_velocity)
+    turning = np.einsum("...i,...ij,...j->...", spin, mechanism.inertia, spin)
+    moving = mechanism.mass * np.sum(motion.velocity**2, axis=-1)
+    falling = mechanism.mass * G * motion.position[..., 2]
+    return np.asarray(np.sum(0.5 * (moving + turning) + falling, axis=-1))
