@@ -18,6 +18,7 @@ from mbds_xsim.state import Batch, Trajectory
 __all__ = [
     "SCHEMA",
     "EngineResult",
+    "EnsembleResult",
     "Evidence",
     "FindingResult",
     "ReferenceResult",
@@ -96,6 +97,21 @@ class ReferenceResult(msgspec.Struct, frozen=True):
     wall_s: float
 
 
+class EnsembleResult(msgspec.Struct, frozen=True):
+    """Two engine results (or the reference) as samples of distributions; shown, not judged."""
+
+    one: str
+    other: str
+    time_s: float
+    """Instant that is compared [s]."""
+    distance: float
+    """Energy distance over its largest possible value, 0 to 1."""
+    p_value: float
+    """Probability of so large a distance if both are draws of one distribution."""
+    count: int
+    """Trajectories that both have."""
+
+
 class Validation(msgspec.Struct, frozen=True):
     """The whole of a validation, as written to JSON."""
 
@@ -122,6 +138,8 @@ class Validation(msgspec.Struct, frozen=True):
     """The entry that stands apart from all other method families, if one does."""
     versions: dict[str, str]
     machine: str
+    ensembles: tuple[EnsembleResult, ...] = ()
+    """Pairs that no longer agree at the end, with 20 trajectories or more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from mbds_xsim import registry
 from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
-from mbds_xsim.checks import agreement
+from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.choice import Choice
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.result import SCHEMA, EngineResult, Evidence, Validation
+from mbds_xsim.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
 
 __all__ = ["Choice", "validate", "validate_with_evidence"]
 
@@ -130,6 +131,7 @@ def validate_with_evidence(
         odd_one_out=odd,
         versions=_versions(results),
         machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        ensembles=_ensembles(scene, batch, rows, reference),
     )
     return validation, evidence
 
@@ -150,6 +152,26 @@ def _vote(
     odd = agreement.odd_one_out(matrix, families, tolerance=allowed)
     told = ", ".join(names[k] for k in odd) or None
     return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+
+
+def _ensembles(
+    scene: Scene, batch: Batch, rows: list[Row], reference: ReferenceOutcome
+) -> tuple[EnsembleResult, ...]:
+    """Compare distributions at the end, where motions no longer agree one by one."""
+    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in rows]
+    named.append(("reference", reference.trajectory))
+    names, runs = zip(*((name, run) for name, run in named if run is not None), strict=True)
+    return tuple(
+        EnsembleResult(
+            one=names[one],
+            other=names[other],
+            time_s=scene.clock.duration,
+            distance=found.distance,
+            p_value=found.p_value,
+            count=found.count,
+        )
+        for (one, other), found in ensemble.compare_runs(scene, batch, runs).items()
+    )
 
 
 def _versions(results: list[EngineResult]) -> dict[str, str]:

@@ -18,7 +18,14 @@ import msgspec
 import pytest
 
 from mbds_xsim import registry
-from mbds_xsim.result import SCHEMA, EngineResult, FindingResult, ReferenceResult, Validation
+from mbds_xsim.result import (
+    SCHEMA,
+    EngineResult,
+    EnsembleResult,
+    FindingResult,
+    ReferenceResult,
+    Validation,
+)
 
 CommandLine = Callable[..., Any]
 
@@ -170,7 +177,9 @@ def _living(session: int) -> list[Path]:
     return found
 
 
-@pytest.mark.parametrize("kind", [Validation, EngineResult, FindingResult, ReferenceResult])
+@pytest.mark.parametrize(
+    "kind", [Validation, EngineResult, FindingResult, ReferenceResult, EnsembleResult]
+)
 def test_the_page_of_the_json_names_every_key_and_no_other(kind: type[msgspec.Struct]) -> None:
     page = (Path(__file__).parents[2] / "docs/validate-json.md").read_text("utf-8")
     (section,) = re.findall(rf"^## {kind.__name__}\n(.*?)(?=^## |\Z)", page, re.M | re.S)
