@@ -17,7 +17,7 @@ from ._exudyn_bodies import RigidBodies
 from ._exudyn_contact import Contact
 from ._exudyn_model import Model
 from ._exudyn_run import ExudynRun
-from ._exudyn_settings import LINEAR_SOLVERS, Stepping
+from ._exudyn_settings import LINEAR_SOLVERS, Stepping, has_redundant_constraints
 from ._exudyn_tree import KinematicTree
 
 __all__ = ["Exudyn"]
@@ -101,7 +101,10 @@ class Exudyn(Adapter):
         if profile == "native":
             step = nearest_step(frame, _USUAL_STEP)
             return Settings("generalised-alpha", step, _NATIVE_OPTIONS)
-        return Settings("trapezoidal", careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT))
+        # Newton's method does not end for the trapezoidal rule where constraints are redundant.
+        redundant = has_redundant_constraints(Mechanism.of(scene))
+        method = "generalised-alpha" if redundant else "trapezoidal"
+        return Settings(method, careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT))
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver, radius = (

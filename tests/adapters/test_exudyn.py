@@ -397,3 +397,8 @@ def test_wrong_requests_are_one_clear_line() -> None:
         ENGINE.open(scene, Settings("trapezoidal", 0.002, {"linear_solver": "LU"}))
     with pytest.raises(InputError, match="spectral_radius: got 2"):
         ENGINE.open(scene, Settings("generalised-alpha", 0.002, {"spectral_radius": 2}))
+
+
+def test_matched_takes_a_rule_that_ends_where_constraints_are_redundant() -> None:
+    for name, method in (("2ladder", "trapezoidal"), ("workbench", "generalised-alpha")):
+        assert ENGINE.settings(load_scene(name), "matched").method == method
