@@ -301,7 +301,7 @@ class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     passivity: float = 1e-3
     """Energy that contact creates over the energy scale; height that a ball gains by it, over the
     scene's length."""
-    friction: float = 0.01
+    friction: float = 0.02
     """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
     rolling: float = 1e-3
     """Slip of a ball that rolls over its largest speed."""

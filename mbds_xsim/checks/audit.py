@@ -17,6 +17,7 @@ from mbds_xsim.checks.momentum import momentum
 from mbds_xsim.checks.overlap import contact_gap, penetration
 from mbds_xsim.checks.passivity import energy_rise, passivity
 from mbds_xsim.checks.resting import hop, resting
+from mbds_xsim.checks.wheels import wheels
 from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
@@ -40,6 +41,7 @@ CHECKS: tuple[Check, ...] = (
     passivity,
     energy_rise,
     friction,
+    wheels,
     rolling,
     restitution,
     hop,

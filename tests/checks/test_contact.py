@@ -90,14 +90,43 @@ def test_exact_motions_pass_every_check(scene: Scene) -> None:
         assert findings[name].figure.max() < 1e-9, name
 
 
-def test_a_car_on_the_ground_passes_every_check() -> None:
+def _driven(
+    friction: float = 0.43, *, speed: float = 10.0, rates: tuple[float, float] = (40.0, 60.0)
+) -> tuple[Scene, Batch, Trajectory]:
+    """Drive the car straight on, its front wheels too slow and its rear wheels too fast."""
     scene = msgspec.structs.replace(_short("particlecar", 60), noise=0.0)
     torque = np.repeat([[2.0, -1.0], [-2.0, 2.0]], 30, axis=0)
-    batch, motion = straight_run(scene, speed=10.0, rates=(40.0, 60.0), torque=torque)
-    findings = _findings(scene, batch, motion)
+    made = _with_ground(scene, friction=friction)
+    return scene, *straight_run(made, speed=speed, rates=rates, torque=torque)
+
+
+def test_a_car_on_the_ground_passes_every_check() -> None:
+    findings = _findings(*_driven())
 
     assert _failed(findings) == set()
+    assert findings["wheels"].figure.max() < 1e-9
     assert {"restitution", "rolling", "hop"}.isdisjoint(findings)
+
+
+@pytest.mark.parametrize("taken", [0.185, 0.40, 0.46])
+def test_another_friction_shows_under_wheels_that_slip(taken: float) -> None:
+    """The two axles pull against each other, so that their sum is within the cone."""
+    findings = _findings(*_driven(taken))
+
+    assert _failed(findings) == {"wheels"}
+    assert findings["wheels"].figure == pytest.approx(abs(taken / 0.43 - 1.0))
+
+
+def test_wheels_clamped_at_100_rad_s_show_on_the_ground() -> None:
+    """The car loses what friction should give the wheels."""
+    scene, batch, motion = _driven(speed=20.4, rates=(97.0, 98.0))
+    spin = motion.angular_velocity.copy()
+    assert spin.max() > 100.5
+    spin[:, :, 1:, 1] = np.minimum(spin[:, :, 1:, 1], 100.0)
+    findings = _findings(scene, batch, dataclasses.replace(motion, angular_velocity=spin))
+
+    assert "wheels" in _failed(findings)
+    assert (findings["wheels"].figure > 0.1).all()
 
 
 @pytest.mark.parametrize("taken", [0.185, 0.40, 0.46])
