@@ -9,7 +9,7 @@ import numpy as np
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.friction import friction, rolling
-from mbds_xsim.checks.impacts import restitution
+from mbds_xsim.checks.impacts import eccentric_restitution, restitution
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
@@ -44,6 +44,7 @@ CHECKS: tuple[Check, ...] = (
     wheels,
     rolling,
     restitution,
+    eccentric_restitution,
     hop,
     resting,
 )

@@ -17,7 +17,7 @@ from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.ground import Push, Spheres, pushes_of, spheres_of
 from mbds_xsim.joint_space import BodyStates
 
-__all__ = ["Impacts", "impacts_of", "restitution", "untouched"]
+__all__ = ["Impacts", "eccentric_restitution", "impacts_of", "restitution", "untouched"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -54,27 +54,51 @@ def restitution(record: Record) -> Finding | None:
     pushes = [push for push in pushes_of(record) if push.ball]
     if not pushes:
         return None
-    ground = record.scene.ground
-    assert ground is not None
-    parts = np.full((*record.finite.shape, len(pushes)), np.nan)
-    parts[:, 0] = 0.0  # not every trajectory bounces
-    slow = _SLOW * record.frame * float(np.linalg.norm(record.scene.gravity))
-    delivered = []
-    for k, push in enumerate(pushes):
-        hits = impacts_of(record, push)
-        fast = hits.arriving > slow
-        ratio = (hits.leaving / hits.arriving)[fast]
-        parts[hits.row[fast], hits.step[fast] + 1, k] = np.abs(ratio - ground.restitution)
-        delivered += ratio.tolist()
-    told = f"{min(delivered):.4f} to {max(delivered):.4f} delivered" if delivered else "no impact"
+    parts, note = _delivered(record, pushes)
     return Finding.of(
         "restitution",
         "1",
         parts,
         budget=record.scene.budget.restitution,
         names=tuple(push.name for push in pushes),
-        note=f"{told}, the scene has {ground.restitution:.4f}",
+        note=note,
     )
+
+
+def eccentric_restitution(record: Record) -> Finding | None:
+    """Show the same of single impacts beside centres of mass; None without spheres there."""
+    pushes = [push for push in pushes_of(record) if not push.ball]
+    if not pushes:
+        return None
+    parts, note = _delivered(record, pushes)
+    return Finding.of(
+        "eccentric restitution",
+        "1",
+        parts,
+        budget=None,
+        names=tuple(push.name for push in pushes),
+        note=note,
+    )
+
+
+def _delivered(record: Record, pushes: list[Push]) -> tuple[Array, str]:
+    """Deviations from the coefficient, (trajectory, frame, group), and what was delivered."""
+    ground = record.scene.ground
+    assert ground is not None
+    parts = np.full((*record.finite.shape, len(pushes)), np.nan)
+    parts[:, 0] = 0.0  # not every trajectory bounces
+    slow = _SLOW * record.frame * float(np.linalg.norm(record.scene.gravity))
+    ratios: list[float] = []
+    for k, push in enumerate(pushes):
+        hits = impacts_of(record, push)
+        fast = hits.arriving > slow
+        ratio = (hits.leaving / hits.arriving)[fast]
+        parts[hits.row[fast], hits.step[fast] + 1, k] = np.abs(ratio - ground.restitution)
+        ratios += ratio.tolist()
+    if not ratios:
+        return parts, f"no impact, the scene has {ground.restitution:.4f}"
+    told = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
+    return parts, f"{told}, the scene has {ground.restitution:.4f}"
 
 
 def untouched(record: Record, push: Push) -> NDArray[np.bool_]:

@@ -177,7 +177,7 @@ def test_another_restitution_shows(off: float) -> None:
 
     assert _failed(findings) == {"restitution"}
     assert np.allclose(findings["restitution"].figure, 0.05, atol=1e-4)
-    assert "delivered, the scene has 0.9332" in findings["restitution"].note
+    assert "the scene has 0.9332" in findings["restitution"].note
 
 
 @pytest.mark.parametrize("share", [0.95, 1.05])

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.impacts import eccentric_restitution, impacts_of
 from mbds_xsim.checks.passivity import energy_rise, passivity
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.sampling import draw_batch
@@ -171,6 +171,18 @@ def test_more_than_the_law_adds_is_not_explained(delivered: float) -> None:
 
     assert made.sum() >= 20
     assert (unexplained[made] > 1e-3).all()
+
+
+def test_the_restitution_of_eccentric_impacts_is_shown(lawful: Record) -> None:
+    finding = eccentric_restitution(lawful)
+    assert finding is not None
+    assert finding.budget is None
+    assert finding.figure.max() < 1e-6
+
+    other = eccentric_restitution(_record(delivered=1.0))
+    assert other is not None
+    assert other.figure.max() == pytest.approx(1.0 - 0.9332)
+    assert "median 1.0000, the scene has 0.9332" in other.note
 
 
 def test_impacts_are_taken_apart_exactly(lawful: Record) -> None:
