@@ -29,15 +29,16 @@ def flying(
 def clear(mechanism: Mechanism, bodies: BodyStates, frame: float) -> Mask:
     """Tell in which steps each contact sphere cannot reach the ground.
 
-    At both ends it must be higher than it would fall, at its own speed and at what gravity adds
-    to it, in a whole frame. Shape (trajectory, step, sphere).
+    At both ends it must be higher than it would fall, at its own speed and at what gravity and the
+    body's rotation add to it, in a whole frame. Shape (trajectory, step, sphere).
     """
     carrier = mechanism.sphere_body
     arm = rotation.rotate(bodies.native[:, :, carrier], mechanism.sphere_offset)
     height = bodies.position[:, :, carrier, 2] + arm[..., 2] - mechanism.sphere_radius
-    swing = np.cross(bodies.angular_velocity[:, :, carrier], arm)
-    speed = np.abs(bodies.velocity[:, :, carrier, 2] + swing[..., 2])
-    pull = float(np.linalg.norm(mechanism.scene.gravity))
+    spin = bodies.angular_velocity[:, :, carrier]
+    speed = np.abs(bodies.velocity[:, :, carrier, 2] + np.cross(spin, arm)[..., 2])
+    bend = np.sum(spin**2, axis=-1) * np.linalg.norm(mechanism.sphere_offset, axis=-1)
+    pull = float(np.linalg.norm(mechanism.scene.gravity)) + bend
     high: Mask = height > frame * (speed + frame * pull)
     return high[:, 1:] & high[:, :-1]
 

@@ -55,11 +55,11 @@ def rolling(record: Record) -> Finding | None:
         speed = np.linalg.norm(record.bodies.velocity[:, :, body], axis=-1)
         fastest = np.maximum(np.nanmax(speed, axis=1, initial=0.0), np.finfo(float).tiny)
         slip = np.linalg.norm(_slip(record, push)[:, :, 0], axis=-1)
-        load = np.linalg.norm(record.batch.force[:, : record.steps, body, :2], axis=-1)
-        takes = _friction_of(record) * _weight(record, push)
-        give = _yielding(record, push)
-        drive = load * record.frame
-        stops = give * (takes - drive) * _SURE > slip[:, :-1] + drive / push.mass
+        load = record.batch.force[:, : record.steps, body, :2] * record.frame
+        load = load + push.mass * record.frame * np.array(record.scene.gravity[:2])
+        drive = np.linalg.norm(load, axis=-1)
+        takes = _friction_of(record) * push.impulse[..., 2] - drive
+        stops = _yielding(record, push) * takes * _SURE > slip[:, :-1] + drive / push.mass
         rolls = stops & push.resting[:, 1:]
         parts[:, 1:, k] = np.where(rolls, slip[:, 1:] / fastest[:, None], np.nan)
     parts[:, 0] = 0.0

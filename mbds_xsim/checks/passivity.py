@@ -27,9 +27,9 @@ def passivity(record: Record) -> Finding | None:
     """Measure the rise of E − W that the law of impact does not explain, over the energy scale.
 
     Above its running minimum, among frames in which no contact stores energy. None without
-    contact.
+    contact, or where something else supports a body that may touch.
     """
-    pushes = pushes_of(record)
+    pushes = _all_pushes(record)
     if not pushes:
         return None
     gain = sum((law_gain(record, push) for push in pushes), np.zeros(1))
@@ -49,7 +49,7 @@ def passivity(record: Record) -> Finding | None:
 
 def energy_rise(record: Record) -> Finding | None:
     """Show the whole rise of E − W, explained or not, where the law of impact explains any."""
-    pushes = pushes_of(record)
+    pushes = _all_pushes(record)
     if all(push.ball for push in pushes):
         return None
     rise, _ = _rise(record, pushes, np.zeros((1, record.steps)))
@@ -78,6 +78,13 @@ def law_gain(record: Record, push: Push) -> Array:
     lost = (1.0 - ground.restitution) * hits.impulse[:, 2] * hits.arriving
     gain[hits.row, hits.step] = 0.5 * np.maximum(forward - lost, 0.0)
     return np.asarray(np.nan_to_num(gain))
+
+
+def _all_pushes(record: Record) -> list[Push]:
+    """Groups with contact, none where the ground's part in one of them is not known."""
+    pushes = pushes_of(record)
+    known = sum(len(push.spheres) for push in pushes)
+    return pushes if known == len(record.mechanism.sphere_body) else []
 
 
 def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, Array]:

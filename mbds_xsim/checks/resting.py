@@ -29,9 +29,9 @@ def hop(record: Record) -> Finding | None:
     `passivity`.
     """
     pushes = [push for push in pushes_of(record) if push.ball]
-    if not pushes or not any(record.scene.gravity):
+    scene, pull = record.scene, -record.scene.gravity[2]
+    if not pushes or pull <= 0.0:
         return None
-    scene, pull = record.scene, float(np.linalg.norm(record.scene.gravity))
     climb = record.bodies.velocity[..., 2]
     rises = np.stack([_rise(record, push, pull) for push in pushes], axis=-1)
     # Semi-implicit Euler keeps v²/2 + g z + g h v/2.
