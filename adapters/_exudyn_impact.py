@@ -2,12 +2,16 @@
 
 v is the speed of the impact. Gonthier's law (`impactModel=2`) takes c from a coefficient of
 restitution ε, by a formula that fits what comes out to ε within 5e-3. What does come out has a
-closed form: with w the speed over v, m w dw/dd = -k d (1 + c w), whose integral from w = 1 to
-w = -e, both at d = 0, gives
+closed form: with w the speed over v, w dw/(1 + c w) is in proportion to -d dd, whose integral
+from w = 1 to w = -e, both at d = 0, vanishes, so that
 
     c (1 + e) = log((1 + c) / (1 - c e)).
 
 It knows neither mass, stiffness nor speed, so here the ε is found that delivers the scene's e.
+
+The trapezoidal rule adds to it: measured at 0.3 to 8 m/s, of e = 0.9332 impacts that
+last 4, 6, 8, 12, 24 and 32 steps deliver 0.944, 0.939, 0.937, 0.935, 0.9335 and 0.9333, within
+1e-3 at every speed, and of e = 1 always 1.0000.
 
 Y. Gonthier et al., Multibody System Dynamics 11 (2004), doi:10.1023/B:MUBO.0000029392.21648.bc
 """

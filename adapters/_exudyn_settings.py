@@ -19,6 +19,9 @@ SOLVERS = {
 LINEAR_SOLVERS = ("auto", "EXUdense", "EigenDense", "EigenSparse")
 
 _ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}
+# Exudyn's default of Newton's method; with the finer steps near the ground it would leave more of
+# an error in a flight than the steps do.
+_USUAL, _TIGHT = 1e-8, 1e-10
 # A step may be shortened, down to a share, to end where a sphere touches down or leaves, and is
 # back at its full length some steps later. By default it would stay short after a step that took
 # Newton's method many iterations, as very short ones do for their rounding.
@@ -70,6 +73,7 @@ def steps_of_a_frame(count):
     stepping.adaptiveStep = False
     stepping.automaticStepSize = False
     stepping.newton.useModifiedNewton = {self.modified_newton}
+    stepping.newton.relativeTolerance = {_TIGHT if self.division else _USUAL}
     stepping.generalizedAlpha.spectralRadius = {self.spectral_radius!r}
     settings.linearSolver.solverType = \
         exu.LinearSolverType.{self._linear_solver(mechanism, redundant)}
