@@ -7,7 +7,16 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import ClassVar
 
-from mbds_xsim.engine import Adapter, Feature, Method, Option, Profile, Run, Settings
+from mbds_xsim.engine import (
+    Adapter,
+    ContactScales,
+    Feature,
+    Method,
+    Option,
+    Profile,
+    Run,
+    Settings,
+)
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
@@ -107,6 +116,10 @@ class Exudyn(Adapter):
         # A Jacobian that is kept leaves an error of 2e-8 m that does not fall with the step.
         full = {"modified_newton": False}
         return Settings(method, careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT), full)
+
+    def contact_scales(self, settings: Settings) -> ContactScales:
+        contact = self._contact(settings)
+        return ContactScales(contact.duration, contact.slip_speed)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver, radius = (

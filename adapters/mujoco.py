@@ -16,6 +16,7 @@ from mbds_xsim import rotation
 from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import (
     Adapter,
+    ContactScales,
     Feature,
     Method,
     ModelSize,
@@ -50,6 +51,8 @@ _DEFAULT_STEP = 0.002
 _CAREFUL_STEP = 0.005
 _CAREFUL_LINK_STEP = 0.001
 _CAREFUL_COUNT = 4
+# Time constant of MuJoCo's own contact, `solref` [s].
+_DEFAULT_IMPACT = 0.02
 # With fewer steps an impact's restitution depends on how it lies between them.
 _SHORTEST_IMPACT = 4
 # Of the reciprocal of a spring's rate: forty steps a period.
@@ -108,6 +111,12 @@ class MuJoCo(Adapter):
         longest = min(longest, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
         impact = {"impact_steps": 1} if has_only_balls(Mechanism.of(scene)) else {}
         return Settings("RK4", careful_step(frame, longest, _CAREFUL_COUNT), impact)
+
+    def contact_scales(self, settings: Settings) -> ContactScales:
+        division = self.option(settings, "contact_substeps")
+        if not division:
+            return ContactScales(_DEFAULT_IMPACT)
+        return ContactScales(self._impact_steps(settings) * settings.step / division)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         solver = self.option(settings, "solver")

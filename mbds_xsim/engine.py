@@ -20,6 +20,7 @@ from mbds_xsim.state import Batch, Trajectory
 
 __all__ = [
     "Adapter",
+    "ContactScales",
     "Feature",
     "Method",
     "ModelSize",
@@ -129,6 +130,17 @@ class Option:
 
     default: float | int | bool | str
     meaning: str
+
+
+@dataclass(frozen=True)
+class ContactScales:
+    """How finely an engine resolves contact; the contract suite derives from it what it allows."""
+
+    time: float
+    """Over which it spreads an impact: the step where contact is rigid, and as long as a spring
+    takes to push a sphere out where it is compliant [s]."""
+    slip: float = 0.0
+    """Slip up to which friction is less than Coulomb's [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,6 +277,10 @@ class Adapter(ABC):
     def option(self, settings: Settings, name: str) -> Any:
         """Value of an option, or its default."""
         return settings.options.get(name, self.options[name].default)
+
+    def contact_scales(self, settings: Settings) -> ContactScales:
+        """Tell how finely contact is resolved; impulses of one step unless an adapter says so."""
+        return ContactScales(settings.step)
 
     @abstractmethod
     def version(self) -> str:

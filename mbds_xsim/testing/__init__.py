@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 # Without it a failing assert in the shipped suite shows no values.
-pytest.register_assert_rewrite("mbds_xsim.testing.contract")
+pytest.register_assert_rewrite("mbds_xsim.testing.contract", "mbds_xsim.testing.contact_contract")
 
 from mbds_xsim.testing.cases import CASES, Case  # noqa: E402
 from mbds_xsim.testing.contract import AdapterContract, measured_order  # noqa: E402

@@ -26,6 +26,7 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.testing.cases import CASES, Case
+from mbds_xsim.testing.contact_contract import ContactContract
 
 __all__ = ["AdapterContract", "measured_order"]
 
@@ -50,7 +51,7 @@ def measured_order(
     return float(slope), errors
 
 
-class AdapterContract:
+class AdapterContract(ContactContract):
     """One test, one way in which adapters go wrong."""
 
     @pytest.fixture

@@ -1,0 +1,317 @@
+"""Cases on the ground with exact answers: sliding, rolling, impacts, rest, a driven car.
+
+Answers are Coulomb's friction, Newton's restitution and rigid bodies in closed form. What an
+engine may be off is derived from what it declares its contact to resolve
+(`mbds_xsim.engine.ContactScales`): an impulse of the ground is late, or early, by one such time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks.ground import spheres_of
+from mbds_xsim.engine import ContactScales
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import (
+    GRAVITY,
+    PARTICLE_RADIUS,
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Particle,
+    Scene,
+    Vector,
+)
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.straight_car import straight_run
+
+__all__ = [
+    "CONTACT_CASES",
+    "RESTITUTIONS",
+    "ContactCase",
+    "at_rest",
+    "ball",
+    "bounces",
+    "crate",
+    "driven_car",
+    "gaps",
+    "laid_cubli",
+    "rebound_heights",
+    "rolling",
+    "sliding_crate",
+]
+
+Array = NDArray[np.float64]
+
+RADIUS = PARTICLE_RADIUS
+FRICTION, RESTITUTION = 0.43, 0.9332
+RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)
+_G = -GRAVITY[2]
+_STILL = (0.0, 0.0, 0.0)
+_ROUNDING = 1e-9  # [m]
+_HEADINGS = (0.0, 0.4, np.pi / 4, 2.0)
+_STARTS = ((7.0, 0.0), (9.3, 0.4), (2.0, -1.5), (1.0, 2.5))
+
+
+@dataclass(frozen=True, eq=False)
+class ContactCase:
+    """A scene, its start and inputs, the exact motion, and how far an engine may be from it."""
+
+    verifies: str
+    scene: Scene
+    batch: Batch
+    exact: Trajectory
+    """Fields that are not known are NaN."""
+    drift: Array
+    """What a shift of the ground's impulses moves bodies by, over that shift [m/s], shape
+    (frame,)."""
+    creep: Array
+    """The same for slip that friction does not stop, over that slip [s], shape (frame,)."""
+
+    def allowed(self, scales: ContactScales) -> Array:
+        """Give the largest distance from the exact position [m], shape (frame,)."""
+        # What gravity does before the ground carries a sphere.
+        sink = _G * scales.time**2
+        return _ROUNDING + sink + self.drift * scales.time + self.creep * scales.slip
+
+
+def ball(
+    height: float = 0.0,
+    velocity: Vector = _STILL,
+    spin: Vector = _STILL,
+    ground: Ground | None = None,
+    steps: int = 50,
+    gravity: Vector = GRAVITY,
+) -> Scene:
+    """Make one particle with its lowest point at a height [m]."""
+    centre = (0.0, 0.0, RADIUS + height)
+    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
+    return Scene(
+        "ball",
+        (body,),
+        length=1.0,
+        gravity=gravity,
+        contacts=(ContactSphere("ball", centre, RADIUS),),
+        ground=ground or Ground(FRICTION, RESTITUTION),
+        clock=Clock(steps=steps),
+    )
+
+
+def crate(
+    tilt: float = 0.0,
+    velocity: Vector = _STILL,
+    height: float = 0.0,
+    ground: Ground | None = None,
+    steps: int = 50,
+) -> Scene:
+    """Make a cube with a sphere at each corner, turned about z [rad], its bottom at a height."""
+    corners = np.array(list(product((-0.2, 0.2), repeat=3)))
+    turn = (float(np.cos(tilt / 2)), 0.0, 0.0, float(np.sin(tilt / 2)))
+    middle = (0.0, 0.0, height + 0.2 + RADIUS)
+    placed = np.array(middle) + rotation.rotate(np.array(turn), corners)
+    body = Body(
+        "crate",
+        inertia=Inertia(30.0, (1.5, 1.5, 1.5)),
+        position=middle,
+        orientation=turn,
+        velocity=velocity,
+    )
+    return Scene(
+        "crate",
+        (body,),
+        length=0.4,
+        contacts=tuple(ContactSphere("crate", (x, y, z), RADIUS) for x, y, z in placed.tolist()),
+        ground=ground or Ground(FRICTION, RESTITUTION),
+        clock=Clock(steps=steps),
+    )
+
+
+def gaps(scene: Scene, motion: Trajectory) -> Array:
+    """Heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
+    mechanism = Mechanism.of(scene)
+    native = mechanism.native_rotation(motion.orientation)
+    states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
+    return spheres_of(mechanism, states).gap
+
+
+def rolling() -> ContactCase:
+    """Balls that slide until they roll, forwards and backwards, in every direction, and aside.
+
+    From velocity v and spin ω the slip v − ω × R ẑ keeps its direction n: friction −μ m g n takes
+    (7/2) μ g of it a second, along a parabola, and what is left rolls straight on.
+    """
+    scene = ball()
+    velocity, spin = _rolling_starts()
+    slip = velocity + np.cross(spin, [0.0, 0.0, -RADIUS])
+    size = np.linalg.norm(slip, axis=-1, keepdims=True)
+    way = np.divide(slip, size, out=np.zeros_like(slip), where=size > 1e-12)
+    time = _frames(scene)
+    ended = size[:, None] / (3.5 * FRICTION * _G)
+    sliding = np.minimum(time[:, None], ended)
+    decay, growth = FRICTION * _G * way, 2.5 * FRICTION * _G / RADIUS * np.cross([0, 0, 1.0], way)
+    exact = Trajectory.empty(time, len(velocity), 1)
+    exact.velocity[:, :, 0] = velocity[:, None] - decay[:, None] * sliding
+    exact.angular_velocity[:, :, 0] = spin[:, None] + growth[:, None] * sliding
+    exact.position[:, :, 0] = (
+        np.array([0.0, 0.0, RADIUS])
+        + velocity[:, None] * sliding
+        - 0.5 * decay[:, None] * sliding**2
+        + exact.velocity[:, :, 0] * (time[:, None] - sliding)
+    )
+    return ContactCase(
+        "friction alike in every direction, the end of sliding, no friction in rolling",
+        scene,
+        _started(scene, velocity=velocity[:, None], angular_velocity=spin[:, None]),
+        exact,
+        drift=FRICTION * _G * np.minimum(time, ended.max()),
+        creep=np.full(len(time), 1e-3),
+    )
+
+
+def sliding_crate() -> ContactCase:
+    """A crate that stands and is pushed slides v² / (2 μ g) far, and does not turn."""
+    scene, speed = crate(ground=Ground(FRICTION, 0.0)), 2.0
+    along = np.array([[np.cos(heading), np.sin(heading), 0.0] for heading in _HEADINGS])
+    time = _frames(scene)
+    sliding = np.minimum(time, speed / (FRICTION * _G))
+    batch = _started(scene, velocity=speed * along[:, None])
+    exact = _standing(batch, time)
+    way = speed * sliding - 0.5 * FRICTION * _G * sliding**2
+    exact.position[:, :, 0] += way[:, None] * along[:, None]
+    exact.velocity[:, :, 0] = (speed - FRICTION * _G * sliding)[:, None] * along[:, None]
+    return ContactCase(
+        "friction that ends in rest, on several points",
+        scene,
+        batch,
+        exact,
+        drift=FRICTION * _G * sliding,
+        creep=np.full(len(time), 1e-3),
+    )
+
+
+def at_rest(scene: Scene) -> ContactCase:
+    """Leave what stands on the ground where it is."""
+    batch = draw_batch(scene, [0], noise=False)
+    time = _frames(scene)
+    none = np.zeros(len(time))
+    return ContactCase("rest", scene, batch, _standing(batch, time), drift=none, creep=none)
+
+
+def laid_cubli(steps: int = 50) -> Scene:
+    """Put the scene simplecubli with four corners on the ground, its flywheels at rest."""
+    cubli = load_scene("simplecubli")
+    assert cubli.contacts
+    down = min(sphere.center[2] - sphere.radius for sphere in cubli.contacts)
+
+    def lowered(point: Vector) -> Vector:
+        return (point[0], point[1], point[2] - down)
+
+    replaced = msgspec.structs.replace
+    bodies = (
+        replaced(
+            body,
+            particles=tuple(replaced(p, position=lowered(p.position)) for p in body.particles),
+        )
+        for body in cubli.bodies
+    )
+    return replaced(
+        cubli,
+        bodies=tuple(bodies),
+        joints=tuple(replaced(joint, anchor=lowered(joint.anchor)) for joint in cubli.joints),
+        contacts=tuple(replaced(s, center=lowered(s.center)) for s in cubli.contacts),
+        sampling=(),
+        noise=0.0,
+        clock=Clock(steps=steps),
+    )
+
+
+def bounces(restitution: float, height: float = 0.5, steps: int = 75) -> Scene:
+    """Make a ball that falls from a height."""
+    return ball(height, ground=Ground(FRICTION, restitution), steps=steps)
+
+
+def rebound_heights(scene: Scene, time: Array) -> tuple[Array, Array]:
+    """Give the number of bounces before each time of a fall, and how high they let the ball go.
+
+    From a height H the fall lasts √(2 H / g), the k-th flight 2 eᵏ √(2 H / g), to e²ᵏ H. After
+    all bounces of e < 1 the number is that of the flights that last 1 ms and more.
+    """
+    assert scene.ground is not None
+    kept, height = scene.ground.restitution, float(scene.contacts[0].center[2]) - RADIUS
+    fall = np.sqrt(2 * height / _G)
+    most = 1000 if kept == 1.0 else int(np.log(1e-3 / fall) / np.log(max(kept, 1e-9))) + 1
+    impacts = fall * (1 + 2 * np.cumsum([0.0, *kept ** np.arange(1.0, most)]))
+    number = np.searchsorted(impacts, time, side="right")
+    return number.astype(np.float64), np.asarray(height * kept ** (2.0 * number))
+
+
+def driven_car() -> ContactCase:
+    """The car with wheels spinning in front and braked behind, and torques that change."""
+    scene = msgspec.structs.replace(load_scene("particlecar"), clock=Clock(steps=60))
+    torque = np.repeat(np.random.default_rng(0).uniform(-2.0, 2.0, (6, 2)), 10, axis=0)
+    batch, exact = straight_run(scene, speed=5.0, rates=(40.0, 15.0), torque=torque)
+    # How left and right share an axle's load has no unique answer, and turns the car a little.
+    exact.position[..., 1] = exact.position[:, :, 1:] = np.nan
+    return ContactCase(
+        "hinge torques that roll and spin wheels",
+        scene,
+        batch,
+        exact,
+        drift=FRICTION * _G * exact.time,
+        creep=exact.time,
+    )
+
+
+def _rolling_starts() -> tuple[Array, Array]:
+    """Velocities and spins, each shape (row, 3): (speed, spin of rolling) in each direction."""
+    rows = []
+    for heading, (speed, share) in product(_HEADINGS, _STARTS):
+        along = np.array([np.cos(heading), np.sin(heading), 0.0])
+        rows.append((speed * along, share * speed / RADIUS * np.cross([0.0, 0.0, 1.0], along)))
+    rows.append((np.array([3.0, 0.0, 0.0]), np.array([60.0, 0.0, 30.0])))
+    rows.append((np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0 / RADIUS, 40.0])))
+    velocity, spin = zip(*rows, strict=True)
+    return np.array(velocity), np.array(spin)
+
+
+def _started(scene: Scene, **start: Any) -> Batch:
+    """Start as many rows as are given, with these fields in place of the scene's own."""
+    rows = len(next(iter(start.values())))
+    return dataclasses.replace(draw_batch(scene, range(rows), noise=False), **start)
+
+
+def _frames(scene: Scene) -> Array:
+    return scene.clock.frame * np.arange(scene.clock.steps + 1, dtype=np.float64)
+
+
+def _standing(batch: Batch, time: Array) -> Trajectory:
+    exact = Trajectory.empty(time, len(batch), batch.position.shape[1])
+    exact.position[:] = batch.position[:, None]
+    exact.orientation[:] = batch.orientation[:, None]
+    exact.velocity[:] = exact.angular_velocity[:] = 0.0
+    return exact
+
+
+CONTACT_CASES: Mapping[str, Callable[[], ContactCase]] = {
+    "slide to roll": rolling,
+    "sliding crate": sliding_crate,
+    "driven car": driven_car,
+    "ball at rest": lambda: at_rest(ball()),
+    "crate at rest": lambda: at_rest(crate(tilt=0.4)),
+    "cubli at rest": lambda: at_rest(laid_cubli()),
+}
+"""Makers of the cases that are held against positions frame by frame."""

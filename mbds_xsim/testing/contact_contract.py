@@ -1,0 +1,214 @@
+"""The part of the contract suite about the ground; it skips engines that have no contact.
+
+Contact is a claim of the matched settings, so they are what is measured. Careful steps are made
+coarser: what is allowed grows with them.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import readback, reference, rotation
+from mbds_xsim.engine import Adapter, ContactScales, Settings
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import GRAVITY, PARTICLE_RADIUS, Body, ContactSphere, Ground, Particle, Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.contact_cases import (
+    CONTACT_CASES,
+    RESTITUTIONS,
+    ball,
+    bounces,
+    gaps,
+    rebound_heights,
+)
+
+__all__ = ["ContactContract"]
+
+Array = NDArray[np.float64]
+
+_G = -GRAVITY[2]
+_COARSER = 4
+_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
+
+
+class ContactContract:
+    """One test, one way in which contact goes wrong."""
+
+    @pytest.mark.parametrize("name", CONTACT_CASES)
+    def test_on_the_ground_bodies_follow_the_answer(self, adapter: Adapter, name: str) -> None:
+        """Within what its contact time and slip, as declared, move bodies by."""
+        case = CONTACT_CASES[name]()
+        settings = _settings(adapter, case.scene)
+        scales, motion = _simulate(adapter, case.scene, case.batch, settings)
+        error = np.abs(motion.position - case.exact.position)
+        worst = np.nanmax(error, axis=(0, 2, 3))
+        excess = worst - case.allowed(scales)
+        assert excess.max() <= 0.0, (
+            f"{adapter.name} {settings.method} on {name}: {worst[excess.argmax()]:.2e} m off "
+            f"at frame {excess.argmax()}, {case.allowed(scales)[excess.argmax()]:.2e} allowed"
+        )
+
+    def test_friction_stops_where_a_ball_rolls(self, adapter: Adapter) -> None:
+        """Momentum about the point of contact fixes the end, however friction got there."""
+        case = CONTACT_CASES["slide to roll"]()
+        settings = _settings(adapter, case.scene)
+        scales, motion = _simulate(adapter, case.scene, case.batch, settings)
+        sink = _G * scales.time**2
+        # A ball that sinks rolls on a smaller radius.
+        allowed = 1e-6 + sink / PARTICLE_RADIUS * np.abs(case.exact.velocity).max()
+        end = motion.velocity[:, -1] - case.exact.velocity[:, -1]
+        turn = motion.angular_velocity[:, -1] - case.exact.angular_velocity[:, -1]
+        assert np.abs(end).max() <= allowed
+        assert np.abs(turn).max() <= 2.5 * allowed / PARTICLE_RADIUS
+        assert np.abs(gaps(case.scene, motion)).max() <= 1e-9 + sink  # neither hops nor sinks
+
+    @pytest.mark.parametrize("restitution", RESTITUTIONS)
+    def test_a_ball_bounces_as_high_as_its_restitution_says(
+        self, adapter: Adapter, restitution: float
+    ) -> None:
+        """Told from height and speed in flight: each impact may come one contact time late."""
+        scene = bounces(restitution)
+        settings = _settings(adapter, scene)
+        scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        height = motion.position[0, :, 0, 2] - PARTICLE_RADIUS
+        top = height + motion.velocity[0, :, 0, 2] ** 2 / (2 * _G)
+        number, wanted = rebound_heights(scene, motion.time)
+        late = scales.time * (1 + number) ** 2
+        around = [rebound_heights(scene, motion.time + shift)[0] for shift in (-late, late)]
+        sure = (around[0] == number) & (around[1] == number)
+        off = np.sqrt(2 * _G * wanted[0]) * scales.time
+        assert {0.0, 1.0} <= set(number[sure].tolist())
+        assert np.all(np.abs(top - wanted)[sure] <= (1 + number[sure]) * off + 1e-5)
+        assert height.min() >= -off
+
+    @pytest.mark.parametrize("restitution", RESTITUTIONS)
+    def test_restitution_does_not_depend_on_the_speed(
+        self, adapter: Adapter, restitution: float
+    ) -> None:
+        """From a walk to a fall from a house; gravity acts on while the impact lasts."""
+        ground = Ground(0.43, restitution)
+        for speed in (0.3, 1.0, 3.0, 8.0):
+            drop = 0.0137 * speed  # touches down in the middle of a step
+            scene = ball(drop, (0.0, 0.0, -speed), ground=ground, steps=1)
+            settings = _settings(adapter, scene, coarser=1)
+            scales, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+            height, climb = (
+                motion.position[0, 1, 0, 2] - PARTICLE_RADIUS,
+                motion.velocity[0, 1, 0, 2],
+            )
+            impact = np.sqrt(speed**2 + 2 * _G * drop)
+            kept = np.sqrt(max(0.0, climb**2 + 2 * _G * height)) / impact
+            within = scene.budget.restitution + _G * scales.time / speed
+            assert kept == pytest.approx(restitution, abs=within), f"at {speed} m/s"
+
+    def test_without_friction_nothing_turns(self, adapter: Adapter) -> None:
+        """A smooth ground takes no speed and no spin."""
+        scene = ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5))
+        settings = _settings(adapter, scene)
+        _, motion = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        along, spin = motion.velocity[0, :, 0, :2], motion.angular_velocity[0, :, 0]
+        np.testing.assert_allclose(along, [[3.0, 1.0]] * 51, atol=1e-9)
+        np.testing.assert_allclose(spin, [[0.0, 0.0, 4.0]] * 51, atol=1e-9)
+
+    @pytest.mark.parametrize("name", _SCENES)
+    def test_the_native_contact_reads_back_as_the_scenes(self, adapter: Adapter, name: str) -> None:
+        """Radii and the coefficients of pairs, which engines mix from two."""
+        scene = load_scene(name)
+        batch = draw_batch(scene, [2])
+        settings = _settings(adapter, scene)
+        with adapter.open(scene, settings) as run:
+            found, size = run.readback(batch), run.size
+        assert found.contact is not None
+        assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
+        assert size.contact_pairs == len(scene.contacts)
+
+    @pytest.mark.parametrize("name", _SCENES)
+    def test_contacts_of_one_trajectory_are_forgotten_in_the_next(
+        self, adapter: Adapter, name: str
+    ) -> None:
+        """Same batch, same bits; the second of three is what it is alone."""
+        scene = load_scene(name)
+        batch = draw_batch(scene, [2, 0, 1]).truncated(40)
+        settings = _settings(adapter, scene)
+        with adapter.open(scene, settings) as run:
+            first, again, alone = (run.rollout(b) for b in (batch, batch, batch[[1]]))
+        for key in ("position", "orientation", "velocity", "angular_velocity"):
+            np.testing.assert_array_equal(getattr(first, key), getattr(again, key))
+            np.testing.assert_array_equal(getattr(first, key)[[1]], getattr(alone, key))
+
+    def test_spheres_touch_the_ground_and_nothing_else(self, adapter: Adapter) -> None:
+        """A ball rolls through another one."""
+        one = ball(velocity=(2.0, 0.0, 0.0))
+        centre = (0.5, 0.0, PARTICLE_RADIUS)
+        scene = msgspec.structs.replace(
+            one,
+            bodies=(*one.bodies, Body("still", (Particle(centre),))),
+            contacts=(*one.contacts, ContactSphere("still", centre, PARTICLE_RADIUS)),
+        )
+        settings = _settings(adapter, scene)
+        scales, both = _simulate(adapter, scene, draw_batch(scene, [0]), settings)
+        _, alone = _simulate(adapter, one, draw_batch(one, [0]), settings)
+        # Engines that choose steps by what touches may round differently.
+        np.testing.assert_allclose(both.position[:, :, 0], alone.position[:, :, 0], atol=1e-9)
+        sink = 1e-9 + _G * scales.time**2
+        np.testing.assert_allclose(both.position[0, :, 1], [centre] * 51, rtol=0, atol=sink)
+
+    def test_a_thrown_cubli_flies_as_the_reference_until_it_lands(self, adapter: Adapter) -> None:
+        """Flywheels that torques spin up turn the frame back; their sum of spin stays."""
+        scene = load_scene("simplecubli")
+        batch = draw_batch(scene, range(3), noise=False).truncated(30)
+        exact = reference.solve(scene, batch, cache=False)
+        settings = _settings(adapter, scene, coarser=1)
+        _, motion = _simulate(adapter, scene, batch, settings)
+        assert np.nanmax(np.abs(motion.position - exact.position)) < 5e-4
+        back = rotation.conjugate(exact.orientation)
+        turn = rotation.to_vector(rotation.multiply(back, motion.orientation))
+        assert np.nanmax(np.linalg.norm(turn, axis=-1)) < 1e-3
+        for row, landing in enumerate(exact.failures):
+            assert landing is not None
+            spins = _spins(scene, motion, row)[: landing.frame]
+            total = spins.sum(axis=1)
+            assert np.linalg.norm(spins - spins[0], axis=-1).max() > 0.2
+            change = np.linalg.norm(total - total[0], axis=-1).max()
+            assert change < 1e-3 * np.linalg.norm(spins, axis=-1).max()
+
+
+def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Settings:
+    """Give matched settings; skip the test where the engine cannot do the scene."""
+    careful = adapter.settings(scene, "matched")
+    if adapter.refusals(scene, careful.method):
+        pytest.skip(f"{adapter.name} {careful.method} cannot do {scene.name}")
+    stored = settings_for(scene, adapter, "matched")
+    if stored != careful:
+        return stored  # no finer than it must be
+    return Settings(careful.method, careful.step * coarser, careful.options)
+
+
+def _simulate(
+    adapter: Adapter, scene: Scene, batch: Batch, settings: Settings
+) -> tuple[ContactScales, Trajectory]:
+    with adapter.open(scene, settings) as run:
+        motion = run.rollout(batch)
+    assert motion.failures == (None,) * len(batch), f"{settings.method}: {motion.failures}"
+    lag = settings.step if adapter.methods[settings.method].order == 1 else 0.0
+    scales = adapter.contact_scales(settings)
+    return ContactScales(max(scales.time, lag), scales.slip), motion
+
+
+def _spins(scene: Scene, motion: Trajectory, row: int) -> Array:
+    """Angular momentum of each body about the common centre of mass, shape (frame, body, 3)."""
+    mechanism = Mechanism.of(scene)
+    turn = rotation.matrix(mechanism.native_rotation(motion.orientation[row]))
+    own = np.einsum(
+        "fbij,bjk,fblk,fbl->fbi", turn, mechanism.inertia, turn, motion.angular_velocity[row]
+    )
+    share = mechanism.mass / mechanism.mass.sum()
+    place, speed = motion.position[row], motion.velocity[row]
+    place, speed = (part - np.einsum("b,fbi->fi", share, part)[:, None] for part in (place, speed))
+    return np.asarray(own + np.cross(place, mechanism.mass[:, None] * speed))
