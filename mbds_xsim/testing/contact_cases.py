@@ -41,6 +41,7 @@ from mbds_xsim.testing.straight_car import straight_run
 
 __all__ = [
     "CONTACT_CASES",
+    "RADIUS",
     "RESTITUTIONS",
     "ContactCase",
     "at_rest",

@@ -29,12 +29,13 @@ from mbds_xsim.scene import (
     ContactSphere,
     Ground,
     Inertia,
-    Particle,
     Scene,
     Torque,
     Vector,
 )
 from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.contact_cases import RADIUS as R
+from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli
 
 dartpy: Any = pytest.importorskip("dartpy")
 
@@ -42,7 +43,6 @@ ENGINE = load_adapter("dart")
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 ROUND = {"collision_detector": "ode", "friction_solver": "nsgs"}
 G, MU, E = 9.81, 0.43, 0.9332
-R = math.sqrt(5 * 6.17e-4 / 2)
 STILL = (0.0, 0.0, 0.0)
 Array = NDArray[np.float64]
 replaced = msgspec.structs.replace
@@ -59,35 +59,6 @@ def careful(steps_per_frame: int, **options: str) -> Settings:
 def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
     with ENGINE.open(scene, settings or matched(scene)) as run:
         return run.rollout(batch)
-
-
-def ball(
-    height: float = 0.0,
-    velocity: Vector = STILL,
-    spin: Vector = STILL,
-    restitution: float = E,
-    steps: int = 50,
-) -> Scene:
-    """Make one particle with its lowest point at a height."""
-    centre = (0.0, 0.0, R + height)
-    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "ball",
-        bodies=(body,),
-        contacts=(ContactSphere("ball", centre, R),),
-        ground=Ground(MU, restitution),
-        length=1.0,
-        clock=Clock(steps=steps),
-    )
-
-
-def gaps(scene: Scene, motion: Trajectory) -> Array:
-    """Heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
-    mechanism = Mechanism.of(scene)
-    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
-    arm = rotation.rotate(turn, mechanism.sphere_offset)
-    centre = motion.position[..., mechanism.sphere_body, 2] + arm[..., 2]
-    return np.asarray(centre - mechanism.sphere_radius)
 
 
 def particle_errors(scene: Scene, one: Trajectory, other: Trajectory) -> Array:
@@ -162,7 +133,7 @@ def test_friction_of_an_ordinary_user_is_bounded_by_a_box() -> None:
 @pytest.mark.parametrize("restitution", [0.0, 0.5, E, 1.0])
 @pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 8.0])
 def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: float) -> None:
-    scene = ball(0.02 * speed, velocity=(0.0, 0.0, -speed), restitution=restitution, steps=2)
+    scene = ball(0.02 * speed, velocity=(0.0, 0.0, -speed), ground=Ground(MU, restitution), steps=2)
     scene = replaced(scene, gravity=STILL)
     motion = rollout(scene, draw_batch(scene, [0]), careful(100))
     assert motion.velocity[0, -1, 0, 2] == pytest.approx(restitution * speed, rel=2e-5, abs=1e-3)
@@ -181,7 +152,7 @@ def test_an_elastic_ball_gains_what_gravity_adds_in_the_step_of_an_impact() -> N
     """DART reflects the velocity after gravity's share of the step: V g h of energy a bounce."""
     gains = []
     for count in (50, 100):
-        scene = ball(1.0, restitution=1.0, steps=200)
+        scene = ball(1.0, ground=Ground(MU, 1.0), steps=200)
         motion = rollout(scene, draw_batch(scene, [0]), careful(count))
         speed = motion.velocity[0, :, 0, 2]
         energy = 0.5 * speed**2 + G * (motion.position[0, :, 0, 2] - R)
@@ -233,31 +204,7 @@ def newton_coulomb(yielding: Array, before: Array) -> Array:
     return impulse
 
 
-def lowered_cubli(steps: int) -> Scene:
-    """Put the cubli with four corners on the ground, at rest."""
-    cubli = load_scene("simplecubli")
-
-    def down(point: Vector) -> Vector:
-        return (point[0], point[1], point[2] - 0.4 + R)
-
-    return replaced(
-        cubli,
-        bodies=tuple(
-            replaced(
-                body,
-                particles=tuple(replaced(p, position=down(p.position)) for p in body.particles),
-            )
-            for body in cubli.bodies
-        ),
-        joints=tuple(replaced(joint, anchor=down(joint.anchor)) for joint in cubli.joints),
-        contacts=tuple(replaced(s, center=down(s.center)) for s in cubli.contacts),
-        sampling=(),
-        noise=0.0,
-        clock=Clock(steps=steps),
-    )
-
-
-@pytest.mark.parametrize("scene", [ball(), lowered_cubli(25)], ids=["ball", "cubli"])
+@pytest.mark.parametrize("scene", [ball(), laid_cubli(25)], ids=["ball", "cubli"])
 @pytest.mark.parametrize("options", [{}, ROUND], ids=["default", "round"])
 def test_what_rests_stays_at_rest(scene: Scene, options: dict[str, str]) -> None:
     settings = Settings("semi-implicit-euler", 5e-4, options)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbds_xsim import readback, reference, rotation
+from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.finding import Record
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.matched import settings_for
@@ -20,8 +22,10 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import HingeRate
-from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Particle, Scene, Vector
+from mbds_xsim.scene import Clock, ContactSphere, Ground, Scene
 from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.contact_cases import RADIUS as R
+from mbds_xsim.testing.contact_cases import ball, gaps
 from mbds_xsim.testing.straight_car import straight_run
 
 pytest.importorskip("exudyn")
@@ -31,7 +35,6 @@ Array = NDArray[np.float64]
 ENGINE = load_adapter("exudyn")
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 G, MU, E = 9.81, 0.43, 0.9332
-R = math.sqrt(5 * 6.17e-4 / 2)
 STILL = (0.0, 0.0, 0.0)
 replaced = msgspec.structs.replace
 
@@ -52,26 +55,6 @@ def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Tra
     chosen = settings or settings_for(scene, ENGINE, "matched")
     with ENGINE.open(scene, chosen) as run:
         return run.rollout(batch)
-
-
-def ball(
-    height: float = 0.0,
-    velocity: Vector = STILL,
-    spin: Vector = STILL,
-    ground: Ground | None = None,
-    steps: int = 50,
-) -> Scene:
-    """Make one particle with its lowest point at a height."""
-    centre = (0.0, 0.0, R + height)
-    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "ball",
-        (body,),
-        length=1.0,
-        contacts=(ContactSphere("ball", centre, R),),
-        ground=ground or Ground(MU, E),
-        clock=Clock(0.02, steps),
-    )
 
 
 def alone(scene: Scene, settings: Settings | None = None) -> Trajectory:
@@ -264,12 +247,12 @@ def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, range(3), noise=False, inputs=False)
     motion = rollout(scene, batch)
-    gap = lowest_points(scene, motion)
+    gap = gaps(scene, motion).min(axis=-1)
 
     assert motion.failures == (None,) * 3
     assert gap.min() > -0.02 * scene.length
     for row in range(len(batch)):
-        energy = total_energy(scene, motion)[row, gap[row] > 0]
+        energy = energy_of(Record(scene, batch, motion)).total[row, gap[row] > 0]
         rise = np.max(energy - np.minimum.accumulate(energy))
         assert rise < 1e-4 * energy[0]
         assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
@@ -315,7 +298,7 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
     first = motion.angular_velocity[0, 1, 1:, 1]
     slowing = MU * 18.0 * G * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
     assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
-    gap = lowest_points(scene, motion)
+    gap = gaps(scene, motion).min(axis=-1)
     assert -1e-3 < gap.min() <= gap.max() < 1e-3
 
 
@@ -370,23 +353,3 @@ def test_wrong_requests_are_one_clear_line() -> None:
     for option, value in (("contact_substeps", 0), ("impact_steps", 2), ("slip_speed", 0.0)):
         with pytest.raises(InputError, match=f"{option}: got {value}"):
             ENGINE.open(scene, Settings("trapezoidal", 0.002, {option: value}))
-
-
-def lowest_points(scene: Scene, motion: Trajectory) -> Array:
-    """Height of the lowest contact sphere [m], shape (trajectory, frame)."""
-    mechanism = Mechanism.of(scene)
-    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
-    arms = rotation.rotate(turn, mechanism.sphere_offset)
-    heights = motion.position[..., mechanism.sphere_body, 2] + arms[..., 2]
-    return np.asarray((heights - mechanism.sphere_radius).min(axis=-1))
-
-
-def total_energy(scene: Scene, motion: Trajectory) -> Array:
-    """Over the ground [J], shape (trajectory, frame)."""
-    mechanism = Mechanism.of(scene)
-    turn = rotation.matrix(mechanism.native_rotation(motion.orientation))
-    spin = np.einsum("...ji,...j->...i", turn, motion.angular_velocity)
-    turning = np.einsum("...i,...ij,...j->...", spin, mechanism.inertia, spin)
-    moving = mechanism.mass * np.sum(motion.velocity**2, axis=-1)
-    falling = mechanism.mass * G * motion.position[..., 2]
-    return np.asarray(np.sum(0.5 * (moving + turning) + falling, axis=-1))

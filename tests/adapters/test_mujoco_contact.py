@@ -12,6 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import readback, reference, rotation
+from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.finding import Record
 from mbds_xsim.engine import Settings
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
@@ -19,16 +21,14 @@ from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import HingeRate
 from mbds_xsim.scene import (
-    Body,
     Clock,
-    ContactSphere,
     Ground,
-    Particle,
     Scene,
     Torque,
-    Vector,
 )
 from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.contact_cases import RADIUS as R
+from mbds_xsim.testing.contact_cases import ball, gaps
 
 mujoco: Any = pytest.importorskip("mujoco")
 impact_law: Any = importlib.import_module("mbds_xsim_adapters._mujoco_impact").impact_law
@@ -37,33 +37,12 @@ Array = NDArray[np.float64]
 ENGINE = load_adapter("mujoco")
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 G, MU = 9.81, 0.43
-R = math.sqrt(5 * 6.17e-4 / 2)
 
 
 def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
     chosen = settings or settings_for(scene, ENGINE, "matched")
     with ENGINE.open(scene, chosen) as run:
         return run.rollout(batch)
-
-
-def ball(
-    height: float = 0.0,
-    velocity: Vector = (0.0, 0.0, 0.0),
-    spin: Vector = (0.0, 0.0, 0.0),
-    ground: Ground | None = None,
-    steps: int = 50,
-) -> Scene:
-    """Make one particle with its lowest point at a height."""
-    centre = (0.0, 0.0, R + height)
-    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "ball",
-        (body,),
-        length=1.0,
-        contacts=(ContactSphere("ball", centre, R),),
-        ground=ground or Ground(MU, 0.9332),
-        clock=Clock(0.02, steps),
-    )
 
 
 def alone(scene: Scene, settings: Settings | None = None) -> Trajectory:
@@ -234,11 +213,11 @@ def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
     scene = load_scene("simplecubli")
     batch = draw_batch(scene, range(6), noise=False, inputs=False)
     motion = rollout(scene, batch)
-    gap = lowest_points(scene, motion)
+    gap = gaps(scene, motion).min(axis=-1)
 
     assert gap.min() > -0.01 * scene.length
     for row in range(len(batch)):
-        energy = total_energy(scene, motion)[row, gap[row] > 0]
+        energy = energy_of(Record(scene, batch, motion)).total[row, gap[row] > 0]
         rise = np.max(energy - np.minimum.accumulate(energy))
         assert rise < 1e-3 * energy[0]
         assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
@@ -302,7 +281,7 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
     first = motion.angular_velocity[0, 1, 1:, 1]
     slowing = MU * 18.0 * G * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
     assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
-    gap = lowest_points(scene, motion)
+    gap = gaps(scene, motion).min(axis=-1)
     assert -1e-3 < gap.min() <= gap.max() < 1e-3
 
 
@@ -340,23 +319,3 @@ def test_only_contact_scenes_get_a_ground() -> None:
         with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
             text = run.native()
         assert ("geom" in text) == ("elliptic" in text) == ("noslip" in text) == expected
-
-
-def lowest_points(scene: Scene, motion: Trajectory) -> Array:
-    """Height of the lowest contact sphere [m], shape (trajectory, frame)."""
-    mechanism = Mechanism.of(scene)
-    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
-    arms = rotation.rotate(turn, mechanism.sphere_offset)
-    heights = motion.position[..., mechanism.sphere_body, 2] + arms[..., 2]
-    return np.asarray((heights - mechanism.sphere_radius).min(axis=-1))
-
-
-def total_energy(scene: Scene, motion: Trajectory) -> Array:
-    """Over the ground [J], shape (trajectory, frame)."""
-    mechanism = Mechanism.of(scene)
-    turn = rotation.matrix(mechanism.native_rotation(motion.orientation))
-    spin = np.einsum("...ji,...j->...i", turn, motion.angular_velocity)
-    turning = np.einsum("...i,...ij,...j->...", spin, mechanism.inertia, spin)
-    moving = mechanism.mass * np.sum(motion.velocity**2, axis=-1)
-    falling = mechanism.mass * G * motion.position[..., 2]
-    return np.asarray(np.sum(0.5 * (moving + turning) + falling, axis=-1))

@@ -23,11 +23,11 @@ from mbds_xsim.scene import (
     ContactSphere,
     Ground,
     Inertia,
-    Particle,
     Scene,
     Torque,
 )
 from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.contact_cases import ball, crate, gaps
 
 pytest.importorskip("pybullet")
 
@@ -55,65 +55,6 @@ def simulate(scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
     return motion
 
 
-def ball(
-    *,
-    height: float = 0.0,
-    velocity: Vector = STILL,
-    spin: Vector = STILL,
-    ground: Ground | None = None,
-    steps: int = 50,
-) -> Scene:
-    centre = (0.0, 0.0, R + height)
-    body = Body("ball", (Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "probe",
-        (body,),
-        length=1.0,
-        contacts=(ContactSphere("ball", centre, R),),
-        ground=ground or Ground(MU, E),
-        clock=Clock(steps=steps),
-    )
-
-
-def crate(
-    *,
-    tilt: float = 0.0,
-    velocity: Vector = STILL,
-    height: float = 0.2 + R,
-    ground: Ground | None = None,
-    steps: int = 50,
-) -> Scene:
-    """A cube with a sphere at each corner, like the cubli's frame; `tilt` turns it about z."""
-    corners = [(x, y, z) for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.2, 0.2)]
-    turn = (math.cos(tilt / 2), 0.0, 0.0, math.sin(tilt / 2))
-    middle = np.array([0.0, 0.0, height])
-    placed = middle + rotation.rotate(np.array(turn), np.array(corners))
-    body = Body(
-        "crate",
-        inertia=Inertia(30.0, (1.5, 1.5, 1.5)),
-        position=(0.0, 0.0, height),
-        orientation=turn,
-        velocity=velocity,
-    )
-    return Scene(
-        "probe",
-        (body,),
-        length=0.4,
-        contacts=tuple(ContactSphere("crate", tuple(corner), R) for corner in placed),
-        ground=ground or Ground(MU, E),
-        clock=Clock(steps=steps),
-    )
-
-
-def bottoms(scene: Scene, motion: Trajectory) -> Array:
-    """Height of each sphere's lowest point [m], shape (trajectory, frame, sphere)."""
-    mechanism = Mechanism.of(scene)
-    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
-    arms = rotation.rotate(turn, mechanism.sphere_offset)
-    centres = motion.position[..., mechanism.sphere_body, :] + arms
-    return np.asarray(centres[..., 2] - mechanism.sphere_radius)
-
-
 def distance(one: Trajectory, other: Trajectory) -> Array:
     """Between the first bodies [m], shape (trajectory, frame)."""
     return np.asarray(np.linalg.norm(one.position - other.position, axis=-1)[..., 0])
@@ -126,7 +67,7 @@ def test_ballscroll_keeps_to_the_reference_at_every_interval(noise: bool) -> Non
     motion = matched(scene, batch)
     assert motion.failures == (None,) * 6
     assert distance(motion, reference.solve(scene, batch, cache=False)).max() < 6e-4
-    assert np.abs(bottoms(scene, motion)).max() < 1e-9
+    assert np.abs(gaps(scene, motion)).max() < 1e-9
 
 
 @pytest.mark.parametrize("noise", [False, True])
@@ -147,7 +88,7 @@ def test_balldrop_keeps_to_the_reference_through_its_bounces(noise: bool) -> Non
             for run in (motion, exact)
         ]
         assert np.abs(heights[0] / heights[1] - 1.0).max() < 3e-3
-    assert bottoms(scene, motion).min() > -1e-3
+    assert gaps(scene, motion).min() > -1e-3
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
@@ -223,9 +164,9 @@ def test_a_crate_slides_as_far_as_friction_lets_it(heading: float) -> None:
 
 
 def test_a_crate_comes_down_flat_and_rests_on_its_corners() -> None:
-    scene = crate(height=0.3 + R, ground=Ground(MU, 0.5), steps=200)
+    scene = crate(height=0.1, ground=Ground(MU, 0.5), steps=200)
     motion = simulate(scene, 50)
-    lowest = np.sort(bottoms(scene, motion)[0, -1])[:4]
+    lowest = np.sort(gaps(scene, motion)[0, -1])[:4]
     assert np.abs(lowest).max() < 1e-5
     assert np.abs(motion.velocity[0, -1]).max() < 1e-6
 
@@ -335,7 +276,7 @@ def test_drawn_cars_converge_and_do_not_depend_on_the_solvers_sweeps() -> None:
     assert np.abs(start.angular_velocity).max() > 80.0
     assert distance(start, more_sweeps).max() < 1e-4
     assert distance(start, finer).max() < 1e-3
-    assert bottoms(scene, start).min() > -1e-6
+    assert gaps(scene, start).min() > -1e-6
 
 
 def test_the_cubli_flies_as_the_reference_until_the_first_impact() -> None:
@@ -351,7 +292,7 @@ def test_the_cubli_flies_as_the_reference_until_the_first_impact() -> None:
             rotation.conjugate(exact.orientation[row, flight]), motion.orientation[row, flight]
         )
         assert np.linalg.norm(rotation.to_vector(turn), axis=-1).max() < 1e-3
-    assert bottoms(scene, motion).min() > -2e-3
+    assert gaps(scene, motion).min() > -2e-3
 
 
 def test_flight_exchanges_angular_momentum_and_keeps_its_sum() -> None:

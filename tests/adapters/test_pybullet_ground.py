@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import readback, rotation
+from mbds_xsim import readback
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.matched import settings_for
@@ -31,6 +31,7 @@ from mbds_xsim.scene import (
     Scene,
 )
 from mbds_xsim.state import Trajectory
+from mbds_xsim.testing.contact_cases import ball, gaps
 
 pybullet: Any = pytest.importorskip("pybullet")
 
@@ -51,35 +52,6 @@ def simulate(scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
         motion = run.rollout(batch)
     assert motion.failures == (None,)
     return motion
-
-
-def ball(
-    *,
-    height: float = 0.0,
-    velocity: Vector = STILL,
-    spin: Vector = STILL,
-    ground: Ground | None = None,
-    steps: int = 50,
-) -> Scene:
-    centre = (0.0, 0.0, R + height)
-    body = Body("ball", (Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "probe",
-        (body,),
-        length=1.0,
-        contacts=(ContactSphere("ball", centre, R),),
-        ground=ground or Ground(MU, E),
-        clock=Clock(steps=steps),
-    )
-
-
-def bottoms(scene: Scene, motion: Trajectory) -> Array:
-    """Height of each sphere's lowest point [m], shape (trajectory, frame, sphere)."""
-    mechanism = Mechanism.of(scene)
-    turn = mechanism.native_rotation(motion.orientation)[..., mechanism.sphere_body, :]
-    arms = rotation.rotate(turn, mechanism.sphere_offset)
-    centres = motion.position[..., mechanism.sphere_body, :] + arms
-    return np.asarray(centres[..., 2] - mechanism.sphere_radius)
 
 
 @pytest.mark.parametrize("name", CONTACT_SCENES)
@@ -107,7 +79,7 @@ def test_a_trajectory_does_not_depend_on_those_before_it(name: str) -> None:
     batch = draw_batch(scene, range(3)).truncated(60)
     with ENGINE.open(scene, Settings(METHOD, 1e-3)) as run:
         first, second, alone = run.rollout(batch), run.rollout(batch), run.rollout(batch[[2]])
-    assert (bottoms(scene, first).min(axis=(1, 2)) < 0.03).all()
+    assert (gaps(scene, first).min(axis=(1, 2)) < 0.03).all()
     for key in ("position", "orientation", "velocity", "angular_velocity"):
         assert np.array_equal(getattr(first, key), getattr(second, key))
         assert np.array_equal(getattr(first, key)[[2]], getattr(alone, key))
@@ -153,7 +125,7 @@ def test_a_sphere_off_the_centre_touches_where_it_is(part: str) -> None:
         clock=Clock(steps=50),
     )
     motion = simulate(scene, 200)
-    lowest = bottoms(scene, motion)[0, :, 0]
+    lowest = gaps(scene, motion)[0, :, 0]
     assert (np.diff(lowest) > 0).any()  # it has bounced
     assert -1e-3 < lowest.min() < 0.05
 
