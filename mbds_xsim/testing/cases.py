@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim import rotation
 from mbds_xsim.scene import (
     Body,
     Clock,
@@ -266,6 +267,47 @@ def _flywheel() -> Case:
     return Case("flywheel", "hinge torque and its reaction, fixed joint", scene, exact)
 
 
+def _spin_up_in_flight() -> Case:
+    """A tumbling body spins its flywheel up and itself back, about an axle that turns with it.
+
+    With moments alike about all axes the axle turns steadily about the angular momentum, as both
+    did at first; about the axle the bodies turn as in the plane.
+    """
+    torque, carrier, wheel, mass = 1.0, 0.4, 0.1, 2.0
+    axis, velocity = np.array([0.0, 0.6, 0.8]), np.array([1.0, -0.5, 2.0])
+    spin = np.array([4.0, 1.0, -2.0])
+    scene = Scene(
+        "spin-up in flight",
+        bodies=(
+            Body(
+                "carrier",
+                inertia=Inertia(mass, (carrier,) * 3),
+                velocity=(1.0, -0.5, 2.0),
+                angular_velocity=(4.0, 1.0, -2.0),
+            ),
+            Body("wheel", inertia=Inertia(mass, (wheel,) * 3)),
+        ),
+        joints=(
+            Joint("axle", "hinge", "carrier", "wheel", (0.0, 0.0, 0.0), (0.0, 0.6, 0.8), rate=0.0),
+        ),
+        torques=(Torque("axle", (torque,)),),
+        length=1.0,
+        clock=_CLOCK,
+    )
+
+    def exact(time: Array) -> Array:
+        path = time[:, None] * velocity - 0.5 * _G * time[:, None] ** 2 * [0, 0, 1]
+        return np.repeat(path[:, None], 2, axis=1)
+
+    def orientation(time: Array) -> Array:
+        angle = 0.5 * torque * time[:, None] ** 2 * [-1.0 / carrier, 1.0 / wheel]
+        about_axle = rotation.from_vector(angle[..., None] * axis)
+        return rotation.multiply(rotation.from_vector(time[:, None, None] * spin), about_axle)
+
+    verifies = "angular momentum that a hinge torque moves between free bodies"
+    return Case("spin-up in flight", verifies, scene, exact, orientation)
+
+
 def _parallelogram() -> Case:
     """Two equal cranks and a coupler that only translates: one pendulum, closed by a hinge."""
     crank, width, angle = 0.5, 0.8, 1.0
@@ -349,5 +391,6 @@ CASES: tuple[Case, ...] = (
     _slider(),
     _spring(),
     _flywheel(),
+    _spin_up_in_flight(),
     _parallelogram(),
 )
