@@ -86,6 +86,8 @@ class ContactContract:
         assert {0.0, 1.0} <= set(number[sure].tolist())
         assert np.all(np.abs(top - wanted)[sure] <= (1 + number[sure]) * off + 1e-5)
         assert height.min() >= -off
+        if restitution == 0.0:
+            assert np.abs(motion.velocity[0, -1]).max() <= _G * scales.time
 
     @pytest.mark.parametrize("restitution", RESTITUTIONS)
     def test_restitution_does_not_depend_on_the_speed(

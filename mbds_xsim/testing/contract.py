@@ -276,7 +276,7 @@ def _able(adapter: Adapter, scene: Scene) -> list[Method]:
 
 def _able_cases(adapter: Adapter) -> list[Case]:
     cases = [case for case in CASES if _able(adapter, case.scene)]
-    assert len(cases) >= len(CASES) // 2, "an engine that cannot run half of the ladder is no use"
+    assert len(cases) >= 2, "the suite compares two scenes: an engine must run two of the ladder"
     assert any(Feature.BALL in features_of(case.scene) for case in cases)
     return cases
 

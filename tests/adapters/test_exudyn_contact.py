@@ -25,7 +25,7 @@ from mbds_xsim.sampling_terms import HingeRate
 from mbds_xsim.scene import Clock, ContactSphere, Ground, Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.testing.contact_cases import RADIUS as R
-from mbds_xsim.testing.contact_cases import ball, gaps
+from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from mbds_xsim.testing.straight_car import straight_run
 
 pytest.importorskip("exudyn")
@@ -161,41 +161,11 @@ def test_laws_of_impact_give_what_they_are_asked_for(restitution: float) -> None
     assert impact.delivered(value) == pytest.approx(restitution, rel=1e-9)
 
 
-@pytest.mark.parametrize("heading", [(1.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5)), (-0.6, 0.8)])
-def test_slides_then_rolls_alike_in_every_direction(heading: tuple[float, float]) -> None:
-    along, across = np.array(heading), np.array([-heading[1], heading[0]])
-    scene = ball(velocity=(*(5.0 * along).tolist(), 0.0))
-    motion = alone(scene, careful(25, 6))
-    time, place = motion.time, motion.position[0, :, 0, :2]
+def test_slides_then_rolls_alike_in_every_direction() -> None:
+    case = rolling()
+    motion = rollout(case.scene, case.batch, careful(25, 6))
 
-    end = 2 * 5.0 / (7 * MU * G)
-    slid = 5.0 * time - 0.5 * MU * G * time**2
-    rolled = 5.0 * end - 0.5 * MU * G * end**2 + 25.0 / 7.0 * (time - end)
-    np.testing.assert_allclose(place @ along, np.where(time < end, slid, rolled), atol=3e-4)
-    assert np.abs(place @ across).max() < 1e-9
-    spin, velocity = motion.angular_velocity[0, -1, 0], motion.velocity[0, -1, 0]
-    assert np.linalg.norm(velocity[:2] - R * np.array([spin[1], -spin[0]])) < 2e-4
-
-
-def test_without_friction_nothing_turns() -> None:
-    scene = ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5))
-    motion = alone(scene, STIFF)
-
-    np.testing.assert_allclose(motion.velocity[0, :, 0, :2], [[3.0, 1.0]] * 51, atol=1e-9)
-    np.testing.assert_allclose(motion.angular_velocity[0, :, 0], [[0.0, 0.0, 4.0]] * 51, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", CONTACT_SCENES)
-@pytest.mark.parametrize("profile", ["native", "matched"])
-def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> None:
-    scene = load_scene(name)
-    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
-    with ENGINE.open(scene, settings) as run:
-        found, size = run.readback(batch), run.size
-
-    assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
-    assert size.contact_pairs == len(scene.contacts)
-    assert found.contact is not None
+    assert np.abs(motion.position - case.exact.position).max() < 3e-4
 
 
 def test_what_is_read_back_is_the_engines_own() -> None:
@@ -260,13 +230,9 @@ def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
 
 def test_a_cubli_laid_down_stays_where_it_is() -> None:
     """On four corners, with its flywheels at rest."""
-    scene = replaced(load_scene("simplecubli"), sampling=(), clock=Clock(steps=50))
-    batch = draw_batch(scene, [0], noise=False)
-    batch.position[..., 2] += 0.2 + R - 0.6
-    motion = rollout(scene, batch)
+    motion = alone(laid_cubli())
 
-    assert motion.failures == (None,)
-    assert np.abs(motion.position - batch.position[:, None]).max() < 1e-4
+    assert np.abs(motion.position - motion.position[:, :1]).max() < 1e-4
     assert np.abs(motion.velocity[:, -1]).max() < 5e-3
 
 
@@ -328,14 +294,6 @@ def test_a_sphere_that_sinks_into_soft_ground_is_a_failure() -> None:
     assert "in the ground" in failure.reason
     assert np.isnan(motion.position[0, failure.frame :]).all()
     alone(scene, STIFF)  # here it bounces
-
-
-def test_rows_do_not_touch_each_other() -> None:
-    scene = load_scene("balldrop")
-    batch = draw_batch(scene, [2, 0]).truncated(60)
-    with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
-        together, again = run.rollout(batch), run.rollout(batch[[1]])
-    np.testing.assert_array_equal(together.position[1], again.position[0])
 
 
 def test_only_contact_scenes_get_a_ground() -> None:

@@ -28,7 +28,7 @@ from mbds_xsim.scene import (
 )
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.testing.contact_cases import RADIUS as R
-from mbds_xsim.testing.contact_cases import ball, gaps
+from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 
 mujoco: Any = pytest.importorskip("mujoco")
 impact_law: Any = importlib.import_module("mbds_xsim_adapters._mujoco_impact").impact_law
@@ -99,41 +99,13 @@ def test_restitution_is_the_scenes_at_every_speed(restitution: float, speed: flo
     assert rebound / impact == pytest.approx(restitution, abs=2e-4 + G * 1e-4 / speed)
 
 
-@pytest.mark.parametrize("heading", [(1.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5)), (-0.6, 0.8)])
-def test_slides_then_rolls_alike_in_every_direction(heading: tuple[float, float]) -> None:
-    along, across = np.array(heading), np.array([-heading[1], heading[0]])
-    scene = ball(velocity=(*(5.0 * along).tolist(), 0.0))
-    motion = alone(scene)
-    time, place = motion.time, motion.position[0, :, 0, :2]
+def test_slides_then_rolls_alike_in_every_direction() -> None:
+    case = rolling()
+    motion = rollout(case.scene, case.batch)
 
-    end = 2 * 5.0 / (7 * MU * G)
-    slid = 5.0 * time - 0.5 * MU * G * time**2
-    rolled = 5.0 * end - 0.5 * MU * G * end**2 + 25.0 / 7.0 * (time - end)
-    np.testing.assert_allclose(place @ along, np.where(time < end, slid, rolled), atol=3e-4)
-    assert np.abs(place @ across).max() < 1e-12
-    spin, velocity = motion.angular_velocity[0, -1, 0], motion.velocity[0, -1, 0]
-    assert np.linalg.norm(velocity[:2] - R * np.array([spin[1], -spin[0]])) < 1e-5
-
-
-def test_without_friction_nothing_turns() -> None:
-    motion = alone(ball(0.3, (3.0, 1.0, 0.0), (0.0, 0.0, 4.0), ground=Ground(0.0, 0.5)))
-
-    np.testing.assert_allclose(motion.velocity[0, :, 0, :2], [[3.0, 1.0]] * 51, atol=1e-12)
-    np.testing.assert_allclose(motion.angular_velocity[0, :, 0], [[0.0, 0.0, 4.0]] * 51, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", CONTACT_SCENES)
-@pytest.mark.parametrize("profile", ["native", "matched"])
-def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> None:
-    scene = load_scene(name)
-    batch, settings = draw_batch(scene, [0]), settings_for(scene, ENGINE, profile)
-    with ENGINE.open(scene, settings) as run:
-        found, size = run.readback(batch), run.size
-
-    assert readback.compare(Mechanism.of(scene), batch, settings, found) == []
-    assert size.contact_pairs == len(scene.contacts)
-    assert found.contact is not None
-    assert np.isnan(found.contact[:, 2]).all()  # MuJoCo has no restitution
+    assert np.abs(motion.position - case.exact.position).max() < 3e-4
+    spin, velocity = motion.angular_velocity[:, -1, 0], motion.velocity[:, -1, 0]
+    assert np.abs(velocity + np.cross(spin, [0.0, 0.0, -R]))[:, :2].max() < 1e-5
 
 
 def test_what_is_read_back_is_the_engines_own() -> None:
@@ -142,6 +114,8 @@ def test_what_is_read_back_is_the_engines_own() -> None:
     with ENGINE.open(scene, settings) as run:
         found = run.readback(batch)
 
+    assert found.contact is not None
+    assert np.isnan(found.contact[:, 2]).all()  # MuJoCo has no restitution
     other = msgspec.structs.replace(scene, ground=Ground(0.185, 0.88))
     differences = readback.compare(Mechanism.of(other), batch, settings, found)
     assert [line.split()[0] for line in differences] == ["friction"]
@@ -225,14 +199,9 @@ def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
 
 def test_a_cubli_laid_down_stays_where_it_is() -> None:
     """On four corners, with its flywheels at rest."""
-    cubli = load_scene("simplecubli")
-    scene = msgspec.structs.replace(cubli, sampling=(), clock=Clock(steps=100))
-    batch = draw_batch(scene, [0], noise=False)
-    batch.position[..., 2] += 0.2 + R - 0.6
-    motion = rollout(scene, batch)
+    motion = alone(laid_cubli(100))
 
-    assert motion.failures == (None,)
-    assert np.abs(motion.position - batch.position[:, None]).max() < 2e-5
+    assert np.abs(motion.position - motion.position[:, :1]).max() < 2e-5
     assert np.abs(motion.velocity[:, -1]).max() < 2e-3
 
 

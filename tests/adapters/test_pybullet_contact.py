@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import msgspec
@@ -27,7 +26,7 @@ from mbds_xsim.scene import (
     Torque,
 )
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.testing.contact_cases import ball, crate, gaps
+from mbds_xsim.testing.contact_cases import ball, crate, gaps, rolling
 
 pytest.importorskip("pybullet")
 
@@ -91,45 +90,17 @@ def test_balldrop_keeps_to_the_reference_through_its_bounces(noise: bool) -> Non
     assert gaps(scene, motion).min() > -1e-3
 
 
-@pytest.mark.parametrize("heading", HEADINGS)
-@pytest.mark.parametrize(("speed", "share"), [(7.0, 0.0), (9.3, 0.4), (1.0, 2.5)])
-def test_a_ball_slides_then_rolls_alike_in_every_direction(
-    heading: float, speed: float, share: float
-) -> None:
-    along = np.array([math.cos(heading), math.sin(heading), 0.0])
-    spin = share * speed / R * np.array([-along[1], along[0], 0.0])
-    motion = simulate(ball(velocity=tuple(speed * along), spin=tuple(spin)), 40)
-    lag = speed * (1.0 - share)
-    end = 2.0 * abs(lag) / (7.0 * MU * G)
-    braking = math.copysign(MU * G, lag)
-    final = speed * (5.0 + 2.0 * share) / 7.0
-    time = motion.time
-    rolled = speed * end - 0.5 * braking * end**2 + final * (time - end)
-    path = np.where(time < end, speed * time - 0.5 * braking * time**2, rolled)
-    assert time[-1] > end
+def test_a_ball_slides_then_rolls_alike_in_every_direction() -> None:
+    case = rolling()
+    careful = ENGINE.settings(case.scene, "matched").options
+    with ENGINE.open(case.scene, Settings(METHOD, 5e-4, careful)) as run:
+        motion = run.rollout(case.batch)
     # Semi-implicit Euler is half a step of braking off.
-    lateness = 1.1 * end * MU * G * 5e-4 / 2 + 1e-5
-    np.testing.assert_allclose(
-        motion.position[0, :, 0, :2], path[:, None] * along[:2], atol=lateness
-    )
-    np.testing.assert_allclose(motion.velocity[0, -1, 0], final * along, atol=1e-6)
-    slip = motion.velocity[0, -1, 0] + np.cross(motion.angular_velocity[0, -1, 0], [0, 0, -R])
-    assert np.abs(slip).max() < 1e-6
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.5, E, 1.0])
-def test_a_ball_bounces_as_high_as_its_restitution_says(restitution: float) -> None:
-    height = 0.5
-    scene = ball(height=height, ground=Ground(MU, restitution), steps=75)
-    motion = simulate(scene, 200)
-    fall = math.sqrt(2 * height / G)
-    flights = fall * (1 + 2 * np.cumsum([0.0, *restitution ** np.arange(1.0, 6.0)]))
-    tops = (motion.position[0, :, 0, 2] - R) + motion.velocity[0, :, 0, 2] ** 2 / 2 / G
-    for k, (begin, end) in enumerate(itertools.pairwise(flights), 1):
-        flying = (motion.time > begin + 1e-3) & (motion.time < end - 1e-3)
-        assert np.all(np.abs(tops[flying] - height * restitution ** (2 * k)) < 3e-3 * height * k)
-    if restitution == 0.0:
-        assert np.abs(motion.velocity[0, -1]).max() < 1e-3
+    off = np.abs(motion.position - case.exact.position).max(axis=(0, 2, 3))
+    assert np.all(off <= 1.1 * case.drift * 5e-4 / 2 + 1e-5)
+    end, spin = motion.velocity[:, -1, 0], motion.angular_velocity[:, -1, 0]
+    np.testing.assert_allclose(end, case.exact.velocity[:, -1, 0], atol=1e-6)
+    assert np.abs(end + np.cross(spin, [0.0, 0.0, -R])).max() < 1e-6
 
 
 @pytest.mark.parametrize("speed", [1e-3, 0.02, 0.1, 1.0, 10.0])

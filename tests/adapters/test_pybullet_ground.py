@@ -72,19 +72,6 @@ def test_the_contact_is_read_back_as_the_scene_has_it(name: str, profile: Any) -
     )
 
 
-@pytest.mark.parametrize("name", CONTACT_SCENES)
-def test_a_trajectory_does_not_depend_on_those_before_it(name: str) -> None:
-    """Bullet keeps the points of contact from step to step."""
-    scene = load_scene(name)
-    batch = draw_batch(scene, range(3)).truncated(60)
-    with ENGINE.open(scene, Settings(METHOD, 1e-3)) as run:
-        first, second, alone = run.rollout(batch), run.rollout(batch), run.rollout(batch[[2]])
-    assert (gaps(scene, first).min(axis=(1, 2)) < 0.03).all()
-    for key in ("position", "orientation", "velocity", "angular_velocity"):
-        assert np.array_equal(getattr(first, key), getattr(second, key))
-        assert np.array_equal(getattr(first, key)[[2]], getattr(alone, key))
-
-
 @pytest.mark.parametrize("profile", ["native", "matched"])
 def test_where_a_ball_touched_before_is_forgotten(profile: Any) -> None:
     """Put back by a tenth of a radius, it would still have its old point in reach as a second."""
