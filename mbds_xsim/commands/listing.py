@@ -1,0 +1,106 @@
+"""`mbds-xsim engines`, `scenes` and `show`: what there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    SceneName,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    scene_named,
+    write_json,
+)
+from mbds_xsim.errors import InputError
+
+__all__ = ["engines", "scenes", "show"]
+
+
+@app.command()
+def engines(
+    json: JsonFile = None,
+    markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the page docs/engines.md instead.")
+    ] = False,
+) -> None:
+    """List the engines, their methods, and what each cannot do."""
+    from mbds_xsim.catalogue import engine_rows
+    from mbds_xsim.report.engines_page import engines_page
+    from mbds_xsim.report.lists import print_engines
+
+    if markdown and json:
+        msg = "engines gives one form at a time; choose one of --markdown and --json"
+        raise InputError(msg)
+    check_targets(json=json)
+    rows = engine_rows()
+    if markdown:
+        print(engines_page(rows), end="")
+    else:
+        print_engines(rows, console_for(json))
+    write_json(encoded(rows), json)
+
+
+@app.command()
+def scenes(json: JsonFile = None) -> None:
+    """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
+    from mbds_xsim.catalogue import scene_rows
+    from mbds_xsim.report.lists import print_scenes
+
+    check_targets(json=json)
+    rows = scene_rows()
+    print_scenes(rows, console_for(json))
+    write_json(encoded(rows), json)
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim show 3ladder --png ladder.png  ·  "
+    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml"
+)
+def show(
+    scene: SceneName,
+    toml: Annotated[bool, typer.Option("--toml", help="Print it as a scene file.")] = False,
+    native: Annotated[
+        str | None,
+        typer.Option(metavar="ENGINE", help="Print exactly what this engine is given."),
+    ] = None,
+    settings: Annotated[str, typer.Option(help="With --native: matched or native.")] = "matched",
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw it into a file.")] = None,
+    start: Annotated[
+        int | None,
+        typer.Option(
+            help="With --png: the start of this trajectory; else the reference pose.", min=0
+        ),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Say what a scene is and needs, draw it, or print what an engine is given."""
+    from mbds_xsim.catalogue import native_text, scene_row
+    from mbds_xsim.report.lists import print_scene
+    from mbds_xsim.scene_file import write_scene
+
+    if sum(map(bool, (toml, native, json))) > 1:
+        msg = "show gives one form at a time; choose one of --toml, --native and --json"
+        raise InputError(msg)
+    if start is not None and png is None:
+        msg = f"--start: got {start} without --png; it says which start is drawn, add --png FILE"
+        raise InputError(msg)
+    check_targets(json=json, png=png)
+    loaded = scene_named(scene)
+    if png is not None:
+        from mbds_xsim.report.draw import draw_scene
+
+        draw_scene(loaded, png, start=start)
+    if native is not None:
+        print(native_text(loaded, native, settings))
+    elif toml:
+        print(write_scene(loaded), end="")
+    else:
+        row = scene_row(loaded)
+        print_scene(loaded, row, console_for(json))
+        write_json(encoded(row), json)

@@ -1,0 +1,101 @@
+"""What the commands share: their common options, and where they read, tell and write.
+
+Every command imports what it needs when it runs: `--help` stays quick.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbds_xsim.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from mbds_xsim.report.progress import ProgressBar
+    from mbds_xsim.scene import Scene
+
+__all__ = [
+    "JsonFile",
+    "SceneName",
+    "app",
+    "check_targets",
+    "console_for",
+    "encoded",
+    "progress_on",
+    "scene_named",
+    "write_json",
+]
+
+app = typer.Typer(
+    name="mbds-xsim",
+    help="Multibody simulation data you can trust: one scene, four engines, cross-checked.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A built-in name, a family with a size, or a file.")
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
+]
+
+
+def scene_named(name: str) -> Scene:
+    """Load a built-in scene, a family at a size, or a file."""
+    from mbds_xsim.registry import load_scene
+
+    return load_scene(name)
+
+
+def console_for(json: Path | None) -> Console:
+    """Where people read: standard output, or standard error when JSON goes there."""
+    from rich.console import Console
+
+    return Console(stderr=json is not None and str(json) == "-")
+
+
+def progress_on(console: Console) -> ProgressBar:
+    """Give the bar of long work."""
+    from mbds_xsim.report.progress import ProgressBar
+
+    return ProgressBar(console)
+
+
+def check_targets(**paths: Path | None) -> None:
+    """Refuse, before long work, to write where nothing can be written."""
+    from mbds_xsim.write import check_writable
+
+    files = {option: path for option, path in paths.items() if path is not None}
+    if str(files.get("json")) == "-":
+        del files["json"]
+    for option, path in files.items():
+        check_writable(path, f"--{option}")
+    if len({path.absolute() for path in files.values()}) < len(files):
+        msg = f"{' and '.join(f'--{option}' for option in files)} both name {path}; give two files"
+        raise InputError(msg)
+
+
+def write_json(text: bytes, path: Path | None) -> None:
+    """Write where `--json` says, whole or not at all."""
+    if path is None:
+        return
+    if str(path) == "-":
+        print(text.decode())
+        return
+    from mbds_xsim.write import write_whole
+
+    write_whole(path, text + b"\n")
+
+
+def encoded(value: object) -> bytes:
+    """Give JSON that people can read too."""
+    import msgspec
+
+    return msgspec.json.format(msgspec.json.encode(value), indent=2)

@@ -1,0 +1,93 @@
+"""`mbds-xsim validate`: the main job."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    SceneName,
+    app,
+    check_targets,
+    console_for,
+    progress_on,
+    scene_named,
+    write_json,
+)
+
+__all__ = ["validate"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim validate 3ladder  ·  mbds-xsim validate my.toml --engines mujoco"
+)
+def validate(
+    scene: SceneName,
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    settings: Annotated[
+        str, typer.Option(help="matched, native, or both side by side (matched,native).")
+    ] = "matched",
+    trajectories: Annotated[
+        int, typer.Option(help="Starts of each interval.", min=1, max=10_000)
+    ] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    method: Annotated[
+        str | None, typer.Option(help="Step with this method, with --engines of one engine.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Step [s], a divisor of the frame interval.")
+    ] = None,
+    noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
+    inputs: Annotated[bool, typer.Option(help="Drawn inputs: wind, drives.")] = True,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the table as Markdown.")
+    ] = None,
+) -> None:
+    """Run a scene in all engines, check every trajectory, and tell which to trust."""
+    from mbds_xsim.report.terminal import print_table
+    from mbds_xsim.result import to_json
+    from mbds_xsim.validate import Choice, validate_with_evidence
+
+    console = console_for(json)
+    choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
+    check_targets(json=json, html=html, markdown=markdown)
+    with progress_on(console) as progress:
+        validation, evidence = validate_with_evidence(
+            scene_named(scene),
+            choice=choice,
+            trajectories=trajectories,
+            seed=seed,
+            noise=noise,
+            inputs=inputs,
+            cache=cache,
+            workers=workers,
+            progress=progress,
+            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+        )
+    print_table(validation, console)
+    if html is not None:
+        from mbds_xsim.report.page import write_page
+
+        write_page(validation, evidence, html)
+        console.print(f"page: {html}")
+    if markdown is not None:
+        from mbds_xsim.report.markdown import to_markdown
+        from mbds_xsim.write import write_whole
+
+        write_whole(markdown, to_markdown(validation).encode())
+    write_json(to_json(validation), json)
+    raise typer.Exit(0 if validation.verdict != "fail" else 1)
