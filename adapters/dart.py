@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.engine import (
+    LOOPS,
     Adapter,
     Feature,
     Method,
@@ -21,6 +22,7 @@ from mbds_xsim.engine import (
     Readback,
     Run,
     Settings,
+    Sweep,
 )
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.joint_space import BodyStates
@@ -104,6 +106,10 @@ class Dart(Adapter):
             "what solves contacts: dantzig (friction bounded by a box along x and y, "
             "DART's own choice) or nsgs (a round cone)",
         ),
+    }
+    sweeps: ClassVar[Mapping[str, Sweep]] = {
+        _ERROR_REDUCTION: Sweep((0.01, 0.2, 0.8), needs=LOOPS),
+        _FRICTION: Sweep(tuple(SOLVERS), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",

@@ -16,6 +16,7 @@ from mbds_xsim.engine import (
     Profile,
     Run,
     Settings,
+    Sweep,
 )
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.mechanism import Mechanism
@@ -96,6 +97,13 @@ class Exudyn(Adapter):
         "slip_speed": Option(
             1e-2, "[m/s]: below it friction is proportional to the slip, above it Coulomb's"
         ),
+    }
+    sweeps: ClassVar = {
+        "spectral_radius": Sweep((0.5, 1.0), methods=("generalised-alpha",)),
+        "modified_newton": Sweep((True, False), methods=("trapezoidal", "generalised-alpha")),
+        "contact_substeps": Sweep((5, 50), needs=frozenset({Feature.CONTACT})),
+        "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
+        "slip_speed": Sweep((1e-3, 1e-1), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar[dict[Feature, str]] = {}
     coordinates = "maximal"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import (
+    LOOPS,
     Adapter,
     ContactScales,
     Feature,
@@ -25,6 +26,7 @@ from mbds_xsim.engine import (
     Readback,
     Run,
     Settings,
+    Sweep,
 )
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
@@ -93,6 +95,13 @@ class MuJoCo(Adapter):
             "around the centres of mass of free bodies, the others",
         ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
+    }
+    sweeps: ClassVar = {
+        "loop_time_constant": Sweep((0.0, 1.5, 6.0), needs=LOOPS),
+        "link_time_constant": Sweep((0.0, 3.0), needs=frozenset({Feature.DISTANCE_LINK})),
+        "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
+        "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
+        "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK, Feature.CONTACT}),
     }
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import (
+    LOOPS,
     Adapter,
     Feature,
     Method,
@@ -20,6 +21,7 @@ from mbds_xsim.engine import (
     Readback,
     Run,
     Settings,
+    Sweep,
 )
 from mbds_xsim.errors import InputError
 from mbds_xsim.joint_space import BodyStates
@@ -94,6 +96,11 @@ class PyBullet(Adapter):
         "bounce_threshold": Option(0.0, "slowest approach that bounces [m/s]; 0: 4 steps' fall"),
         "contact_reach": Option(1e-6, "gap from which on a contact acts [m]"),
         "contact_slop": Option(0.0, "overlap with the ground that counts as none [m]"),
+    }
+    sweeps: ClassVar[Mapping[str, Sweep]] = {
+        "solver_iterations": Sweep((3, 10, 50, 200), needs=LOOPS | {Feature.CONTACT}),
+        "erp": Sweep((0.2, 1.0), needs=LOOPS),
+        "contact_recovery": Sweep((0.1, 10.0), needs=frozenset({Feature.CONTACT})),
     }
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",

@@ -19,6 +19,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
 __all__ = [
+    "LOOPS",
     "Adapter",
     "ContactScales",
     "Feature",
@@ -28,6 +29,7 @@ __all__ = [
     "Readback",
     "Run",
     "Settings",
+    "Sweep",
     "features_of",
 ]
 
@@ -57,6 +59,10 @@ class Feature(Enum):
     HINGE_TORQUE = "hinge torque"
     FULL_INERTIA = "inertia not along the body frame"
     CONTACT = "sphere on the ground"
+
+
+LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
+"""Every way of closing a loop."""
 
 
 def features_of(scene: Scene) -> frozenset[Feature]:
@@ -130,6 +136,17 @@ class Option:
 
     default: float | int | bool | str
     meaning: str
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Values of an option that are worth trying, one at a time, in place of the one in use."""
+
+    values: tuple[float | int | bool | str, ...]
+    methods: tuple[str, ...] = ()
+    """Methods that the option acts on; all where none is named."""
+    needs: frozenset[Feature] = frozenset()
+    """The option acts where a scene needs any of these; everywhere where none is named."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +253,8 @@ class Adapter(ABC):
     methods: ClassVar[Mapping[str, Method]]
     """By name; the first is the one `matched` prefers."""
     options: ClassVar[Mapping[str, Option]]
+    sweeps: ClassVar[Mapping[str, Sweep]] = {}
+    """By option: what trade-off charts try. Options that decide between speed and accuracy."""
     limits: ClassVar[Mapping[Feature, str]]
     """Features that the engine cannot represent, with the reason."""
     coordinates: ClassVar[Literal["reduced", "maximal"]]
