@@ -1,0 +1,1 @@
+"""Studies: what engines do, measured on purpose-made scenes and written into the docs."""

@@ -1,0 +1,156 @@
+"""An engine at the settings of a built-in scene, put to other scenes on the same ground."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.engine import Profile, Settings
+from mbds_xsim.matched import settings_for
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import (
+    GRAVITY,
+    PARTICLE_RADIUS,
+    Body,
+    Clock,
+    ContactSphere,
+    Ground,
+    Inertia,
+    Particle,
+    Scene,
+)
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["FRICTION", "PULL", "RADIUS", "RESTITUTION", "Bench", "Measured", "ball", "crate"]
+
+Array = NDArray[np.float64]
+
+PULL = -GRAVITY[2]
+RADIUS = PARTICLE_RADIUS
+FRICTION, RESTITUTION = 0.43, 0.9332
+_HALF_EDGE, _CRATE_MASS = 0.2, 30.0
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """One figure of an engine at one profile."""
+
+    engine: str
+    profile: Profile
+    quantity: str
+    unit: str
+    """"1" for a plain number."""
+    value: float | None
+    """None where there is none; the note says why."""
+    at: dict[str, float] = {}
+    """Under which conditions, SI units."""
+    low: float | None = None
+    """Of several starts: the smallest; the value is their median then."""
+    high: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """An engine at a profile."""
+
+    engine: str
+    profile: Profile
+    like: str
+    """The built-in scene whose settings are taken, whatever is run."""
+
+    @property
+    def settings(self) -> Settings:
+        """What the engine gets."""
+        return settings_for(load_scene(self.like), load_adapter(self.engine), self.profile)
+
+    @property
+    def lag(self) -> float:
+        """Recorded velocities belong to frame time + lag [s]."""
+        settings = self.settings
+        return load_adapter(self.engine).methods[settings.method].velocity_lag * settings.step
+
+    def clock(self, frame: float, duration: float) -> Clock:
+        """Record whole steps, about a frame [s] apart and never less than one, for a time [s]."""
+        step = self.settings.step
+        whole = step * max(1, round(frame / step))
+        return Clock(whole, math.ceil(duration / whole))
+
+    def motion(self, scene: Scene, batch: Batch) -> Trajectory:
+        """Let the engine run a batch; velocities are as recorded."""
+        with load_adapter(self.engine).open(scene, self.settings) as run:
+            return run.rollout(batch)
+
+    def measured(
+        self,
+        quantity: str,
+        unit: str,
+        values: Array | float | None,
+        at: dict[str, float] | None = None,
+        note: str = "",
+    ) -> Measured:
+        """Put a figure down; of several the median, NaN passed over."""
+        known = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
+        known = known[np.isfinite(known)]
+        several = len(known) > 1
+        return Measured(
+            self.engine,
+            self.profile,
+            quantity,
+            unit,
+            float(np.median(known)) if len(known) else None,
+            at or {},
+            low=float(known.min()) if several else None,
+            high=float(known.max()) if several else None,
+            note=note if len(known) else note or "not seen",
+        )
+
+
+def ball(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
+    """Make one particle and its starts, fields of shape (row, 3); at rest on the ground if none."""
+    centre = (0.0, 0.0, RADIUS)
+    scene = Scene(
+        "ball",
+        (Body("ball", particles=(Particle(centre),)),),
+        length=1.0,
+        contacts=(ContactSphere("ball", centre, RADIUS),),
+        ground=ground,
+        clock=clock,
+    )
+    return scene, _started(scene, start)
+
+
+def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
+    """Make a cube with a contact sphere at each corner and its starts; at rest on four if none."""
+    middle = (0.0, 0.0, _HALF_EDGE + RADIUS)
+    corners = np.array(list(product((-_HALF_EDGE, _HALF_EDGE), repeat=3))) + middle
+    moment = _CRATE_MASS * (2.0 * _HALF_EDGE) ** 2 / 6.0
+    body = Body("crate", inertia=Inertia(_CRATE_MASS, (moment,) * 3), position=middle)
+    scene = Scene(
+        "crate",
+        (body,),
+        length=0.4,
+        contacts=tuple(ContactSphere("crate", (x, y, z), RADIUS) for x, y, z in corners.tolist()),
+        ground=ground,
+        clock=clock,
+    )
+    return scene, _started(scene, start)
+
+
+def _started(scene: Scene, start: dict[str, Array]) -> Batch:
+    """Start as many rows as are given; a force is held throughout."""
+    rows = len(next(iter(start.values()))) if start else 1
+    batch = draw_batch(scene, range(rows), noise=False)
+    fields: dict[str, Any] = {key: value[:, None] for key, value in start.items()}
+    if "force" in fields:
+        fields["force"] = np.broadcast_to(fields["force"][:, None], batch.force.shape).copy()
+    if "position" in fields:
+        fields["position"] = batch.position + fields["position"]
+    return dataclasses.replace(batch, **fields)

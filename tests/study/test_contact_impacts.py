@@ -1,0 +1,45 @@
+"""The study of contact measures what is known beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mbds_xsim.engine import Adapter
+from mbds_xsim.study.contact_bench import PULL, Bench
+from mbds_xsim.study.contact_impacts import rebounds
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_matched_engines_give_back_what_is_asked(adapter: Adapter, restitution: float) -> None:
+    """Within the scene's budget, and what gravity does in the time that an impact takes."""
+    bench = Bench(adapter.name, "matched", "balldrop")
+    time = adapter.contact_scales(bench.settings).time
+
+    kept, duration, _ = rebounds(bench, restitution, 2.0)
+
+    assert np.abs(kept - restitution).max() <= 0.01 + 2.0 * PULL * time / 2.0
+    bounced = np.isfinite(duration)
+    assert bounced.all() == (restitution > 0.0)
+    assert np.all(duration[bounced] <= 3.0 * max(time, bench.settings.step))
+
+
+def test_the_default_contact_of_mujoco_knows_no_restitution() -> None:
+    pytest.importorskip("mujoco")
+
+    kept, _, _ = rebounds(Bench("mujoco", "native", "balldrop"), 1.0, 1.0)
+
+    np.testing.assert_array_equal(kept, 0.0)
+
+
+def test_the_arrival_is_where_and_as_fast_as_asked() -> None:
+    """Seen in an engine of impulses: what comes back does so within a step of the touch."""
+    pytest.importorskip("dartpy")
+    bench = Bench("dart", "native", "balldrop")
+    gravity_in_a_step = PULL * bench.settings.step
+
+    kept, duration, motion = rebounds(bench, 1.0, 5.0)
+
+    np.testing.assert_allclose(kept, 1.0 + gravity_in_a_step / 5.0, atol=2e-4)
+    assert np.all((duration >= -1e-9) & (duration <= 2.0 * bench.settings.step))
+    assert motion.failures == (None,) * len(motion)
