@@ -79,6 +79,10 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
         energy_balance=_worst_of(findings, "energy") or 0.0,
         cached=reference.cached,
         wall_s=reference.wall_s,
+        known_s=tuple(
+            end.time if isinstance(end, FirstImpact) else None
+            for end in reference.trajectory.failures
+        ),
     )
 
 

@@ -95,6 +95,8 @@ class ReferenceResult(msgspec.Struct, frozen=True):
     cached: int
     """Trajectories that came from the cache."""
     wall_s: float
+    known_s: tuple[float | None, ...] = ()
+    """First impact that leaves no unique solution, one a trajectory [s]; None: no such one."""
 
 
 class EnsembleResult(msgspec.Struct, frozen=True):

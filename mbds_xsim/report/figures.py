@@ -12,11 +12,19 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from mbds_xsim.report import quantity, summary
+from mbds_xsim.report.contact import Contact
 from mbds_xsim.report.palette import LIGHT, Style
 from mbds_xsim.result import EngineResult, Evidence, Validation
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["check_series", "consistency", "error_growth", "matrix", "plotted_checks"]
+__all__ = [
+    "check_series",
+    "consistency",
+    "error_growth",
+    "matrix",
+    "plotted_checks",
+    "restitution",
+]
 
 Array = NDArray[np.float64]
 
@@ -36,11 +44,12 @@ def error_growth(
     validation: Validation, evidence: Evidence, styles: tuple[Style, ...]
 ) -> list[tuple[str, Markup]]:
     """Plot error against time, worst of each sampling interval: interval and figure."""
+    known = np.any(_known(evidence)[:, 1:], axis=1)
     of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return [
         (interval, _error_figure(validation, evidence, styles, rows))
         for interval in INTERVALS
-        if (rows := [row for row, name in enumerate(of_row) if name == interval])
+        if (rows := [k for k, name in enumerate(of_row) if name == interval and known[k]])
     ]
 
 
@@ -65,6 +74,8 @@ def check_series(
         for place, (series, style) in enumerate(zip(evidence.series, styles, strict=True)):
             if check in series:
                 _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
+        for first in summary.ends(validation)[:1]:
+            axes.axvline(first, color=_GREY, linewidth=0.9)
         for budget in sorted({f.budget for f in findings if f.budget}):
             _level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
         _log_axis(axes, "" if unit in ("", "1") else unit)
@@ -72,16 +83,21 @@ def check_series(
     return _figure(f"{check} over time", draw)
 
 
-def matrix(validation: Validation, styles: tuple[Style, ...]) -> Markup:
-    """Draw the distances between all pairs as a heat map with its numbers."""
+def matrix(validation: Validation, styles: tuple[Style, ...]) -> Markup | None:
+    """Draw the distances between all pairs as a heat map with its numbers; None without pairs."""
     values = np.array(validation.matrix_m, dtype=np.float64)
-    count = len(values)
-    shown = np.where(np.eye(count, dtype=bool) | ~np.isfinite(values), np.nan, values)
-    colours = [*(LIGHT[style.colour] for style in styles), _INK]
+    off = np.where(np.eye(len(values), dtype=bool) | ~np.isfinite(values), np.nan, values)
+    kept = np.flatnonzero(np.isfinite(off).any(axis=0))
+    if not len(kept):
+        return None
+    names, shown, count = [validation.names[k] for k in kept], off[np.ix_(kept, kept)], len(kept)
+    of_engine = {
+        summary.label(result): LIGHT[style.colour]
+        for result, style in zip(validation.engines, styles, strict=True)
+    }
+    colours = [of_engine.get(name, _INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
-    return _figure(
-        "distances between all pairs", lambda a: _heat(a, validation, shown, colours), size
-    )
+    return _figure("distances between all pairs", lambda a: _heat(a, names, shown, colours), size)
 
 
 def consistency(validation: Validation, styles: tuple[Style, ...]) -> Markup | None:
@@ -116,6 +132,54 @@ def consistency(validation: Validation, styles: tuple[Style, ...]) -> Markup | N
     return _figure("consistency over its budget", draw, (7.2, 1.3 + 0.34 * len(rows)))
 
 
+def restitution(
+    validation: Validation,
+    evidence: Evidence,
+    styles: tuple[Style, ...],
+    contacts: tuple[Contact | None, ...],
+) -> Markup | None:
+    """Plot what single impacts deliver over their speed; None where there are none.
+
+    Args:
+        validation: With the budget of balls.
+        evidence: With the scene's coefficient.
+        styles: Of the engine results.
+        contacts: Of the reference, then of the engine results.
+    """
+    ground = evidence.scene.ground
+    met = [None if contact is None else _impacts(contact) for contact in contacts]
+    if ground is None or not any(speed.size for speed, _ in filter(None, met)):
+        return None
+
+    def draw(axes: Any) -> None:
+        for place, (found, style) in enumerate(zip(met, (None, *styles), strict=True)):
+            if found is not None:
+                colour = _INK if style is None else LIGHT[style.colour]
+                hollow = style is None or style.dashed
+                (marks,) = axes.plot(
+                    *found, "os^Dvp"[place % 6], color=colour, ms=9 if style is None else 5,
+                    mfc="none" if hollow else colour, mew=1.1, alpha=0.85,
+                )  # fmt: skip
+                if style is not None:
+                    marks.set_gid(f"result-{place - 1}")
+        _level(axes, ground.restitution, f"the scene has {ground.restitution:.4f}")
+        allowed = validation.budget["restitution"]
+        for value in (ground.restitution - allowed, ground.restitution + allowed):
+            axes.axhline(value, color=_GREY, linewidth=0.9)
+        axes.set_xlabel("speed of impact [m/s]")
+        axes.set_ylabel("speed after over before")
+        axes.margins(x=0.06, y=0.15)
+
+    return _figure("restitution delivered", draw)
+
+
+def _impacts(contact: Contact) -> tuple[Array, Array]:
+    """Speeds of single impacts, and what part of them is left after."""
+    arriving = np.concatenate([episode.arriving for episode in contact.episodes])
+    leaving = np.concatenate([episode.leaving for episode in contact.episodes])
+    return arriving, leaving / arriving
+
+
 def _error_figure(
     validation: Validation, evidence: Evidence, styles: tuple[Style, ...], rows: list[int]
 ) -> Markup:
@@ -130,9 +194,27 @@ def _error_figure(
         _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
         if judged_at_1s and time[-1] >= 1.0:
             axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=_INK, ms=7)
+        _no_solution(axes, time, _known(evidence)[rows])
         _log_axis(axes, "RMS particle error [m]")
 
     return _figure("error growth", draw)
+
+
+def _known(evidence: Evidence) -> NDArray[np.bool_]:
+    """Frames for which there is a reference, shape (trajectory, frame)."""
+    return np.asarray(np.isfinite(evidence.reference.position).all(axis=(2, 3)))
+
+
+def _no_solution(axes: Any, time: Array, known: NDArray[np.bool_]) -> None:
+    """Hatch what lies beyond the first impact of the first trajectory that has one."""
+    last = int(known.sum(axis=1).min()) - 1
+    if last + 1 < len(time):
+        axes.axvspan(time[last], time[-1], facecolor="none", edgecolor=_GREY, alpha=0.3, hatch="//")
+        axes.annotate(
+            "beyond the first impact:\nno unique solution", (0.98, 0.06), xycoords="axes fraction",
+            ha="right", fontsize=8, color=_INK,
+            bbox={"facecolor": _PAPER, "alpha": 0.85, "edgecolor": "none", "pad": 2},
+        )  # fmt: skip
 
 
 def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> None:
@@ -198,7 +280,7 @@ def _cut_off_starts(axes: Any) -> None:
         axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(seen, 0.02))))
 
 
-def _heat(axes: Any, validation: Validation, shown: Array, colours: list[str]) -> None:
+def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None:
     logs = np.log10(np.where(shown > 0, shown, np.nan))
     image = axes.pcolormesh(logs, cmap="cividis", edgecolor="none")
     image.set_rasterized(False)
@@ -210,8 +292,8 @@ def _heat(axes: Any, validation: Validation, shown: Array, colours: list[str]) -
         axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=8, color=colour)
     ticks = np.arange(len(shown)) + 0.5
     axes.xaxis.tick_top()
-    axes.set_xticks(ticks, [name.replace(" ", "\n") for name in validation.names], fontsize=8)
-    axes.set_yticks(ticks, validation.names, fontsize=8)
+    axes.set_xticks(ticks, [name.replace(" ", "\n") for name in names], fontsize=8)
+    axes.set_yticks(ticks, names, fontsize=8)
     for labels in (axes.get_xticklabels(), axes.get_yticklabels()):
         for label, colour in zip(labels, colours, strict=True):
             label.set_color(colour)

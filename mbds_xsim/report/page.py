@@ -9,7 +9,16 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbds_xsim.report import animation, figures, palette, quantity, summary
+from mbds_xsim.report import (
+    animation,
+    contact_table,
+    figures,
+    palette,
+    quantity,
+    summary,
+    timeline,
+)
+from mbds_xsim.report.contact import contacts_of
 from mbds_xsim.report.palette import Style
 from mbds_xsim.result import Evidence, Validation
 from mbds_xsim.write import write_whole
@@ -27,6 +36,11 @@ def write_page(validation: Validation, evidence: Evidence, path: Path) -> None:
     """
     styles = palette.styles(validation.engines)
     names = tuple(summary.label(result) for result in validation.engines)
+    viewer = animation.pack(evidence, names, styles)
+    contacts = contacts_of(evidence)
+    count = len(viewer["trajectories"])
+    if contacts:
+        viewer["contact"] = timeline.pack(validation, evidence, contacts, count)
     page = (
         _environment()
         .get_template("page.html")
@@ -41,7 +55,12 @@ def write_page(validation: Validation, evidence: Evidence, path: Path) -> None:
             odd_one_out=summary.odd_one_out(validation),
             reference=summary.reference_line(validation),
             intervals=_intervals(evidence),
-            viewer=animation.pack(evidence, names, styles),
+            viewer=viewer,
+            contact_tables=contact_table.tables(contacts, count),
+            lanes=timeline.lanes(evidence) if contacts else "",
+            ends=summary.ends(validation),
+            restitution=figures.restitution(validation, evidence, styles, contacts),
+            ground=evidence.scene.ground,
             growth=figures.error_growth(validation, evidence, styles),
             checks=list(_check_figures(validation, evidence, styles)),
             matrix=figures.matrix(validation, styles),

@@ -14,6 +14,7 @@ __all__ = [
     "Cell",
     "Column",
     "conclusion",
+    "ends",
     "label",
     "odd_one_out",
     "reference_line",
@@ -61,12 +62,34 @@ def reference_line(validation: Validation) -> str:
     if reference is None:
         return "none: results are compared with each other only"
     cached = f", {reference.cached} from the cache" if reference.cached else ""
+    if _unknown(validation):
+        return "none: the scene starts in contact, which has no unique solution"
     return (
         f"relative tolerance {reference.rtol:.0e}, "
         f"constraint gap {quantity.length(reference.constraint_gap_m)}, "
         f"energy balance {quantity.number(reference.energy_balance)}, "
-        f"made in {quantity.span(reference.wall_s)}{cached}"
+        f"made in {quantity.span(reference.wall_s)}{cached}{_until(validation)}"
     )
+
+
+def _until(validation: Validation) -> str:
+    times = ends(validation)
+    if not times:
+        return ""
+    first, last = (f"{time:.2f}" for time in (times[0], times[-1]))
+    return f"; up to the first impact, at {first if first == last else f'{first} to {last}'} s"
+
+
+def _unknown(validation: Validation) -> bool:
+    """Whether there is no reference from the start on."""
+    reference = validation.reference
+    return reference is not None and {0.0} == set(reference.known_s)
+
+
+def ends(validation: Validation) -> list[float]:
+    """First impacts that leave no unique solution, of the trajectories that have one [s]."""
+    known = () if validation.reference is None else validation.reference.known_s
+    return sorted(time for time in known if time is not None)
 
 
 def odd_one_out(validation: Validation) -> str:
@@ -133,15 +156,20 @@ def _error_1s(result: EngineResult, validation: Validation) -> Cell:
 
 
 def _error_max(result: EngineResult, validation: Validation) -> Cell:
+    if _unknown(validation):
+        return Cell(quantity.NONE)
     # What chaos explains is no fault: the error over the growth is what the verdict takes.
     budget = _budget(validation, "error", validation.length_m)
     return Cell(quantity.length(result.error_max_m), _over(result.error_weighted_m, budget))
 
 
-def _agreement(result: EngineResult, _: Validation) -> Cell:
-    if result.agreement_time_s is None:
-        return Cell("always" if result.error_max_m is not None else quantity.NONE)
-    return Cell(f"{result.agreement_time_s:.2f} s")
+def _agreement(result: EngineResult, validation: Validation) -> Cell:
+    if result.agreement_time_s is not None:
+        return Cell(f"{result.agreement_time_s:.2f} s")
+    if result.error_max_m is None or _unknown(validation):
+        return Cell(quantity.NONE)
+    times = ends(validation)
+    return Cell(f"≥{times[0]:.2f} s" if times else "always")
 
 
 COLUMNS = (
