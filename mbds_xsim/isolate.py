@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ class Crash:
     reason: str
     refused: bool = False
     """The task was refused by an `InputError`, whose text is the reason."""
+    timed_out: bool = field(default=False, compare=False)
+    """The task was ended at its time limit."""
 
 
 def core_count() -> int:
@@ -144,7 +146,7 @@ class _Process:
 
     def answer(self) -> Any:
         if not self._answer.exists():
-            return Crash(self._last_words())
+            return Crash(self._last_words(), timed_out=self._timed_out)
         kind, value = pickle.loads(self._answer.read_bytes())
         return value if kind == "done" else Crash(value, refused=kind == "input error")
 

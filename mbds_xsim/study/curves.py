@@ -1,0 +1,139 @@
+"""From raw rows to points, curves, the front and the cost of an accuracy."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
+import numpy as np
+
+from mbds_xsim import registry
+from mbds_xsim.scene import Scene
+from mbds_xsim.study.explore import Found
+from mbds_xsim.study.pareto import cost_at, front, order_of
+from mbds_xsim.study.rows import CurveResult, Point, Ratio, Row
+from mbds_xsim.study.sweep import Curve
+
+__all__ = ["curve_results", "point_of", "ratios_of"]
+
+_FLOOR = 1e-9
+"""Errors up to this are the reference's, over the scene's length."""
+
+
+def curve_results(scene: Scene, curves: Sequence[Curve], found: Found) -> tuple[CurveResult, ...]:
+    """Put the rows of all curves together."""
+    listed = [
+        _curve_result(scene, curve, [point_of(rows) for rows in points])
+        for curve, points in zip(curves, found, strict=True)
+    ]
+    return _with_front(listed, _FLOOR * scene.length)
+
+
+def point_of(rows: Sequence[Row]) -> Point:
+    """Put the starts of one setting together: the median of the time, the worst of the rest."""
+    first = rows[0]
+    bad = next((row for row in rows if row.kind != "done"), None)
+    plain = Point(
+        steps_per_frame=first.steps_per_frame,
+        step_s=first.step_s,
+        kind=bad.kind if bad else "done",
+        reason=_reason(bad, rows) if bad else "",
+        starts=sum(row.kind == "done" for row in rows),
+    )
+    if bad:
+        return plain
+    walls = list(itertools.chain.from_iterable(row.wall_s for row in rows))
+    return msgspec.structs.replace(
+        plain,
+        wall_s=float(np.median([np.median(row.wall_s) for row in rows])),
+        wall_low_s=min(walls),
+        wall_high_s=max(walls),
+        cpu_s=float(np.median([np.median(row.cpu_s) for row in rows])),
+        setup_s=_worst(rows, lambda row: row.setup_s),
+        error_m=_worst(rows, lambda row: row.error_m),
+        error_weighted_m=_worst(rows, lambda row: row.error_weighted_m),
+        gap_m=_worst(rows, lambda row: row.gap_m),
+        energy=_worst(rows, lambda row: row.energy),
+        broken=tuple(dict.fromkeys(check for row in rows for check in row.broken)),
+    )
+
+
+def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
+    """Tell what accuracies cost: the budget, and the powers of ten that any curve reaches."""
+    budget, floor = scene.budget.error_1s * scene.length, _FLOOR * scene.length
+    errors = [max(p.error_m, floor) for c in curves for p in c.points if p.error_m is not None]
+    if not errors:
+        return ()
+    low, high = (math.log10(e) for e in (min(errors), min(max(errors), 10 * budget)))
+    decades = [10.0**k for k in range(math.floor(high), math.ceil(low) - 1, -1)]
+    return (
+        _ratio(curves, budget, is_budget=True),
+        *(_ratio(curves, error, is_budget=False) for error in decades),
+    )
+
+
+def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> Ratio:
+    costs = [
+        cost_at([_pair(point.wall_s, point.error_m) for point in curve.points], error)
+        for curve in curves
+    ]
+    known = [k for k, cost in enumerate(costs) if cost is not None]
+    best = min(known, key=lambda k: costs[k] or math.inf, default=None)
+    return Ratio(error_m=error, budget=is_budget, wall_s=tuple(costs), best=best)
+
+
+def _curve_result(scene: Scene, curve: Curve, points: list[Point]) -> CurveResult:
+    adapter = registry.load_adapter(curve.engine)
+    method = adapter.methods[curve.method]
+    pairs = [
+        (point.step_s, math.nan if point.error_m is None else point.error_m) for point in points
+    ]
+    return CurveResult(
+        engine=curve.engine,
+        version=adapter.version(),
+        method=curve.method,
+        family=method.family,
+        variation=curve.variation,
+        options=dict(curve.options),
+        order=method.order_for(scene),
+        measured_order=order_of(pairs, length=scene.length, floor=_FLOOR * scene.length),
+        points=tuple(points),
+    )
+
+
+def _with_front(curves: list[CurveResult], floor: float) -> tuple[CurveResult, ...]:
+    """Mark the points that no other is better than; below the floor errors are alike."""
+    places = [
+        (k, n, pair)
+        for k, curve in enumerate(curves)
+        for n, point in enumerate(curve.points)
+        if (pair := _pair(point.wall_s, point.error_m)) is not None
+    ]
+    best = {places[k][:2] for k in front([(cost, max(e, floor)) for *_, (cost, e) in places])}
+    return tuple(
+        msgspec.structs.replace(
+            curve,
+            points=tuple(
+                msgspec.structs.replace(point, on_front=(k, n) in best)
+                for n, point in enumerate(curve.points)
+            ),
+        )
+        for k, curve in enumerate(curves)
+    )
+
+
+def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None:
+    if cost is None or error is None or not math.isfinite(error):
+        return None
+    return cost, error
+
+
+def _worst(rows: Iterable[Row], figure: Callable[[Row], float | None]) -> float | None:
+    return max((value for row in rows if (value := figure(row)) is not None), default=None)
+
+
+def _reason(bad: Row, rows: Sequence[Row]) -> str:
+    """Say which start it was where others went through."""
+    return bad.reason if bad is rows[0] else f"start {bad.trajectory}: {bad.reason}"

@@ -1,0 +1,161 @@
+"""What a trade-off study records: raw rows, and the points, curves and ratios made of them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+__all__ = ["SCHEMA", "CurveResult", "Kind", "Point", "Ratio", "Row", "Tradeoff", "to_json"]
+
+SCHEMA = "mbds-xsim/tradeoff/1"
+
+Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]
+"""How a run ended: at the last frame; early, by the engine's or the adapter's word; with its
+process; at the time limit; not at all, as the settings are not allowed; or it was not begun, as
+it would have taken longer than the limit."""
+Options = dict[str, float | int | bool | str]
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One start simulated at one setting, as it is kept."""
+
+    key: str
+    """Hash of all that decides the figures."""
+    scene: str
+    engine: str
+    version: str
+    method: str
+    variation: str
+    options: Options
+    steps_per_frame: int
+    step_s: float
+    trajectory: int
+    """Index of the start."""
+    seed: int
+    machine: str
+    limit_s: float
+    """Longest time a rollout was given."""
+    kind: Kind
+    reason: str = ""
+    wall_s: tuple[float, ...] = ()
+    """Wall time per simulated second, one a repeat."""
+    cpu_s: tuple[float, ...] = ()
+    """Processor time per simulated second, one a repeat."""
+    setup_s: float | None = None
+    """Loading the model [s]."""
+    error_m: float | None = None
+    """RMS particle error at the horizon [m]."""
+    horizon_s: float = 0.0
+    """1 s, or where the reference ends before that."""
+    error_weighted_m: float | None = None
+    """Largest error / max(1, G) over the frames with growth G < 100 [m]."""
+    gap_m: float | None = None
+    energy: float | None = None
+    """Energy balance over the energy scale; with contact, the passivity."""
+    broken: tuple[str, ...] = ()
+    """Checks whose budget is not kept."""
+    coordinates: int | None = None
+    constraints: int | None = None
+    contact_pairs: int | None = None
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """A setting: its rows put together. Errors are the worst of its starts."""
+
+    steps_per_frame: int
+    step_s: float
+    kind: Kind
+    reason: str = ""
+    starts: int = 0
+    """Starts that were simulated to the end."""
+    wall_s: float | None = None
+    """Median wall time per simulated second over all starts and repeats."""
+    wall_low_s: float | None = None
+    wall_high_s: float | None = None
+    cpu_s: float | None = None
+    setup_s: float | None = None
+    error_m: float | None = None
+    error_weighted_m: float | None = None
+    gap_m: float | None = None
+    energy: float | None = None
+    broken: tuple[str, ...] = ()
+    on_front: bool = False
+    """Whether no point is both faster and nearer to the reference."""
+
+
+class CurveResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One way of simulating the scene, at several steps."""
+
+    engine: str
+    version: str
+    method: str
+    family: str
+    variation: str
+    options: Options
+    order: int
+    """Declared order of convergence."""
+    measured_order: float | None
+    """Slope of the asymptotic part of error over step; None where there is none."""
+    points: tuple[Point, ...]
+    """The longest step first."""
+
+    @property
+    def name(self) -> str:
+        """Engine, method and what is varied."""
+        return " ".join(filter(None, (self.engine, self.method, self.variation)))
+
+
+class Ratio(msgspec.Struct, frozen=True, kw_only=True):
+    """What one accuracy costs."""
+
+    error_m: float
+    budget: bool
+    """Whether it is the scene's budget at 1 s."""
+    wall_s: tuple[float | None, ...]
+    """Wall time per simulated second of each curve, interpolated; None: not reached."""
+    best: int | None
+    """Place of the cheapest curve."""
+
+
+class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
+    """Speed against accuracy of one scene."""
+
+    schema: str
+    scene: str
+    description: str
+    command: str
+    seed: int
+    trajectories: tuple[int, ...]
+    horizon_s: float
+    """Time of the error that is charted; the smallest of all starts [s]."""
+    reference_ends_s: float | None
+    """Where a contact scene's reference first ends without a unique answer [s]."""
+    duration_s: float
+    length_m: float
+    budget: dict[str, float]
+    contact: bool
+    limit_s: float
+    curves: tuple[CurveResult, ...]
+    ratios: tuple[Ratio, ...]
+    left_out: dict[str, str]
+    """Methods that cannot do the scene, each with the reason."""
+    versions: dict[str, str]
+    machine: str
+    workers: int
+    measured: int
+    """Rows that were measured in this run."""
+    kept: int
+    """Rows that came from an earlier one."""
+    wall_s: float
+
+    @property
+    def error_budget_m(self) -> float:
+        """Allowed error at the horizon [m]."""
+        return self.budget["error_1s"] * self.length_m
+
+
+def to_json(studies: list[Tradeoff]) -> bytes:
+    """Write one study as an object, several as a list; NaN and infinities become null."""
+    what = studies[0] if len(studies) == 1 else studies
+    return msgspec.json.format(msgspec.json.encode(what), indent=2)

@@ -1,0 +1,64 @@
+"""Rows of long studies kept on disk, so that one that was interrupted goes on where it stopped.
+
+A file of JSON lines: a row is appended whole in one write, and a line that was cut off, or that
+another version wrote, is passed over.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.reference.cache import directory
+from mbds_xsim.study.rows import Row
+
+__all__ = ["Store"]
+
+
+class Store:
+    """The rows of one scene by their keys; the latest of a key counts."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows = {row.key: row for row in _read(path)}
+
+    @staticmethod
+    def of(scene: str) -> Store:
+        """Open the store of a scene in the user's cache directory."""
+        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in scene)
+        return Store(directory() / "tradeoff" / f"{safe}.jsonl")
+
+    def add(self, row: Row) -> None:
+        """Keep a row.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        self.rows[row.key] = row
+        # A line of its own even after one that was cut off.
+        line = b"\n" + msgspec.json.encode(row) + b"\n"
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                os.write(handle, line)
+            finally:
+                os.close(handle)
+        except OSError as error:
+            msg = f"cannot keep rows in {self.path}: {error.strerror}; set MBDS_XSIM_CACHE"
+            raise InputError(msg) from error
+
+
+def _read(path: Path) -> list[Row]:
+    if not path.is_file():
+        return []
+    rows = []
+    for line in path.read_bytes().splitlines():
+        try:
+            rows.append(msgspec.json.decode(line, type=Row))
+        except (msgspec.DecodeError, msgspec.ValidationError):
+            continue
+    return rows

@@ -1,0 +1,103 @@
+"""Which settings a trade-off chart tries: engine × method × option × steps a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from mbds_xsim import registry
+from mbds_xsim.engine import Adapter, Settings, features_of
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.matched import settings_for
+from mbds_xsim.scene import Scene
+
+__all__ = ["COUNTS", "NATIVE", "SPAN", "Curve", "curves_of"]
+
+Options = Mapping[str, float | int | bool | str]
+
+COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Steps a frame that a method is tried at."""
+SPAN = 100
+"""A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
+NATIVE = "native"
+"""Variation that stands for what an ordinary user of the engine gets."""
+
+_THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One way of simulating a scene, to be tried at several steps."""
+
+    engine: str
+    method: str
+    variation: str
+    """What differs from the engine's usual options for the scene; empty: nothing."""
+    options: Options
+    counts: tuple[int, ...]
+    """Steps a frame, the longest steps first."""
+
+    def settings(self, scene: Scene, count: int) -> Settings:
+        """Give the settings of one point."""
+        return Settings(self.method, scene.clock.frame / count, self.options)
+
+    @property
+    def name(self) -> str:
+        """Engine, method and what is varied."""
+        return " ".join(filter(None, (self.engine, self.method, self.variation)))
+
+
+def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[str, str]]:
+    """List the curves of a scene's chart.
+
+    The options in use are those of the engine's matched settings, for all of its methods.
+
+    Returns:
+        The curves, and the methods left out as "engine method", each with the reason.
+    """
+    curves: list[Curve] = []
+    left_out: dict[str, str] = {}
+    for name in engines:
+        adapter = registry.load_adapter(name)
+        matched = settings_for(scene, adapter, "matched")
+        for method in adapter.methods:
+            curve = Curve(name, method, "", dict(matched.options), _counts(scene, matched, method))
+            try:
+                adapter.check(scene, curve.settings(scene, 1))
+            except Unsupported as error:
+                left_out[f"{name} {method}"] = str(error)
+            else:
+                curves += [curve, *_variations(scene, adapter, curve)]
+        curves += _native(scene, adapter)
+    return curves, left_out
+
+
+def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
+    """Take the matched steps a frame in, so that the chart shows what is published."""
+    own = {matched.substeps(scene.clock.frame)} if method == matched.method else set()
+    return tuple(sorted(own | set(COUNTS)))
+
+
+def _variations(scene: Scene, adapter: Adapter, base: Curve) -> Iterator[Curve]:
+    """Change one option at a time."""
+    needs = features_of(scene)
+    for option, sweep in adapter.sweeps.items():
+        acts = not sweep.methods or base.method in sweep.methods
+        if not acts or (sweep.needs and not sweep.needs & needs):
+            continue
+        used = base.options.get(option, adapter.options[option].default)
+        for value in sweep.values:
+            if value != used:
+                changed = {**base.options, option: value}
+                told = f"{option} = {value}"
+                yield Curve(base.engine, base.method, told, changed, _THIN)
+
+
+def _native(scene: Scene, adapter: Adapter) -> Iterator[Curve]:
+    settings = adapter.settings(scene, "native")
+    try:
+        adapter.check(scene, settings)
+    except Unsupported:
+        return
+    count = settings.substeps(scene.clock.frame)
+    yield Curve(adapter.name, settings.method, NATIVE, dict(settings.options), (count,))

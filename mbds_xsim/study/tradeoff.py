@@ -1,0 +1,194 @@
+"""Speed against accuracy: work–precision diagrams of all engines, methods and steps."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Iterable
+
+import numpy as np
+
+from mbds_xsim import reference, registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+from mbds_xsim.study.bench import Bench, Meter
+from mbds_xsim.study.curves import curve_results, ratios_of
+from mbds_xsim.study.explore import Found, explore
+from mbds_xsim.study.identity import machine
+from mbds_xsim.study.point import Truth, horizon_of
+from mbds_xsim.study.rows import SCHEMA, Row, Tradeoff
+from mbds_xsim.study.store import Store
+from mbds_xsim.study.sweep import Curve, curves_of
+
+__all__ = ["LIMIT", "STARTS", "tradeoff", "tradeoff_with_rows"]
+
+STARTS = 3
+LIMIT = 30.0
+"""Longest rollout of one start [s]."""
+
+_INTERVAL = "medium"  # low starts are easier, and high ones are chaos before anything can be told
+_TRUTH_TIMEOUT = 3600.0
+
+
+class _Silent:
+    def forecast(self, left_s: float) -> None:
+        pass
+
+    def advance(self, what: str) -> None:
+        pass
+
+
+def tradeoff(
+    scene: Scene | str,
+    *,
+    engines: Iterable[str] = (),
+    starts: int = STARTS,
+    seed: int = 0,
+    limit: float = LIMIT,
+    workers: int | None = None,
+    fresh: bool = False,
+) -> Tradeoff:
+    """Chart a scene's engines and give the figures.
+
+    Args:
+        scene: What to simulate, or the name or file of it.
+        engines: Names; all installed ones when empty.
+        starts: Starts of the medium interval.
+        seed: Seed of starts and inputs.
+        limit: Longest rollout of one start [s]; points that would take longer are only listed.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        fresh: Whether points that were measured earlier are measured again.
+
+    Raises:
+        InputError: Something that was given cannot be used.
+    """
+    return tradeoff_with_rows(
+        registry.load_scene(scene) if isinstance(scene, str) else scene,
+        choice=Choice.parse(engines=",".join(engines) or None),
+        starts=starts,
+        seed=seed,
+        limit=limit,
+        workers=workers,
+        fresh=fresh,
+        command="mbds_xsim.study.tradeoff.tradeoff",
+    )[0]
+
+
+def tradeoff_with_rows(
+    scene: Scene,
+    *,
+    choice: Choice,
+    starts: int = STARTS,
+    seed: int = 0,
+    limit: float = LIMIT,
+    workers: int | None = None,
+    fresh: bool = False,
+    cache: bool = True,
+    meter: Meter | None = None,
+    command: str = "",
+) -> tuple[Tradeoff, list[Row]]:
+    """Chart a scene, and keep the raw rows. See `tradeoff`."""
+    begin = time.perf_counter()
+    curves, left_out = curves_of(scene, choice.engines)
+    if not curves:
+        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
+        raise InputError(msg)
+    batch = _draw(scene, starts, seed)
+    bench = Bench(
+        scene=scene,
+        batch=batch,
+        truths=_truths(scene, batch, cache, workers),
+        seed=seed,
+        limit=limit,
+        workers=workers,
+        store=Store.of(scene.name),
+        meter=meter or _Silent(),
+        fresh=fresh,
+    )
+    found = explore(bench, curves)
+    study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
+    return study, [row for points in found for rows in points for row in rows]
+
+
+def _study(
+    bench: Bench,
+    curves: list[Curve],
+    found: Found,
+    left_out: dict[str, str],
+    command: str,
+    wall_s: float,
+) -> Tradeoff:
+    scene = bench.scene
+    results = curve_results(scene, curves, found)
+    horizons = [horizon_of(truth.trajectory) for truth in bench.truths]
+    return Tradeoff(
+        schema=SCHEMA,
+        scene=scene.name,
+        description=scene.description,
+        command=command,
+        seed=bench.seed,
+        trajectories=tuple(int(index) for index in bench.batch.index),
+        horizon_s=min(horizons),
+        reference_ends_s=_first_impact(bench.truths),
+        duration_s=scene.clock.duration,
+        length_m=scene.length,
+        budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
+        contact=bool(scene.contacts),
+        limit_s=bench.limit,
+        curves=results,
+        ratios=ratios_of(scene, results),
+        left_out=left_out,
+        versions=_versions(result.engine for result in results),
+        machine=machine(),
+        workers=core_count() if bench.workers is None else bench.workers,
+        measured=bench.measured,
+        kept=bench.kept,
+        wall_s=wall_s,
+    )
+
+
+def _draw(scene: Scene, starts: int, seed: int) -> Batch:
+    first = INTERVALS.index(_INTERVAL)
+    indices = range(first, first + starts * len(INTERVALS), len(INTERVALS))
+    return draw_batch(scene, indices, seed=seed)
+
+
+def _truths(scene: Scene, batch: Batch, cache: bool, workers: int | None) -> list[Truth]:
+    tasks = [Task(_truth, (scene, batch[[k]], cache), _TRUTH_TIMEOUT) for k in range(len(batch))]
+    truths = run_tasks(tasks, workers=workers)
+    for truth in truths:
+        reason = truth.reason if isinstance(truth, Crash) else _failed(truth)
+        if reason:
+            msg = f"the reference solution failed, so no error can be told: {reason}"
+            raise InputError(msg)
+    return truths
+
+
+def _truth(scene: Scene, start: Batch, cache: bool) -> Truth:
+    trajectory = reference.solve(scene, start, cache=cache)
+    growth = reference.sensitivity(scene, start, cache=cache)
+    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
+    return Truth(trajectory, growth)
+
+
+def _failed(truth: Truth) -> str:
+    """Why a reference ended, where no impact explains it."""
+    failure = truth.trajectory.failures[0]
+    return failure.reason if failure and not isinstance(failure, FirstImpact) else ""
+
+
+def _first_impact(truths: list[Truth]) -> float | None:
+    ends = [truth.trajectory.failures[0] for truth in truths]
+    return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
+
+
+def _versions(engines: Iterable[str]) -> dict[str, str]:
+    versions = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
+    versions["python"] = platform.python_version()
+    return versions | {name: registry.load_adapter(name).version() for name in engines}
