@@ -18,13 +18,14 @@ function flag(entry, step, which) {
   return (entry.flags[at] >> (7 - (which & 7))) & 1;
 }
 
-// Time since a sphere last touched [s], infinite where it is long ago.
-function sinceTouch(entry, sphere, seconds) {
+// Time since a sphere last touched [s], infinite where it is long ago, and whether that was a hit.
+function lastTouch(entry, sphere, seconds) {
   const now = Math.min(Math.floor(seconds / contact.step + 1e-9), contact.frames - 2);
   for (let step = now; step >= Math.max(0, now - 10); step -= 1) {
-    if (flag(entry, step, sphere)) return Math.max(0, seconds - (step + 1) * contact.step);
+    if (!flag(entry, step, sphere)) continue;
+    return { since: Math.max(0, seconds - (step + 1) * contact.step), hit: flag(entry, step, contact.spheres) };
   }
-  return Infinity;
+  return { since: Infinity, hit: 0 };
 }
 
 // --- layout ----------------------------------------------------------------------------------
@@ -32,10 +33,15 @@ function sinceTouch(entry, sphere, seconds) {
 const STRIP = 118;
 const LANE = contact && Math.max(4, Math.min(12, 28 / contact.spheres));
 
+// Entries with anything to show of the trajectory beyond its start.
+function shown() {
+  return scene.entries.filter((entry) => Number.isFinite(entry.gap[state.trajectory * contact.frames + 1]));
+}
+
 function layout() {
   const width = strips.getBoundingClientRect().width;
-  const left = width < 640 ? 62 : 128;
-  const rows = scene.entries.map((_, k) => 20 + k * (contact.spheres * LANE + 10));
+  const left = width < 640 ? 80 : 128;
+  const rows = shown().map((_, k) => 20 + k * (contact.spheres * LANE + 10));
   const bands = [{ kind: "gap", title: "Height of the lowest point", unit: "m" }];
   if (contact.slips) bands.push({ kind: "slip", title: "Slip where it touches", unit: "m/s" });
   bands.forEach((band, k) => Object.assign(band, { top: 24 + k * (STRIP + 34), height: STRIP }));
@@ -158,7 +164,7 @@ function drawCurve(plan, entry, kind, y) {
 function drawLanes(plan) {
   write("Touch", plan.left + 6, plan.top + 8, theme("--ink"));
   const depth = contact.spheres * LANE;
-  scene.entries.forEach((entry, k) => {
+  shown().forEach((entry, k) => {
     const top = plan.top + plan.rows[k];
     const name = plan.width < 640 ? entry.name.split(" ")[0] : entry.name;
     ink.globalAlpha = entry.visible ? 1 : 0.4;

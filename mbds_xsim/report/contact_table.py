@@ -32,7 +32,7 @@ class Table:
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, ...] | None, ...]
-    """Cells of the reference, then of the engine results; None for one that crashed."""
+    """Cells of the reference, then of the engine results; None for what has no motion."""
 
 
 def tables(contacts: tuple[Contact | None, ...], count: int) -> list[Table]:
@@ -48,7 +48,9 @@ def tables(contacts: tuple[Contact | None, ...], count: int) -> list[Table]:
     assert ideal is not None
     full = [
         [
-            None if contact is None else [column.cell(contact, row, ideal) for column in _COLUMNS]
+            [column.cell(contact, row, ideal) for column in _COLUMNS]
+            if contact is not None and np.isfinite(contact.gap[row, 1:]).any()
+            else None
             for contact in contacts
         ]
         for row in range(count)
@@ -72,7 +74,8 @@ def tables(contacts: tuple[Contact | None, ...], count: int) -> list[Table]:
 
 
 def _first(contact: Contact, row: int, _: Contact) -> str:
-    return _seconds(contact.episodes[row].first)
+    step = contact.touch[row].any(axis=1)
+    return "from the start" if step[0] else _seconds(contact.episodes[row].first)
 
 
 def _count(contact: Contact, row: int, _: Contact) -> str:

@@ -151,6 +151,9 @@ def restitution(
     if ground is None or not any(speed.size for speed, _ in filter(None, met)):
         return None
 
+    e = ground.restitution
+    judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
+
     def draw(axes: Any) -> None:
         for place, (found, style) in enumerate(zip(met, (None, *styles), strict=True)):
             if found is not None:
@@ -162,10 +165,10 @@ def restitution(
                 )  # fmt: skip
                 if style is not None:
                     marks.set_gid(f"result-{place - 1}")
-        _level(axes, ground.restitution, f"the scene has {ground.restitution:.4f}")
-        allowed = validation.budget["restitution"]
-        for value in (ground.restitution - allowed, ground.restitution + allowed):
-            axes.axhline(value, color=_GREY, linewidth=0.9)
+        _level(axes, e, f"the scene has {e:.4f}")
+        if judged:
+            allowed = validation.budget["restitution"]
+            axes.axhspan(e - allowed, e + allowed, color=_GREY, alpha=0.14, linewidth=0)
         axes.set_xlabel("speed of impact [m/s]")
         axes.set_ylabel("speed after over before")
         axes.margins(x=0.06, y=0.15)

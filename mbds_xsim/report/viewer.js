@@ -148,7 +148,7 @@ function disc([x, y], radius) {
 // The plane z = 0 with a grid, as far as the motion goes and a little further.
 function drawGround(eye) {
   const step = 10 ** Math.floor(Math.log10(focus.size / 2));
-  const around = state.follow ? focus.middle.map((x) => [x - focus.size, x + focus.size]) : box3;
+  const around = state.follow ? focus.middle.map((x) => [x - 3 * focus.size, x + 3 * focus.size]) : box3;
   const range = [0, 1].map((axis) => [
     Math.floor((around[axis][0] - focus.size / 4) / step) * step,
     Math.ceil((around[axis][1] + focus.size / 4) / step) * step,
@@ -180,7 +180,8 @@ function drawAnchors(eye) {
 
 function drawEntry(entry, eye) {
   const reference = entry.colour === null;
-  const points = shape(entry, state.frame).map(eye.project);
+  const places = shape(entry, state.frame);
+  const points = places.map(eye.project);
   pen.strokeStyle = pen.fillStyle = colourOf(entry);
   pen.lineCap = pen.lineJoin = "round";
   pen.lineWidth = reference ? 5 : 2;
@@ -195,23 +196,28 @@ function drawEntry(entry, eye) {
     if (radius) pen.stroke();
     else pen.fill();
   }
-  if (contact) drawTouch(entry, points);
+  if (contact) drawTouch(entry, places, eye);
   pen.globalAlpha = 1;
 }
 
-// A sphere that touches is filled, with a halo that fades within a sixth of a second.
-function drawTouch(entry, points) {
+// Where a sphere touches its lowest point is marked; a hit has a halo that fades.
+function drawTouch(entry, places, eye) {
   const seconds = state.frame * scene.step;
   const spheres = scene.radius.flatMap((radius, k) => (radius > 0 ? [k] : []));
   spheres.forEach((k, sphere) => {
-    const fresh = 1 - sinceTouch(entry, sphere, seconds) / 0.16;
+    const { since, hit } = lastTouch(entry, sphere, seconds);
+    const fresh = 1 - since / 0.2;
     if (fresh <= 0) return;
-    const radius = Math.max(scene.radius[k] * points[k][2], 5);
-    pen.globalAlpha = (radius > 15 ? 0.35 : 0.75) * fresh;
-    disc(points[k], radius);
+    const [x, y, z] = places[k];
+    const low = eye.project([x, y, z - scene.radius[k]]);
+    pen.globalAlpha = fresh;
+    disc(low, 5);
     pen.fill();
-    pen.globalAlpha = 0.3 * fresh;
-    disc(points[k], radius + 7);
+    pen.strokeStyle = theme("--paper");
+    pen.stroke();
+    if (!hit) return;
+    pen.globalAlpha = 0.35 * fresh;
+    disc(low, 15);
     pen.fill();
   });
 }
@@ -265,6 +271,7 @@ function drawScale(eye) {
 
 function metres(value) {
   if (!Number.isFinite(value)) return "–";
+  if (value > 0 && value < 1e-10) return "<0.1 nm";
   const [scale, unit] = [[1, "m"], [1e-3, "mm"], [1e-6, "µm"], [1e-9, "nm"]].find(([s]) => value >= s) || [1e-9, "nm"];
   return `${Number((value / scale).toPrecision(2))} ${unit}`;
 }
