@@ -23,12 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.engine import ContactLaw
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Failure
 
 __all__ = [
+    "CONTACT_LAW",
     "DETECTORS",
     "SOLVERS",
     "ContactSolver",
@@ -38,6 +40,19 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+CONTACT_LAW = ContactLaw(
+    normal="rigid: impulses of one step, velocities at contacts solved together",
+    restitution="a coefficient of each body, from 0.1 to 100 m/s of rebound",
+    friction="a box along x and y (Dantzig), or a round cone (NSGS)",
+    mixing="the smaller friction, the product of restitutions",
+    adapter="The spheres carry the pair's coefficients and the ground restitution 1, so that both "
+    "rules give back the pair's. At matched, contacts are found by `ode` and solved by NSGS, whose "
+    "cone is round, and what its solver leaves open or gives up on is a failure. What is reflected "
+    "has gravity's share of a step in it, so that the matched steps are short; rebounds above "
+    "100 m/s, which DART cuts, are a failure.",
+)
+"""What contact is in the engine."""
 
 DETECTORS = ("fcl", "ode", "bullet", "dart")
 SOLVERS = ("dantzig", "nsgs")

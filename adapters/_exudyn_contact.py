@@ -22,13 +22,26 @@ import exudyn
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.engine import ContactLaw
 from mbds_xsim.mechanism import Mechanism
 
 from ._exudyn_impact import coefficient, delivered
 
-__all__ = ["Contact", "Spheres", "contact_listing"]
+__all__ = ["CONTACT_LAW", "Contact", "Spheres", "contact_listing"]
 
 Array = NDArray[np.float64]
+
+CONTACT_LAW = ContactLaw(
+    normal="penalty: a spring, and a damper that grows with depth (Gonthier)",
+    restitution="a coefficient of the contact, 0.01 at least",
+    friction="a round cone; in proportion to the slip below a slip speed",
+    mixing="none: coefficients belong to the contact",
+    adapter="Sphere and triangle contacts, one a sphere, as stiff as makes an impact last a given "
+    "number of the finest steps. The coefficient is corrected, in closed form, for what the law "
+    "delivers. Near the ground steps are divided and end where a sphere touches down. A sphere "
+    "with its centre below the ground is a failure, as the triangle has no inside.",
+)
+"""What contact is in the engine."""
 Marker = Callable[[int, Array], str]
 
 # No body gets as far within a trajectory; the ground ends there [m].

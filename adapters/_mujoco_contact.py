@@ -25,15 +25,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.engine import ContactLaw
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
 from ._mujoco_impact import impact_law
 from ._mujoco_numbers import numbers
 
-__all__ = ["Impact", "Spheres", "add_ground", "cone_options", "sunk_spheres"]
+__all__ = ["CONTACT_LAW", "Impact", "Spheres", "add_ground", "cone_options", "sunk_spheres"]
 
 Array = NDArray[np.float64]
+
+CONTACT_LAW = ContactLaw(
+    normal="soft: spring and damper on accelerations (solref, solimp), one convex problem",
+    restitution="none: the damper decides",
+    friction="a pyramid, or a round cone (elliptic), softened; lifts what slides",
+    mixing="the larger friction; nothing is mixed in an explicit pair",
+    adapter="Spheres and ground are explicit pairs with the pair's friction. At native that is "
+    "all, and restitution is ignored. At matched, steps near the ground are divided, and the "
+    "damper is calibrated by following the engine's own steps to give the restitution back; the "
+    "cone is elliptic, and friction is left to the `noslip` solver, which does not lift what "
+    "slides. Where all bodies are balls an impact is a single step.",
+)
+"""What contact is in the engine."""
 
 _GROUND = "ground"
 # MuJoCo's hardest; at rest a constraint leaves the rest of 1 of an unconstrained acceleration.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.engine import ContactLaw
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
@@ -20,9 +21,22 @@ from mbds_xsim.scene import Ground
 
 from ._pybullet_client import Client, Constant
 
-__all__ = ["Contact", "Law"]
+__all__ = ["CONTACT_LAW", "Contact", "Law"]
 
 Array = NDArray[np.float64]
+
+CONTACT_LAW = ContactLaw(
+    normal="rigid: impulses of one step, by sweeps over contacts (PGS); acts ahead of the touch",
+    restitution="a coefficient of each body, above 0.2 m/s",
+    friction="a round cone",
+    mixing="the product of frictions, cut to 10, and of restitutions",
+    adapter="The ground has friction and restitution 1, so that the products are the pair's. At "
+    "matched, contacts act from a gap of 1 µm on and not a step ahead, overlaps are pushed out "
+    "over a second and not within steps, and all that is faster than four steps' fall bounces; "
+    "Bullet's drag of linear and of quadratic order, on at native, is off. A sphere that the "
+    "ground has lost is a failure.",
+)
+"""What contact is in the engine."""
 
 # btManifoldResult::calculateCombinedFriction cuts the product to this.
 _FRICTION_CAP = 10.0

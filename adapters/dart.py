@@ -33,6 +33,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
 from ._dart_contact import (
+    CONTACT_LAW,
     DETECTORS,
     SOLVERS,
     ContactSolver,
@@ -80,6 +81,7 @@ class Dart(Adapter):
     name = "dart"
     package = "dartpy"
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    contact_law = CONTACT_LAW
     methods: ClassVar[Mapping[str, Method]] = {
         "semi-implicit-euler": Method(
             "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5

@@ -24,7 +24,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.steps import careful_step, nearest_step
 
 from ._exudyn_bodies import RigidBodies
-from ._exudyn_contact import Contact
+from ._exudyn_contact import CONTACT_LAW, Contact
 from ._exudyn_model import Model
 from ._exudyn_run import ExudynRun
 from ._exudyn_settings import LINEAR_SOLVERS, Stepping, has_redundant_constraints
@@ -107,6 +107,7 @@ class Exudyn(Adapter):
     }
     limits: ClassVar[dict[Feature, str]] = {}
     coordinates = "maximal"
+    contact_law = CONTACT_LAW
 
     def version(self) -> str:
         return version(self.package)

@@ -36,7 +36,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
-from ._mujoco_contact import Impact, Spheres, sunk_spheres
+from ._mujoco_contact import CONTACT_LAW, Impact, Spheres, sunk_spheres
 from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
 from ._mujoco_steps import FinerNearGround, OneCall, Stepper
@@ -108,6 +108,7 @@ class MuJoCo(Adapter):
         "free; close the loop at another joint",
     }
     coordinates = "reduced"
+    contact_law = CONTACT_LAW
 
     def version(self) -> str:
         return version(self.package)

@@ -32,7 +32,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
 
 from ._pybullet_client import Client
-from ._pybullet_contact import Contact, Law
+from ._pybullet_contact import CONTACT_LAW, Contact, Law
 from ._pybullet_loads import Loads
 from ._pybullet_model import SPEED_CAP, Damping, Model
 
@@ -107,6 +107,7 @@ class PyBullet(Adapter):
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
     }
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    contact_law = CONTACT_LAW
 
     def version(self) -> str:
         return package_version(self.package)

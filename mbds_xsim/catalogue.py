@@ -8,7 +8,7 @@ import msgspec
 
 from mbds_xsim import registry
 from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.engine import Feature, Method, Profile, Settings, features_of
+from mbds_xsim.engine import ContactLaw, Feature, Method, Profile, Settings, features_of
 from mbds_xsim.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
@@ -63,6 +63,8 @@ class EngineRow(msgspec.Struct, frozen=True):
     options: dict[str, OptionRow] = {}
     limits: dict[str, str] = {}
     """What it cannot do, with the reason."""
+    contact_law: ContactLaw | None = None
+    """What contact is in it."""
 
 
 class SceneRow(msgspec.Struct, frozen=True):
@@ -156,6 +158,7 @@ def _engine_row(name: str) -> EngineRow:
         methods=tuple(_method_row(method) for method in adapter.methods.values()),
         options={key: OptionRow(o.default, o.meaning) for key, o in adapter.options.items()},
         limits=_told(adapter.limits),
+        contact_law=adapter.contact_law,
     )
 
 

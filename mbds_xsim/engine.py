@@ -21,6 +21,7 @@ from mbds_xsim.state import Batch, Trajectory
 __all__ = [
     "LOOPS",
     "Adapter",
+    "ContactLaw",
     "ContactScales",
     "Feature",
     "Method",
@@ -160,6 +161,22 @@ class ContactScales:
     """Slip up to which friction is less than Coulomb's [m/s]."""
 
 
+@dataclass(frozen=True)
+class ContactLaw:
+    """What contact is in an engine, in words; the study `mbds_xsim.study.contact` measures it."""
+
+    normal: str
+    """How a sphere is kept out of the ground."""
+    restitution: str
+    """What decides the rebound."""
+    friction: str
+    """In which set the friction force is."""
+    mixing: str
+    """How the coefficients of two bodies become those of the pair."""
+    adapter: str
+    """What the adapter does about it, in sentences."""
+
+
 @dataclass(frozen=True, eq=False)
 class Readback:
     """The native model as the engine holds it, in the toolkit's conventions.
@@ -258,6 +275,8 @@ class Adapter(ABC):
     limits: ClassVar[Mapping[Feature, str]]
     """Features that the engine cannot represent, with the reason."""
     coordinates: ClassVar[Literal["reduced", "maximal"]]
+    contact_law: ClassVar[ContactLaw | None] = None
+    """None without contact."""
 
     @final
     def open(self, scene: Scene, settings: Settings) -> Run:

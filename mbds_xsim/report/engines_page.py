@@ -26,6 +26,11 @@ Which to use for what: [choose-an-engine.md](choose-an-engine.md). A fifth one:
 “yes” means with all its methods, “some” not with all of them, “no” with none. The notes give the
 reasons.
 """
+_CONTACT = """
+## What contact is
+
+What an adapter makes of it, and what it delivers, measured: [contact.md](contact.md).
+"""
 _METHODS = """
 ## Methods and options
 
@@ -33,6 +38,12 @@ Methods of one family are one vote when engines are compared: their agreement is
 “Order” is the order of convergence, “with loops” the same where constraints are solved beside the
 coordinates. Recorded velocities belong to the frame's time plus “velocity lag” times the step.
 """
+_ASPECTS = {
+    "non-penetration": "normal",
+    "restitution": "restitution",
+    "friction": "friction",
+    "two bodies' coefficients": "mixing",
+}
 # What makes constraints beside the coordinates of a tree.
 _CONSTRAINED = (
     Feature.LOOP_BALL,
@@ -52,6 +63,8 @@ def engines_page(rows: list[EngineRow]) -> str:
         _HEAD,
         _table(["", *(row.engine for row in rows)], features),
         "".join(f"[^{k}]: {note}\n" for k, note in enumerate(notes, 1)).rstrip("\n"),
+        _CONTACT,
+        _contact(rows),
         _METHODS,
         *(_engine(row) for row in rows),
     ]
@@ -75,6 +88,15 @@ def _mark(note: str, notes: list[str]) -> str:
     if note not in notes:
         notes.append(note)
     return f"[^{notes.index(note) + 1}]"
+
+
+def _contact(rows: list[EngineRow]) -> str:
+    """Lay out what the engines say of their contacts; an engine without any has no column."""
+    laws = {row.engine: row.contact_law for row in rows if row.contact_law is not None}
+    return _table(
+        ["", *laws],
+        ([what, *(getattr(law, key) for law in laws.values())] for what, key in _ASPECTS.items()),
+    ).rstrip("\n")
 
 
 def _engine(row: EngineRow) -> str:

@@ -29,14 +29,26 @@ from mbds_xsim.scene import (
 )
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["FRICTION", "PULL", "RADIUS", "RESTITUTION", "Bench", "Measured", "ball", "crate"]
+__all__ = [
+    "CRATE_MASS",
+    "FRICTION",
+    "PULL",
+    "RADIUS",
+    "RESTITUTION",
+    "Bench",
+    "Measured",
+    "ball",
+    "crate",
+    "reason",
+]
 
 Array = NDArray[np.float64]
 
 PULL = -GRAVITY[2]
 RADIUS = PARTICLE_RADIUS
 FRICTION, RESTITUTION = 0.43, 0.9332
-_HALF_EDGE, _CRATE_MASS = 0.2, 30.0
+CRATE_MASS = 30.0
+_HALF_EDGE = 0.2
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -131,8 +143,8 @@ def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
     """Make a cube with a contact sphere at each corner and its starts; at rest on four if none."""
     middle = (0.0, 0.0, _HALF_EDGE + RADIUS)
     corners = np.array(list(product((-_HALF_EDGE, _HALF_EDGE), repeat=3))) + middle
-    moment = _CRATE_MASS * (2.0 * _HALF_EDGE) ** 2 / 6.0
-    body = Body("crate", inertia=Inertia(_CRATE_MASS, (moment,) * 3), position=middle)
+    moment = CRATE_MASS * (2.0 * _HALF_EDGE) ** 2 / 6.0
+    body = Body("crate", inertia=Inertia(CRATE_MASS, (moment,) * 3), position=middle)
     scene = Scene(
         "crate",
         (body,),
@@ -142,6 +154,11 @@ def crate(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
         clock=clock,
     )
     return scene, _started(scene, start)
+
+
+def reason(motion: Trajectory) -> str:
+    """Say why the first trajectory that failed did; nothing where all ran to the end."""
+    return next((failure.reason for failure in motion.failures if failure), "")
 
 
 def _started(scene: Scene, start: dict[str, Array]) -> Batch:

@@ -21,15 +21,16 @@ from mbds_xsim.study.contact_bench import (
     Bench,
     Measured,
     ball,
+    reason,
 )
 
-__all__ = ["RESTITUTIONS", "SPEEDS", "impacts", "rebounds"]
+__all__ = ["DEPTH_SPEEDS", "RESTITUTIONS", "SPEEDS", "impacts", "rebounds"]
 
 Array = NDArray[np.float64]
 
 RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)
 SPEEDS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-_DEPTH_SPEEDS = (1.0, 5.0)
+DEPTH_SPEEDS = (1.0, 5.0)
 _STARTS = 8
 _BEFORE = 1e-3  # the shortest fall to the ground [s]
 _DURATION = 0.04  # within which the ball must have left the ground [s]
@@ -44,7 +45,7 @@ def impacts(engine: str, profile: Profile) -> list[Measured]:
     """Measure restitution, duration and depth of a ball's impacts."""
     bench = Bench(engine, profile, "balldrop")
     found = [m for e in RESTITUTIONS for v in SPEEDS for m in _rebound(bench, e, v)]
-    return found + [_depth(bench, speed) for speed in _DEPTH_SPEEDS]
+    return found + [_depth(bench, speed) for speed in DEPTH_SPEEDS]
 
 
 def rebounds(bench: Bench, restitution: float, speed: float) -> tuple[Array, Array, Trajectory]:
@@ -65,7 +66,7 @@ def rebounds(bench: Bench, restitution: float, speed: float) -> tuple[Array, Arr
 
 def _rebound(bench: Bench, restitution: float, speed: float) -> list[Measured]:
     kept, duration, motion = rebounds(bench, restitution, speed)
-    at, note = {"restitution": restitution, "speed": speed}, _reason(motion)
+    at, note = {"restitution": restitution, "speed": speed}, reason(motion)
     return [
         bench.measured("restitution", "1", kept, at, note),
         bench.measured("impact duration", "s", duration, at, note or "does not come back"),
@@ -79,7 +80,7 @@ def _depth(bench: Bench, speed: float) -> Measured:
     motion = _dropped(bench, RESTITUTION, speed, fall, _DURATION)
     deepest = np.nanmax(-_height(motion)[0]) if np.isfinite(motion.position).any() else None
     at = {"restitution": RESTITUTION, "speed": speed}
-    return bench.measured("impact depth", "m", deepest, at, _reason(motion))
+    return bench.measured("impact depth", "m", deepest, at, reason(motion))
 
 
 def _dropped(
@@ -102,7 +103,3 @@ def _dropped(
 def _height(motion: Trajectory) -> tuple[Array, Array]:
     """Height of the lowest point [m] and vertical speed [m/s], shape (row, frame)."""
     return motion.position[:, :, 0, 2] - RADIUS, motion.velocity[:, :, 0, 2]
-
-
-def _reason(motion: Trajectory) -> str:
-    return next((failure.reason for failure in motion.failures if failure), "")

@@ -1,0 +1,76 @@
+"""`mbds-xsim contact`: what contact means in each engine, measured."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    progress_on,
+    write_json,
+)
+
+__all__ = ["contact"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim contact --engines dart  ·  "
+    "mbds-xsim contact --markdown docs/contact.md --figures docs/images"
+)
+def contact(
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    settings: Annotated[
+        str, typer.Option(help="native, matched, or both side by side (native,matched).")
+    ] = "native,matched",
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the page docs/contact.md.")
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw the page's figures into a folder.")
+    ] = None,
+) -> None:
+    """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
+    from mbds_xsim.choice import Choice
+    from mbds_xsim.report.contact_summary import print_study
+    from mbds_xsim.study.contact import study_contact
+
+    console = console_for(json)
+    choice = Choice.parse(engines=engines, profiles=settings)
+    drawn = {} if figures is None else _figure_files(figures)
+    check_targets(json=json, markdown=markdown, **drawn)
+    with progress_on(console) as progress:
+        study = study_contact(
+            choice,
+            progress=progress,
+            workers=workers,
+            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+        )
+    print_study(study, console)
+    if drawn:
+        from mbds_xsim.report.contact_curves import draw_study
+
+        draw_study(study, drawn)
+    if markdown is not None:
+        from mbds_xsim.report.contact_page import contact_page
+        from mbds_xsim.write import write_whole
+
+        write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())
+    write_json(encoded(study), json)
+
+
+def _figure_files(folder: Path) -> dict[str, Path]:
+    return {name: folder / f"contact-{name}.png" for name in ("restitution", "friction")}

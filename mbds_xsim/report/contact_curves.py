@@ -1,0 +1,142 @@
+"""Figures of the study of contact: rebound over speed, friction over heading."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mbds_xsim import registry
+from mbds_xsim.engine import Profile
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.study.contact import ContactStudy
+from mbds_xsim.study.contact_bench import FRICTION
+from mbds_xsim.study.contact_impacts import RESTITUTIONS
+from mbds_xsim.write import write_whole
+
+__all__ = ["draw_study"]
+
+_INK = "#1c2733"
+_GREY = "#8a949e"
+_MARKS = "osD^v<>"
+_BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
+_STYLE = {
+    "font.size": 9,
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _GREY,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "axes.grid": True,
+    "grid.color": _GREY,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
+    """Draw the figures into PNG files, each with panels for the profiles.
+
+    Args:
+        study: What was measured.
+        files: Where `restitution` and `friction` go.
+    """
+    _draw(study, files["restitution"], _restitution, "rebound over impact speed")
+    _draw(study, files["friction"], _friction, "friction of a sliding ball over its heading")
+
+
+def _draw(
+    study: ContactStudy, path: Path, panels: Callable[[Any, ContactStudy], Any], title: str
+) -> None:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(layout="constrained")
+        FigureCanvasAgg(figure)
+        first = panels(figure, study)
+        figure.suptitle(f"{title}   ({study.command})", fontsize=10, x=0.01, ha="left")
+        handles, labels = first.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=130, metadata={"Software": None})
+    write_whole(path, stream.getvalue())
+
+
+def _restitution(figure: Any, study: ContactStudy) -> Any:
+    """Lay out a row a profile, a column a restitution; returns a panel with all the names."""
+    figure.set_size_inches(8.8, 0.9 + 2.1 * len(study.profiles))
+    panels = figure.subplots(
+        len(study.profiles), len(_BOUNCING), sharex=True, sharey="col", squeeze=False
+    )
+    for row, profile in zip(panels, study.profiles, strict=True):
+        for axes, asked in zip(row, _BOUNCING, strict=True):
+            _rebounds(axes, study, profile, asked)
+            axes.set_title(f"{profile}, asked {asked:g}", fontsize=9, loc="left")
+        row[0].set_ylabel("speed after over before")
+    for axes in panels[-1]:
+        axes.set_xlabel("impact speed [m/s]")
+    return panels[0][0]
+
+
+def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) -> None:
+    """Draw the medians, and the spread over the starts."""
+    axes.axhline(asked, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)), label="asked")
+    for engine, colour, mark in _engines(study):
+        found = [
+            m
+            for m in study.find("restitution", restitution=asked)
+            if (m.engine, m.profile) == (engine, profile) and m.value is not None
+        ]
+        speeds = [m.at["speed"] for m in found]
+        axes.fill_between(
+            speeds, [m.low for m in found], [m.high for m in found],
+            color=colour, alpha=0.15, linewidth=0,
+        )  # fmt: skip
+        axes.plot(
+            speeds, [m.value for m in found], label=engine, **_line(colour, mark), linewidth=1.2
+        )
+    axes.set_xscale("log")
+    axes.set_ylim(-0.05 * asked, 1.22 * asked)
+
+
+def _friction(figure: Any, study: ContactStudy) -> Any:
+    """Lay out a panel a profile; returns the first."""
+    figure.set_size_inches(1.0 + 3.9 * len(study.profiles), 3.7)
+    panels = figure.subplots(1, len(study.profiles), sharey=True, squeeze=False)[0]
+    for axes, profile in zip(panels, study.profiles, strict=True):
+        _headings(axes, study, profile)
+        axes.set_title(f"{profile} settings", fontsize=9, loc="left")
+        axes.set_xlabel("heading of the slip [° from x]")
+    panels[0].set_ylabel("horizontal over vertical impulse")
+    return panels[0]
+
+
+def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
+    axes.axhline(FRICTION, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)), label="asked")
+    for engine, colour, mark in _engines(study):
+        found = [
+            m
+            for m in study.find("ball: sliding friction")
+            if (m.engine, m.profile) == (engine, profile) and m.value is not None
+        ]
+        headings = [m.at["heading_deg"] for m in found]
+        axes.plot(headings, [m.value for m in found], label=engine, **_line(colour, mark))
+    axes.set_ylim(0.0, 0.7)
+    axes.set_xticks(range(0, 91, 15))
+
+
+def _line(colour: str, mark: str) -> dict[str, Any]:
+    """Open marks of several sizes: engines that agree stay visible."""
+    size = 8.5 - 1.8 * min(_MARKS.index(mark), 3)
+    return {"color": colour, "marker": mark, "markersize": size, "markerfacecolor": "none"}
+
+
+def _engines(study: ContactStudy) -> list[tuple[str, str, str]]:
+    """Name, colour and mark of each engine, the same in every figure."""
+    known = list(dict.fromkeys([*registry.engine_names(), *study.versions]))
+    places = {engine: known.index(engine) for engine in study.versions}
+    return [(e, LIGHT[k % len(LIGHT)], _MARKS[k % len(_MARKS)]) for e, k in places.items()]

@@ -1,0 +1,95 @@
+"""Energy that contact adds or takes where the law of contact says that it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.ground import pushes_of
+from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.engine import Profile
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Ground
+from mbds_xsim.study.contact_bench import FRICTION, PULL, RADIUS, Bench, Measured, ball, reason
+
+__all__ = ["energy"]
+
+Array = NDArray[np.float64]
+
+_HEIGHTS = (0.05, 0.06, 0.07)  # of an elastic ball's drops: flights of 0.2 s and more [m]
+_BOUNCING = 3.0  # [s]
+_FRAME = 0.01
+_STOPPED = 1e-3  # of the drop's energy
+_CUBLI = "simplecubli"
+_CUBLIS, _CUBLI_STEPS = 3, 75
+_FAST = 0.5  # slower impacts have too much of gravity in them [m/s]
+
+
+def energy(engine: str, profile: Profile) -> list[Measured]:
+    """Measure an elastic ball's change by bounce, and what a thrown cubli gains."""
+    return [
+        _elastic(Bench(engine, profile, "balldrop")),
+        *_eccentric(Bench(engine, profile, _CUBLI)),
+    ]
+
+
+def _elastic(bench: Bench) -> Measured:
+    start = np.zeros((len(_HEIGHTS), 3))
+    start[:, 2] = _HEIGHTS
+    clock = bench.clock(_FRAME, _BOUNCING)
+    motion = bench.motion(*ball(Ground(FRICTION, 1.0), clock, position=start))
+    gap = motion.position[:, :, 0, 2] - RADIUS
+    climb = motion.velocity[:, :, 0, 2] + PULL * bench.lag
+    change = [per_bounce(g, c, h) for g, c, h in zip(gap, climb, _HEIGHTS, strict=True)]
+    return bench.measured(
+        "elastic ball: energy by bounce", "1", np.array(change), {}, reason(motion)
+    )
+
+
+def per_bounce(gap: Array, climb: Array, height: float) -> float:
+    """Give the mean relative change of energy in a bounce, −1 where none comes back.
+
+    Args:
+        gap: Of the ball's lowest point [m], shape (frame,).
+        climb: Its vertical speed [m/s], shape (frame,).
+        height: It was dropped from [m].
+    """
+    top = np.where(gap > 0.0, gap + climb**2 / (2 * PULL), np.nan)
+    turned = (climb[1:] > 0.0) & (climb[:-1] < 0.0)
+    flight = np.concatenate([[0], np.cumsum(turned)])
+    tops = [_median(top[flight == k]) for k in range(int(flight[-1]) + 1)]
+    whole = [value for value in tops if value > _STOPPED * height]
+    if len(whole) < 2 or not np.isfinite(gap).all():
+        return -1.0 if np.isfinite(gap).all() else np.nan
+    return float((whole[-1] / height) ** (1.0 / (len(whole) - 1)) - 1.0)
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _eccentric(bench: Bench) -> list[Measured]:
+    """Throw cublis: one corner at a time hits, beside the centre of mass."""
+    scene = load_scene(_CUBLI)
+    batch = draw_batch(scene, range(_CUBLIS), noise=False, inputs=False).truncated(_CUBLI_STEPS)
+    motion = bench.motion(scene, batch)
+    settings = bench.settings
+    method = load_adapter(bench.engine).methods[settings.method]
+    record, note = Record(scene, batch, motion, method, settings.step), reason(motion)
+    unexplained, whole = passivity(record), energy_rise(record)
+    assert unexplained is not None
+    assert whole is not None
+    hits = [impacts_of(record, push) for push in pushes_of(record)]
+    ratio = np.concatenate([(h.leaving / h.arriving)[h.arriving > _FAST] for h in hits])
+    alone = "" if len(ratio) else "no corner hits once and alone between two frames in flight"
+    return [
+        bench.measured(
+            "cubli: energy that no law explains", "1", unexplained.figure.max(), {}, note
+        ),
+        bench.measured("cubli: largest rise of energy", "1", whole.figure.max(), {}, note),
+        bench.measured("cubli: restitution of corners", "1", ratio, {}, note or alone),
+    ]

@@ -1,0 +1,169 @@
+"""The study of contact: the other measures against known answers, and the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbds_xsim import cli
+from mbds_xsim.report.contact_summary import LINES, Line, shown
+from mbds_xsim.state import Trajectory
+from mbds_xsim.study.contact_bench import FRICTION, PULL, Bench, Measured
+from mbds_xsim.study.contact_energy import per_bounce
+from mbds_xsim.study.contact_friction import friction, sliding
+from mbds_xsim.study.contact_limits import limits
+
+
+def _value(found: list[Measured], quantity: str, **at: float) -> float | None:
+    (one,) = [m for m in found if m.quantity == quantity and m.at == at]
+    return one.value
+
+
+def test_friction_is_told_from_impulses_though_the_body_hops() -> None:
+    """The ground pushes for a quarter of the time, three times as hard as the weight and more."""
+    time = np.linspace(0.0, 0.4, 21)
+    motion = Trajectory.empty(time, 1, 1)
+    pushed = np.clip(time, 0.1, 0.2) - 0.1
+    aside = np.radians(10.0)
+    motion.velocity[0, :, 0] = np.stack(
+        [
+            5.0 - 0.3 * np.cos(aside) * 3.0 * PULL * pushed,
+            -0.3 * np.sin(aside) * 3.0 * PULL * pushed,
+            3.0 * PULL * pushed - PULL * time,
+        ],
+        axis=-1,
+    )
+
+    coefficient, angle = sliding(motion, np.array([[1.0, 0.0, 0.0]]), (0.0, 0.4))
+
+    assert coefficient == pytest.approx([0.3 * np.cos(aside)])
+    assert angle == pytest.approx([10.0])
+
+
+@pytest.mark.parametrize("gain", [-0.3, 0.0, 0.02])
+def test_energy_by_bounce_is_what_the_heights_show(gain: float) -> None:
+    """Five flights, each with its own height."""
+    tops = 0.05 * (1.0 + gain) ** np.arange(5.0)
+    gaps, climbs = [], []
+    for k, top in enumerate(tops):
+        speed = np.sqrt(2 * PULL * top)
+        time = np.linspace(speed / PULL if k == 0 else 1e-3, 2 * speed / PULL - 1e-3, 9)
+        gaps.append(speed * time - 0.5 * PULL * time**2)
+        climbs.append(speed - PULL * time)
+
+    found = per_bounce(np.concatenate(gaps), np.concatenate(climbs), 0.05)
+
+    assert found == pytest.approx(gain, abs=1e-9)
+
+
+def test_a_ball_that_never_leaves_the_ground_has_lost_its_energy() -> None:
+    climb = np.array([0.0, -1.0, -0.5, 0.0, 0.0])
+
+    assert per_bounce(np.array([0.05, 0.01, -0.01, -0.01, -0.01]), climb, 0.05) == -1.0
+
+
+def test_known_laws_of_friction_show() -> None:
+    """DART's own solver has a box: at 45° √2 times as much, and held up to as much."""
+    pytest.importorskip("dartpy")
+
+    found = friction("dart", "native")
+
+    assert _value(found, "ball: sliding friction", heading_deg=0.0) == pytest.approx(FRICTION)
+    diagonal = _value(found, "ball: sliding friction", heading_deg=45.0)
+    assert diagonal == pytest.approx(np.sqrt(2) * FRICTION, rel=1e-3)
+    assert _value(found, "crate: push that starts it", heading_deg=0.0) == 1.05
+    assert _value(found, "crate: push that starts it", heading_deg=45.0) == 1.5
+
+
+def test_drag_that_nobody_asked_for_is_told_as_silent() -> None:
+    """PyBullet's default drag takes 0.04 (1 + ω) of the spin a second."""
+    pytest.importorskip("pybullet")
+
+    native, matched = limits("pybullet", "native"), limits("pybullet", "matched")
+
+    slow = next(m for m in native if m.quantity == "free spin")
+    assert slow.value == 1.0
+    assert slow.note.startswith("silent at 2 rad/s: 1.97")
+    assert _value(matched, "free spin") == 2000.0
+
+
+def test_a_failure_counts_as_told() -> None:
+    """DART cuts rebounds at 100 m/s, and the adapter says so."""
+    pytest.importorskip("dartpy")
+
+    fastest = next(m for m in limits("dart", "native") if m.quantity == "impact speed held")
+
+    assert fastest.value == 100.0
+    assert fastest.note.startswith("told at 200 m/s: contact sphere 0 hits the ground")
+
+
+def test_figures_without_a_value_keep_the_reason() -> None:
+    bench = Bench("dart", "native", "balldrop")
+
+    found = bench.measured("restitution", "1", np.array([np.nan, np.nan]), {}, "lost")
+
+    assert (found.value, found.low, found.note) == (None, None, "lost")
+    assert shown(LINES[0], found).text == "–"
+
+
+@pytest.mark.parametrize(("value", "off"), [(0.9332, False), (0.95, True)])
+def test_what_is_far_from_what_was_asked_is_marked(value: float, off: bool) -> None:
+    line: Line = LINES[0]
+    found = Measured("dart", "native", line.quantity, "1", value, line.at)
+
+    assert shown(line, found).off is off
+
+
+def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def test_the_command_writes_page_figures_and_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    words = ["contact", "--engines", "mujoco", "--settings", "native", "--json", "c.json"]
+
+    code = _call(monkeypatch, *words, "--markdown", "docs/c.md", "--figures", "docs/images")
+
+    assert code == 0
+    told = json.loads((tmp_path / "c.json").read_text())
+    assert told["missing"] == []
+    assert {m["engine"] for m in told["figures"]} == {"mujoco"}
+    page = (tmp_path / "docs/c.md").read_text("utf-8")
+    assert "(images/contact-restitution.png)" in page
+    assert (tmp_path / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
+    assert "| friction at 45° | 0.430 | **0.304** |" in page
+    assert "rebound at 1 m/s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--engines", "bullet"], "no engine is called 'bullet'"),
+        (["--settings", "best"], "no settings profile is called 'best'"),
+        (["--markdown", "."], "--markdown: cannot write ."),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    code = _call(monkeypatch, "contact", *words)
+
+    assert code == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
