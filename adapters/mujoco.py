@@ -101,7 +101,7 @@ class MuJoCo(Adapter):
         "link_time_constant": Sweep((0.0, 3.0), needs=frozenset({Feature.DISTANCE_LINK})),
         "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
-        "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK, Feature.CONTACT}),
+        "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK}),
     }
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "

@@ -34,6 +34,7 @@ def row_key(scene: Scene, start: Batch, engine: str, settings: Settings) -> str:
     what = [
         key_of("tradeoff", scene, start, 0, 0.0),
         scene.budget,
+        engine,
         settings.method,
         steps,
         sorted(settings.options.items()),

@@ -1,0 +1,96 @@
+"""`mbds-xsim tradeoff`: speed against accuracy."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    scene_named,
+    write_json,
+)
+
+__all__ = ["tradeoff"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim tradeoff 3ladder --html ladder.html  ·  "
+    "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv"
+)
+def tradeoff(
+    scenes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
+    ],
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(help="Starts of the medium interval.", min=1, max=1000)
+    ] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    limit: Annotated[
+        float,
+        typer.Option(
+            help="Longest rollout of one start [s]; slower points are only listed.", min=0.1
+        ),
+    ] = 30.0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Measure again what was measured earlier.")
+    ] = False,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the raw rows as CSV.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
+    ] = None,
+) -> None:
+    """Chart speed against accuracy: every engine, method and step, and their options."""
+    from mbds_xsim.choice import Choice
+    from mbds_xsim.isolate import core_count
+    from mbds_xsim.report.tradeoff_files import write_files
+    from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.report.tradeoff_terminal import print_tradeoff
+    from mbds_xsim.study.rows import to_json
+    from mbds_xsim.study.tradeoff import tradeoff_with_rows
+
+    console = console_for(json)
+    choice = Choice.parse(engines=engines)
+    check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    loaded = [scene_named(name) for name in scenes]
+    studies, rows = [], []
+    for scene in loaded:
+        with StudyBar(console, workers or core_count(), scene.name) as meter:
+            study, found = tradeoff_with_rows(
+                scene,
+                choice=choice,
+                starts=starts,
+                seed=seed,
+                limit=limit,
+                workers=workers,
+                fresh=fresh,
+                cache=cache,
+                meter=meter,
+                command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            )
+        studies.append(study)
+        rows += found
+        print_tradeoff(study, console)
+    write_files(studies, rows, csv=csv, html=html, png=png, markdown=markdown)
+    write_json(to_json(studies), json)

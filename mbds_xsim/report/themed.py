@@ -1,0 +1,99 @@
+"""Figures in the colours of the page they stand on, or in a file of their own."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import Any
+
+from markupsafe import Markup
+
+from mbds_xsim.report.palette import LIGHT
+
+__all__ = ["GREY", "INK", "PAPER", "png", "svg"]
+
+INK = "#010203"
+"""Becomes the colour of the page's text."""
+PAPER = "#fefdfc"
+"""Becomes the colour of the page's ground."""
+GREY = "#7f7f7f"
+
+_STYLE = {
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GREY,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.grid": True,
+    "grid.color": GREY,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+Draw = Callable[[Any], None]
+
+
+def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str]) -> Markup:
+    """Draw into an SVG that goes straight into a page.
+
+    Args:
+        title: For those who do not see it.
+        draw: Draws on the figure it is given.
+        size: Width and height [in].
+        tips: By gid of an artist, what it tells when pointed at. A gid's part before the last
+            dash is the artist's class.
+    """
+    stream = io.StringIO()
+    _saved(draw, size, stream, format="svg", transparent=True, metadata={"Date": None})
+    return _themed(stream.getvalue(), title, tips)
+
+
+def png(draw: Draw, size: tuple[float, float]) -> bytes:
+    """Draw into a PNG on white."""
+    stream = io.BytesIO()
+    _saved(draw, size, stream, format="png", dpi=150, facecolor="white")
+    return stream.getvalue()
+
+
+def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "mbds-xsim"}):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        figure.savefig(stream, **how)
+
+
+def _themed(text: str, title: str, tips: dict[str, str]) -> Markup:
+    """Cut what only a file needs; colours become those of the page, ids that clash go."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'<g id="((?:curve|tip)-[\w-]+)">', lambda match: _group(match[1], tips), text)
+    text = re.sub(r' id="[\w.]+_\d+"', "", text)
+    text = re.sub(r"font(-family)?: ([\d.]+px )?[^;\"]*sans-serif[^;\"]*", _short_font, text)
+    text = text.replace(INK, "var(--ink)").replace(PAPER, "var(--paper)")
+    for place, colour in enumerate(LIGHT):
+        text = text.replace(colour, f"var(--c{place})")
+    opening = Markup('<svg role="img" aria-label="{}" ').format(title)
+    return Markup(re.sub(r"<svg ", lambda _: str(opening), text, count=1))
+
+
+def _group(gid: str, tips: dict[str, str]) -> str:
+    kind = gid if gid.startswith("curve") else f"{gid.rsplit('-', 1)[0]}"
+    name = kind.replace("tip", "curve")
+    if gid not in tips:
+        return f'<g class="{name}">'
+    return str(Markup('<g class="{} tip"><title>{}</title>').format(name, tips[gid]))
+
+
+def _short_font(match: re.Match[str]) -> str:
+    """Leave the choice of the font to the page."""
+    size = (match[2] or "").strip()
+    return f"font-size: {size}" if size else "font-family: inherit"

@@ -1,0 +1,45 @@
+"""Trade-off studies as Markdown: what the terminal shows, to be kept."""
+
+from __future__ import annotations
+
+from mbds_xsim.report import quantity
+from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.study.rows import Tradeoff
+
+__all__ = ["to_markdown"]
+
+
+def to_markdown(studies: list[Tradeoff]) -> str:
+    """Give table, conclusions, failures, and how to make each again."""
+    return "\n".join(line for study in studies for line in _lines(study))
+
+
+def _lines(study: Tradeoff) -> list[str]:
+    versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
+    return [
+        f"# {study.scene}: speed against accuracy",
+        "",
+        f"{study.description}. {summary.conclusion(study).capitalize()}.",
+        "",
+        *_table(study),
+        "",
+        f"- Error: {summary.what_is_charted(study)}",
+        *(f"- {column.heading}: {column.meaning}" for column in summary.columns(study)[2:]),
+        *(f"- Option that pays: {line}" for line in summary.options_that_pay(study)),
+        *(f"- {name}: {steps}: {what}" for name, steps, what in summary.failures(study)),
+        *(f"- {name} left out: {reason}" for name, reason in study.left_out.items()),
+        f"- Made by `{study.command}` on {study.machine}, {study.workers} processes at a time, in "
+        f"{quantity.span(study.wall_s)}, with {versions}",
+        "",
+    ]
+
+
+def _table(study: Tradeoff) -> list[str]:
+    columns = summary.columns(study)
+    headings = [column.heading for column in columns]
+    rules = [":--" if column.text else "--:" for column in columns]
+    rows = [
+        [column.cell(curve).replace("<", "&lt;") for column in columns]
+        for curve in summary.main_curves(study)
+    ]
+    return [f"| {' | '.join(row)} |" for row in (headings, rules, *rows)]

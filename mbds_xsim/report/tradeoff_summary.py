@@ -1,0 +1,225 @@
+"""What a trade-off study says in words and figures, for terminal, page and Markdown alike."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mbds_xsim.report import quantity
+from mbds_xsim.study.rows import CurveResult, Point, Ratio, Tradeoff
+from mbds_xsim.study.sweep import NATIVE
+
+__all__ = [
+    "Column",
+    "cheapest_within",
+    "columns",
+    "conclusion",
+    "failures",
+    "main_curves",
+    "options_that_pay",
+    "places",
+    "steps_told",
+    "what_is_charted",
+]
+
+_WORTH_TELLING = 0.85
+"""Part of the usual options' cost below which another option is worth a line."""
+_SHOWN_BELOW = (1e-1, 1e-3)
+"""Accuracies told beside the budget, over it."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the main table: what it is called, what it says of a curve."""
+
+    heading: str
+    meaning: str
+    cell: Callable[[CurveResult], str]
+    text: bool = False
+    """Words rather than a figure: set flush left."""
+    narrow: bool = True
+    """Whether it is kept on a narrow terminal."""
+
+
+def main_curves(study: Tradeoff) -> list[CurveResult]:
+    """Curves of the table: the engines' usual options, then native settings."""
+    usual = [curve for curve in study.curves if not curve.variation]
+    return usual + [curve for curve in study.curves if curve.variation == NATIVE]
+
+
+def columns(study: Tradeoff) -> list[Column]:
+    """Give the columns of the main table."""
+    place = {id(curve): k for k, curve in enumerate(study.curves)}
+    ratios = _told_ratios(study)
+    return [
+        Column("engine", "Engine", lambda c: c.engine, text=True),
+        Column("method", "Way of stepping", _method, text=True),
+        Column("order", "Order of convergence measured, and the declared one", _order),
+        *itertools.chain.from_iterable(_ratio_columns(ratio, place) for ratio in ratios),
+        Column(
+            "all budgets",
+            "The cheapest point measured that keeps the budgets of all checks: step and wall time "
+            "per simulated second",
+            _within,
+        ),
+        Column(
+            "best error", "Smallest error of all steps that were tried", _best_error, narrow=False
+        ),
+    ]
+
+
+def places(study: Tradeoff) -> list[tuple[CurveResult, Point]]:
+    """All points that have a cost and an error, with their curves."""
+    return [
+        (curve, point)
+        for curve in study.curves
+        for point in curve.points
+        if point.wall_s is not None and point.error_m is not None
+    ]
+
+
+def cheapest_within(study: Tradeoff) -> tuple[CurveResult, Point] | None:
+    """The cheapest of all points that keep all budgets; native settings are not asked."""
+    kept = [(c, p) for c, p in places(study) if not p.broken and c.variation != NATIVE]
+    return min(kept, key=lambda pair: pair[1].wall_s or math.inf, default=None)
+
+
+def conclusion(study: Tradeoff) -> str:
+    """Say which point wins, in one sentence."""
+    best = cheapest_within(study)
+    if best is None:
+        return "no point keeps the budgets of all checks"
+    curve, point = best
+    return (
+        f"cheapest within all budgets: {curve.name} at {quantity.span(point.step_s)}, "
+        f"{quantity.span(point.wall_s)} a simulated second ({_speed(point)} real time), "
+        f"error {quantity.length(point.error_m)}"
+    )
+
+
+def what_is_charted(study: Tradeoff) -> str:
+    """Say what the error is and how far it goes."""
+    starts = f"{len(study.trajectories)} medium start{'s' * (len(study.trajectories) > 1)}"
+    if study.reference_ends_s is None:
+        return (
+            f"RMS distance of the particles to the reference at {study.horizon_s:g} s, the worst "
+            f"of {starts} (seed {study.seed})"
+        )
+    if not study.horizon_s:
+        return (
+            "no error can be told: several spheres touch the ground from the start, and what "
+            "follows has no unique solution in rigid contact"
+        )
+    return (
+        f"RMS distance of the particles to the reference, the worst of {starts} (seed "
+        f"{study.seed}), at the last frame before the first impact ({study.horizon_s:g} s the "
+        "earliest): what follows has no unique solution in rigid contact"
+    )
+
+
+def options_that_pay(study: Tradeoff) -> list[str]:
+    """Say which other options are cheaper at the budget."""
+    budget = next((ratio for ratio in study.ratios if ratio.budget), None)
+    if budget is None:
+        return []
+    usual = {
+        (curve.engine, curve.method): cost
+        for curve, cost in zip(study.curves, budget.wall_s, strict=True)
+        if not curve.variation
+    }
+    lines = []
+    for curve, cost in zip(study.curves, budget.wall_s, strict=True):
+        base = usual.get((curve.engine, curve.method))
+        if cost and base and curve.variation not in ("", NATIVE) and cost < _WORTH_TELLING * base:
+            lines.append(f"{curve.name}: {cost / base:.2g} × the cost at the budget")
+    return lines
+
+
+def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
+    """List what did not come to an end: curve, steps, what happened."""
+    lines = []
+    for curve in study.curves:
+        bad = [point for point in curve.points if point.kind != "done"]
+        for (kind, reason), points in itertools.groupby(bad, lambda p: (p.kind, p.reason)):
+            lines.append((curve.name, steps_told(list(points)), f"{kind}: {reason}"))
+    return _merged(lines)
+
+
+def steps_told(points: list[Point]) -> str:
+    """Name the steps of points, the longest first."""
+    return ", ".join(quantity.span(point.step_s) for point in points)
+
+
+def _merged(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """Put curves that ended alike into one line."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name, steps, what in lines:
+        alike.setdefault((steps, what), []).append(name)
+    return [("; ".join(names), steps, what) for (steps, what), names in alike.items()]
+
+
+def _told_ratios(study: Tradeoff) -> list[Ratio]:
+    """The budget, and accuracies some decades below it."""
+    told = [ratio for ratio in study.ratios if ratio.budget]
+    for share in _SHOWN_BELOW:
+        wanted = share * study.error_budget_m
+        finer = [r for r in study.ratios if not r.budget and r.error_m <= wanted * 1.01]
+        told += finer[:1]
+    return told
+
+
+def _ratio_columns(ratio: Ratio, place: dict[int, int]) -> list[Column]:
+    accuracy = quantity.length(ratio.error_m)
+    best = None if ratio.best is None else ratio.wall_s[ratio.best]
+
+    def times(curve: CurveResult) -> str:
+        cost = ratio.wall_s[place[id(curve)]]
+        return quantity.NONE if cost is None or best is None else f"{_digits(cost / best)}×"
+
+    column = Column(
+        "ratio" if ratio.budget else f"at {accuracy}",
+        f"Cost at an error of {accuracy} over that of the cheapest, by interpolation",
+        times,
+        narrow=ratio.budget,
+    )
+    if not ratio.budget:
+        return [column]
+    cost = Column(
+        f"≤ {accuracy}",
+        f"Wall time per simulated second at the budget of the error, {accuracy}, by interpolation",
+        lambda curve: quantity.span(ratio.wall_s[place[id(curve)]]),
+    )
+    return [cost, column]
+
+
+def _digits(value: float) -> str:
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+
+
+def _method(curve: CurveResult) -> str:
+    return f"{curve.method} ({NATIVE})" if curve.variation == NATIVE else curve.method
+
+
+def _order(curve: CurveResult) -> str:
+    measured = quantity.NONE if curve.measured_order is None else f"{curve.measured_order:.1f}"
+    return f"{measured} ({curve.order})"
+
+
+def _within(curve: CurveResult) -> str:
+    kept = [p for p in curve.points if p.wall_s is not None and not p.broken]
+    if not kept:
+        return quantity.NONE
+    best = min(kept, key=lambda point: point.wall_s or math.inf)
+    return f"{quantity.span(best.step_s)}: {quantity.span(best.wall_s)}"
+
+
+def _best_error(curve: CurveResult) -> str:
+    return quantity.length(
+        min((p.error_m for p in curve.points if p.error_m is not None), default=None)
+    )
+
+
+def _speed(point: Point) -> str:
+    return f"{_digits(1.0 / point.wall_s)} ×" if point.wall_s else quantity.NONE

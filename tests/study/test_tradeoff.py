@@ -1,0 +1,294 @@
+"""The study itself: orders as declared, nothing measured twice, failures as results."""
+
+from __future__ import annotations
+
+import functools
+import math
+import statistics
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.engine import Adapter, features_of
+from mbds_xsim.isolate import Task
+from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.study import bench, point, sweep
+from mbds_xsim.study.point import measure
+from mbds_xsim.study.rows import Row, Tradeoff
+from mbds_xsim.study.store import Store
+from mbds_xsim.study.sweep import Curve, curves_of
+from mbds_xsim.study.tradeoff import tradeoff, tradeoff_with_rows
+
+_HANG = 2.0  # [s] until a hanging task is ended
+
+
+@pytest.fixture(autouse=True)
+def _small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep rows and references apart, and try few steps."""
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(sweep, "COUNTS", (2, 5, 10, 20))
+    monkeypatch.setattr(sweep, "_THIN", (5,))
+    monkeypatch.setattr(point, "_ENOUGH", 0.01)
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A smooth scene, cut short."""
+    return msgspec.structs.replace(registry.load_scene("2pendulum"), clock=Clock(0.02, 20))
+
+
+def _study(scene: Scene, engines: str = "mujoco,exudyn", **how: Any) -> Tradeoff:
+    return tradeoff(scene, engines=engines.split(","), **({"starts": 1, "workers": 0} | how))
+
+
+def _curve(study: Tradeoff, name: str) -> Any:
+    return next(curve for curve in study.curves if curve.name == name)
+
+
+def test_measured_orders_are_those_declared(scene: Scene) -> None:
+    study = _study(scene)
+
+    for name in ("mujoco RK4", "mujoco Euler", "exudyn trapezoidal", "exudyn generalised-alpha"):
+        curve = _curve(study, name)
+        assert curve.measured_order == pytest.approx(curve.order, abs=0.25), name
+    assert {point.kind for curve in study.curves for point in curve.points} == {"done"}
+
+
+def test_the_error_is_at_the_end_of_a_scene_shorter_than_a_second(scene: Scene) -> None:
+    study = _study(scene, "mujoco")
+
+    assert study.horizon_s == pytest.approx(0.4)
+    first = _curve(study, "mujoco Euler").points[0]
+    assert 0.0 < first.error_m <= 10.0 * first.error_weighted_m
+
+
+def test_times_are_the_median_of_starts_and_repeats(scene: Scene) -> None:
+    study, rows = tradeoff_with_rows(scene, choice=Choice.parse(engines="mujoco"), workers=0)
+
+    first = _curve(study, "mujoco RK4").points[0]
+    own = [r for r in rows if (r.method, r.variation) == ("RK4", "")]
+    own = [row for row in own if row.steps_per_frame == first.steps_per_frame]
+    assert [row.trajectory for row in own] == [1, 4, 7]
+    assert all(len(row.wall_s) > 1 for row in own)
+    medians = [statistics.median(row.wall_s) for row in own]
+    assert first.wall_s == pytest.approx(statistics.median(medians))
+    assert first.wall_low_s <= first.wall_s <= first.wall_high_s
+
+
+def test_a_second_study_measures_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = _study(scene, "mujoco")
+    monkeypatch.setattr(bench, "measure", _never)
+
+    second = _study(scene, "mujoco")
+
+    assert (first.kept, second.measured) == (0, 0)
+    assert second.kept == first.measured
+    assert second.curves == first.curves
+
+
+def test_an_interrupted_study_goes_on_where_it_stopped(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+
+    def counted(*arguments: Any) -> Any:
+        call = f"{arguments[2:4]} {arguments[1].index}"
+        if len(calls) == 5 and call not in interrupted:
+            interrupted.append(call)
+            raise KeyboardInterrupt
+        calls.append(call)
+        return measure(*arguments)
+
+    interrupted: list[str] = []
+    monkeypatch.setattr(bench, "measure", counted)
+    with pytest.raises(KeyboardInterrupt):
+        _study(scene, "mujoco")
+
+    study = _study(scene, "mujoco")
+
+    assert study.kept == 5
+    assert study.measured == len(calls) - 5
+    assert len(set(calls)) == len(calls)
+    assert interrupted[0] in calls
+
+
+def test_other_settings_engines_or_physics_are_measured_anew(scene: Scene) -> None:
+    first = _study(scene, "mujoco")
+
+    more = _study(scene, "mujoco", starts=2)
+    heavier = msgspec.structs.replace(scene, gravity=(0.0, 0.0, -12.0))
+
+    assert more.kept == first.measured
+    assert more.measured > 0
+    assert _study(heavier, "mujoco", starts=1).kept == 0
+    assert _study(scene, "mujoco", fresh=True).measured == first.measured
+
+
+def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
+    study = _study(scene, "mujoco", limit=1e-6)
+
+    curve = _curve(study, "mujoco RK4")
+    assert [point.kind for point in curve.points] == ["done", *["too slow"] * 4]
+    assert "limit 1e-06 s" in curve.points[1].reason
+
+
+def test_steps_go_on_until_the_budget_is_kept_tenfold(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep, "COUNTS", (1, 2, 4, 8, 16, 32))
+    monkeypatch.setattr("mbds_xsim.study.explore.SPAN", 4)
+    budget = scene.budget.error_1s * scene.length
+
+    study = _study(scene, "mujoco")
+
+    precise = _curve(study, "mujoco RK4").points
+    coarse = _curve(study, "mujoco Euler").points
+    assert [point.steps_per_frame for point in precise] == [1, 2, 4]
+    assert len(coarse) > 3
+    assert all(point.error_m > 0.1 * budget for point in coarse[2:-1])
+
+
+def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() -> None:
+    cubli = registry.load_scene("simplecubli")
+    short = msgspec.structs.replace(cubli, clock=msgspec.structs.replace(cubli.clock, steps=40))
+
+    study = _study(short, "mujoco", starts=1)
+
+    assert study.reference_ends_s is not None
+    assert study.horizon_s <= study.reference_ends_s < 0.8
+    assert study.horizon_s > 0.2
+    assert _curve(study, "mujoco RK4").points[0].error_m < 1e-6
+
+
+def test_a_line_that_was_cut_off_is_passed_over(scene: Scene) -> None:
+    first = _study(scene, "mujoco")
+    path = Store.of(scene.name).path
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20])
+
+    second = _study(scene, "mujoco")
+
+    assert (second.kept, second.measured) == (first.measured - 1, 1)
+    assert len(Store.of(scene.name).rows) == first.measured
+
+
+def test_sweeps_name_options_and_methods_of_the_engine(adapter: Adapter) -> None:
+    assert adapter.sweeps
+    for option, tried in adapter.sweeps.items():
+        usual = adapter.options[option].default
+        assert set(tried.methods) <= set(adapter.methods)
+        assert all(isinstance(value, str) == isinstance(usual, str) for value in tried.values)
+        assert len(set(tried.values)) == len(tried.values) > 1
+
+
+@pytest.mark.parametrize("name", ["1ladder", "balldrop"])
+def test_what_is_tried_can_be_loaded(adapter: Adapter, name: str) -> None:
+    scene = registry.load_scene(name)
+
+    curves, _ = curves_of(scene, [adapter.name])
+
+    varied = [curve for curve in curves if curve.variation not in ("", sweep.NATIVE)]
+    for curve in varied:
+        adapter.check(scene, curve.settings(scene, 5))
+        assert _needs_met(adapter, curve, scene)
+    assert varied
+    assert len({curve.name for curve in curves}) == len(curves)
+
+
+def _needs_met(adapter: Adapter, curve: Curve, scene: Scene) -> bool:
+    tried = adapter.sweeps[curve.variation.split(" = ")[0]]
+    return not tried.needs or bool(tried.needs & features_of(scene))
+
+
+def _never(*_: Any) -> Any:
+    pytest.fail("measured again")
+
+
+# Engines that stand on the ground MuJoCo gives and go wrong in one way each.
+_ENGINES = """
+import os, time
+import numpy as np
+from mbds_xsim.state import Failure, Trajectory
+from mbds_xsim_adapters.mujoco import MuJoCo
+
+class Aborting(MuJoCo):
+    name = "aborting"
+    def load(self, scene, settings):
+        os.abort()
+
+class Hanging(MuJoCo):
+    name = "hanging"
+    def load(self, scene, settings):
+        time.sleep(600)
+
+class Blowing(MuJoCo):
+    name = "blowing"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.rollout = lambda batch: _lost(scene, batch)
+        return run
+
+def _lost(scene, batch):
+    time = scene.clock.frame * np.arange(batch.steps + 1)
+    whole = Trajectory.empty(time, len(batch), len(scene.bodies))
+    fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
+    return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
+"""
+
+
+@pytest.fixture
+def faulty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    packages = tmp_path / "packages"
+    metadata = packages / "faulty-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (packages / "faulty.py").write_text(_ENGINES)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty\nVersion: 1.0\n")
+    points = (f"{n} = faulty:{n.capitalize()}" for n in ("aborting", "hanging", "blowing"))
+    (metadata / "entry_points.txt").write_text("\n".join(["[mbds_xsim.adapters]", *points]))
+    monkeypatch.syspath_prepend(packages)
+    monkeypatch.setenv("PYTHONPATH", str(packages))
+    registry._points.cache_clear()
+    yield
+    registry._points.cache_clear()
+
+
+@functools.wraps(Task)
+def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout: float) -> Task:
+    return Task(function, arguments, _HANG if "hanging" in arguments else timeout)
+
+
+@pytest.mark.usefixtures("faulty")
+@pytest.mark.slow
+def test_crash_time_out_and_nan_are_listed_results(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep, "COUNTS", (4,))
+    monkeypatch.setattr(bench, "Task", _impatient)
+    engines = "mujoco,aborting,hanging,blowing"
+
+    study = _study(scene, engines, starts=1, workers=8)
+
+    def kinds(engine: str) -> set[tuple[str, str]]:
+        found = [curve for curve in study.curves if curve.engine == engine]
+        return {(point.kind, point.reason) for curve in found for point in curve.points}
+
+    assert {kind for kind, _ in kinds("mujoco")} == {"done"}
+    assert kinds("blowing") == {("failed", "frame 1: a number is not finite")}
+    assert kinds("hanging") == {("timed out", f"no answer within {_HANG:g} s")}
+    ((kind, reason),) = kinds("aborting")
+    assert (kind, "SIGABRT" in reason) == ("crashed", True)
+    assert all(
+        point.wall_s is None and not point.on_front and math.isfinite(point.step_s)
+        for curve in study.curves
+        if curve.engine != "mujoco"
+        for point in curve.points
+    )
+    # A time-out counts only as long as no more time is given.
+    again = Store.of(scene.name)
+    assert {row.kind for row in again.rows.values()} == {"done", "failed", "crashed", "timed out"}
+    assert all(isinstance(row, Row) for row in again.rows.values())
