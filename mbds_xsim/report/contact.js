@@ -40,7 +40,7 @@ function shown() {
 
 function layout() {
   const width = strips.getBoundingClientRect().width;
-  const left = width < 640 ? 80 : 128;
+  const left = width < 640 ? 112 : 128;
   const rows = shown().map((_, k) => 20 + k * (contact.spheres * LANE + 10));
   const bands = [{ kind: "gap", title: "Height of the lowest point", unit: "m" }];
   if (contact.slips) bands.push({ kind: "slip", title: "Slip where it touches", unit: "m/s" });
@@ -73,7 +73,7 @@ function drawStrips() {
   }
   ink.setTransform(ratio, 0, 0, ratio, 0, 0);
   ink.clearRect(0, 0, plan.width, plan.height);
-  ink.font = "12px system-ui, sans-serif";
+  ink.font = `${plan.width < 640 ? 11 : 12}px system-ui, sans-serif`;
   drawBeyond(plan);
   drawTimes(plan);
   for (const band of plan.bands) drawBand(plan, band);
@@ -166,9 +166,8 @@ function drawLanes(plan) {
   const depth = contact.spheres * LANE;
   shown().forEach((entry, k) => {
     const top = plan.top + plan.rows[k];
-    const name = plan.width < 640 ? entry.name.split(" ")[0] : entry.name;
     ink.globalAlpha = entry.visible ? 1 : 0.4;
-    write(name, plan.left - 8, top + depth / 2 + 4, colourOf(entry), "end");
+    write(entry.name, plan.left - 8, top + depth / 2 + 4, colourOf(entry), "end");
     ink.globalAlpha = 1;
     if (!entry.visible) return;
     stroke([[plan.left, top + depth + 1], [plan.width - 10, top + depth + 1]], theme("--line"));
@@ -186,9 +185,15 @@ function drawSteps(plan, entry, top, depth) {
     for (let sphere = 0; sphere < contact.spheres; sphere += 1) {
       if (flag(entry, step, sphere)) ink.fillRect(x, top + sphere * LANE, wide, Math.max(LANE - 1, 2));
     }
-    if (hit) ink.fillRect(x, top - 5, wide, 4);
+    if (hit) pointAt(x + wide / 2, top - 1);
   }
   ink.globalAlpha = 1;
+}
+
+function pointAt(x, y) {
+  ink.beginPath();
+  [[x - 3.5, y - 6], [x + 3.5, y - 6], [x, y]].forEach(([a, b], k) => (k ? ink.lineTo(a, b) : ink.moveTo(a, b)));
+  ink.fill();
 }
 
 function drawNow(plan) {

@@ -165,7 +165,9 @@ def restitution(
                 )  # fmt: skip
                 if style is not None:
                     marks.set_gid(f"result-{place - 1}")
-        _level(axes, e, f"the scene has {e:.4f}")
+        axes.axhline(e, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+        band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
+        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
         if judged:
             allowed = validation.budget["restitution"]
             axes.axhspan(e - allowed, e + allowed, color=_GREY, alpha=0.14, linewidth=0)
@@ -212,7 +214,9 @@ def _no_solution(axes: Any, time: Array, known: NDArray[np.bool_]) -> None:
     """Hatch what lies beyond the first impact of the first trajectory that has one."""
     last = int(known.sum(axis=1).min()) - 1
     if last + 1 < len(time):
-        axes.axvspan(time[last], time[-1], facecolor="none", edgecolor=_GREY, alpha=0.3, hatch="//")
+        axes.axvspan(
+            time[last], time[-1], facecolor="none", edgecolor=_GREY, alpha=0.45, hatch="//"
+        )
         axes.annotate(
             "beyond the first impact:\nno unique solution", (0.98, 0.06), xycoords="axes fraction",
             ha="right", fontsize=8, color=_INK,

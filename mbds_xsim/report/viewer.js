@@ -94,7 +94,7 @@ function lookAt() {
   const part = state.frame % 1;
   const place = from.map((x, axis) => x + part * (to[axis] - x));
   const high = scene.high[2] - Math.min(0, scene.low[2]);
-  return { middle: [place[0], place[1], high / 2], size: Math.max(3 * own, 1.15 * high) };
+  return { middle: [place[0], place[1], high / 2], size: Math.max(2.2 * own, 1.15 * high) };
 }
 
 // Right, up and away of a point as the eye sees it, from the middle of what is looked at.
