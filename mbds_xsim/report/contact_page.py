@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from mbds_xsim.study.contact_bench import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.study.contact_friction import PUSHES
 from mbds_xsim.study.contact_impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
 
-__all__ = ["contact_page"]
+__all__ = ["contact_page", "words_of"]
 
 _PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
 _HEAD = """\
@@ -37,10 +38,13 @@ measured from trajectories alone: written, with its figures, by
 {command}
 ```
 
-on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched` what
-data are published with; both run through the same adapter. {judged} What single checks make of
-it stands in [checks.md](checks.md), what an engine can represent at all in
-[engines.md](engines.md).
+{made}
+"""
+_MADE = """
+on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
+what data are published with; both run through the same adapter. {judged} What the checks of
+`validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
+in [engines.md](engines.md).
 """
 _WORDS = """
 ## In words
@@ -51,7 +55,8 @@ _REBOUND = f"""
 A ball of radius {1e3 * RADIUS:.0f} mm falls onto the ground at a known speed, from eight phases of
 a step. Both flights are parabolas, so speeds before and after are known without looking into the
 impact. “Takes” is the time from touch to take-off, negative where an engine acts ahead of the
-touch; “depth” the deepest overlap at any phase.
+touch; “depth” the deepest overlap at any phase. Figures are medians over the starts, bands in the
+picture go from the least to the most.
 """
 _SHARES = """
 Largest distance from what was asked, over these speeds, and the speed at which it is:
@@ -85,7 +90,8 @@ _LIMITS = """
 
 The fastest of some speeds at which an engine still delivers what was asked within 1 %, and what
 happens at the next: *told* is a failure of the trajectory with its reason, *silent* a wrong motion
-without a word. An impact counts as held if the ground does not lose the ball.
+without a word, if only for a drag that is on by default. An impact counts as held if the ground
+does not lose the ball.
 """
 
 # Notes that a table shows itself.
@@ -113,16 +119,16 @@ def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) ->
         folder: Where the page will lie, which decides its links to the figures.
     """
     versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
-    head = _HEAD.format(
-        command=study.command, machine=study.machine, versions=versions, judged=JUDGED
-    )
+    judged = JUDGED.replace("Marked", "Bold")
+    made = _MADE.format(machine=study.machine, versions=versions, judged=judged)
+    head = _HEAD.format(command=study.command, made=textwrap.fill(made.strip(), 100))
     picture = {name: _picture(name, path, folder) for name, path in figures.items()}
     return "\n".join(
         [
             head,
             *_summary(study),
             _WORDS,
-            *(_words(engine, law) for engine, law in study.laws.items()),
+            *(words_of(engine, law) for engine, law in study.laws.items()),
             _REBOUND + picture.get("restitution", ""),
             *_rebound(study),
             _FRICTION + picture.get("friction", ""),
@@ -153,7 +159,8 @@ def _summary(study: ContactStudy) -> Iterator[str]:
         yield _markdown(["", "asked", *study.versions], lines)
 
 
-def _words(engine: str, law: ContactLaw) -> str:
+def words_of(engine: str, law: ContactLaw) -> str:
+    """Lay out what an adapter says of its engine's contact."""
     return (
         f"**{engine}**\n\n"
         f"- Non-penetration: {law.normal}.\n"

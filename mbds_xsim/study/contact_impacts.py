@@ -2,7 +2,8 @@
 
 A ball falls onto the ground at a known speed. Both flights are parabolas, so the restitution and
 the time between touch and take-off follow from frames outside of the impact, be it a single
-impulse or a spring's. Starts differ in where within a step the ball touches.
+impulse or a spring's. Starts differ in where within a step the ball touches, and none does so just
+at the end of one.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def impacts(engine: str, profile: Profile) -> list[Measured]:
 
 def rebounds(bench: Bench, restitution: float, speed: float) -> tuple[Array, Array, Trajectory]:
     """Give restitution and duration of impacts that begin at other phases of a step, (row,)."""
-    fall = _BEFORE + bench.settings.step * np.mod(_GOLDEN * np.arange(_STARTS), 1.0)
+    fall = _BEFORE + bench.settings.step * np.mod(_GOLDEN * np.arange(1, _STARTS + 1), 1.0)
     motion = _dropped(bench, restitution, speed, fall, _DURATION)
     gap, raw = _height(motion)
     climb = raw + PULL * bench.lag  # at the frame's time, in flight

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbds_xsim import cli
+from mbds_xsim import cli, registry
+from mbds_xsim.report.contact_page import words_of
 from mbds_xsim.report.contact_summary import LINES, Line, shown
 from mbds_xsim.state import Trajectory
 from mbds_xsim.study.contact_bench import FRICTION, PULL, Bench, Measured
@@ -115,6 +116,17 @@ def test_what_is_far_from_what_was_asked_is_marked(value: float, off: bool) -> N
     found = Measured("dart", "native", line.quantity, "1", value, line.at)
 
     assert shown(line, found).off is off
+
+
+def test_the_page_says_what_the_adapters_say() -> None:
+    """Its figures are as old as they are; its words must be today's."""
+    page = (Path(__file__).parents[2] / "docs" / "contact.md").read_text("utf-8")
+    laws = {name: registry.load_adapter(name).contact_law for name in registry.installed_engines()}
+
+    stale = [name for name, law in laws.items() if law and words_of(name, law) not in page]
+
+    again = "mbds-xsim contact --markdown docs/contact.md --figures docs/images"
+    assert stale == [], f"docs/contact.md is stale; run: {again}"
 
 
 def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
