@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from mbds_xsim import cli, registry
-from mbds_xsim.report.contact_page import words_of
+from mbds_xsim import cli, isolate, registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.report.contact_page import contact_page, words_of
 from mbds_xsim.report.contact_summary import LINES, Line, shown
 from mbds_xsim.state import Trajectory
+from mbds_xsim.study import contact as study
 from mbds_xsim.study.contact_bench import FRICTION, PULL, Bench, Measured
 from mbds_xsim.study.contact_energy import per_bounce
 from mbds_xsim.study.contact_friction import friction, sliding
@@ -129,6 +133,16 @@ def test_the_page_says_what_the_adapters_say() -> None:
     assert stale == [], f"docs/contact.md is stale; run: {again}"
 
 
+class _Silent:
+    def begin(self, total: int) -> None: ...
+
+    def advance(self, what: str) -> None: ...
+
+
+def _run_here(tasks: list[isolate.Task], **options: Any) -> list[Any]:
+    return isolate.run_tasks(tasks, **(options | {"workers": 0}))
+
+
 def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
     with pytest.raises(SystemExit) as ended:
@@ -139,8 +153,10 @@ def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 def test_the_command_writes_page_figures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """In this process: that parts run apart, the next test says."""
     pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(study, "run_tasks", _run_here)
     words = ["contact", "--engines", "mujoco", "--settings", "native", "--json", "c.json"]
 
     code = _call(monkeypatch, *words, "--markdown", "docs/c.md", "--figures", "docs/images")
@@ -154,6 +170,22 @@ def test_the_command_writes_page_figures_and_json(
     assert (tmp_path / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
     assert "| friction at 45° | 0.430 | **0.304** |" in page
     assert "rebound at 1 m/s" in capsys.readouterr().out
+
+
+def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(study, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
+
+    found = study.study_contact(Choice(("mujoco",), ("native",)), progress=_Silent(), workers=1)
+
+    (missing,) = found.missing
+    assert (missing.engine, missing.profile, missing.part) == ("mujoco", "native", "arithmetic")
+    assert missing.reason.startswith("TypeError: ")
+    assert [m.quantity for m in found.figures] == ["free spin", "hinge spin", "impact speed held"]
+    page = contact_page(found, {}, Path())
+    assert f"- mujoco `native`, all of arithmetic: {missing.reason}" in page
 
 
 @pytest.mark.parametrize(
