@@ -211,9 +211,9 @@ if (contact) {
   };
   strips.addEventListener("pointerdown", jump);
   strips.addEventListener("pointermove", jump);
-  element("trajectory").addEventListener("change", () => {
+  element("trajectory").addEventListener("change", (event) => {
     for (const table of document.querySelectorAll("#contact table")) {
-      table.hidden = Number(table.dataset.trajectory) !== state.trajectory;
+      table.hidden = table.dataset.trajectory !== event.target.value;
     }
   });
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +9,10 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from mbds_xsim.report import quantity, summary
+from mbds_xsim.report import quantity, summary, themed
 from mbds_xsim.report.contact import Contact
 from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.result import EngineResult, Evidence, Validation
 from mbds_xsim.sampling_terms import INTERVALS
 
@@ -28,9 +27,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_INK = "#010203"
-_PAPER = "#fefdfc"
-_GREY = "#7f7f7f"
 _SIZE = (4.5, 3.1)
 _FLOOR = 1e-16
 """Zero is drawn here on the log axis."""
@@ -75,7 +71,7 @@ def check_series(
             if check in series:
                 _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
         for first in summary.ends(validation)[:1]:
-            axes.axvline(first, color=_GREY, linewidth=0.9)
+            axes.axvline(first, color=GREY, linewidth=0.9)
         for budget in sorted({f.budget for f in findings if f.budget}):
             _level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
         _log_axis(axes, "" if unit in ("", "1") else unit)
@@ -95,7 +91,7 @@ def matrix(validation: Validation, styles: tuple[Style, ...]) -> Markup | None:
         summary.label(result): LIGHT[style.colour]
         for result, style in zip(validation.engines, styles, strict=True)
     }
-    colours = [of_engine.get(name, _INK) for name in names]
+    colours = [of_engine.get(name, INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
     return _figure("distances between all pairs", lambda a: _heat(a, names, shown, colours), size)
 
@@ -157,20 +153,20 @@ def restitution(
     def draw(axes: Any) -> None:
         for place, (found, style) in enumerate(zip(met, (None, *styles), strict=True)):
             if found is not None:
-                colour = _INK if style is None else LIGHT[style.colour]
+                colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
                 (marks,) = axes.plot(
                     *found, "os^Dvp"[place % 6], color=colour, ms=9 if style is None else 5,
                     mfc="none" if hollow else colour, mew=1.1, alpha=0.85,
                 )  # fmt: skip
                 if style is not None:
-                    marks.set_gid(f"result-{place - 1}")
-        axes.axhline(e, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+                    marks.set_gid(f"curve-{place - 1}")
+        axes.axhline(e, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
         band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
         axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
         if judged:
             allowed = validation.budget["restitution"]
-            axes.axhspan(e - allowed, e + allowed, color=_GREY, alpha=0.14, linewidth=0)
+            axes.axhspan(e - allowed, e + allowed, color=GREY, alpha=0.14, linewidth=0)
         axes.set_xlabel("speed of impact [m/s]")
         axes.set_ylabel("speed after over before")
         axes.margins(x=0.06, y=0.15)
@@ -198,7 +194,7 @@ def _error_figure(
                 _curve(axes, time, _worst(error[rows]), style, place)
         _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
         if judged_at_1s and time[-1] >= 1.0:
-            axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=_INK, ms=7)
+            axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=INK, ms=7)
         _no_solution(axes, time, _known(evidence)[rows])
         _log_axis(axes, "RMS particle error [m]")
 
@@ -214,13 +210,11 @@ def _no_solution(axes: Any, time: Array, known: NDArray[np.bool_]) -> None:
     """Hatch what lies beyond the first impact of the first trajectory that has one."""
     last = int(known.sum(axis=1).min()) - 1
     if last + 1 < len(time):
-        axes.axvspan(
-            time[last], time[-1], facecolor="none", edgecolor=_GREY, alpha=0.45, hatch="//"
-        )
+        axes.axvspan(time[last], time[-1], facecolor="none", edgecolor=GREY, alpha=0.45, hatch="//")
         axes.annotate(
             "beyond the first impact:\nno unique solution", (0.98, 0.06), xycoords="axes fraction",
-            ha="right", fontsize=8, color=_INK,
-            bbox={"facecolor": _PAPER, "alpha": 0.85, "edgecolor": "none", "pad": 2},
+            ha="right", fontsize=8, color=INK,
+            bbox={"facecolor": PAPER, "alpha": 0.85, "edgecolor": "none", "pad": 2},
         )  # fmt: skip
 
 
@@ -228,8 +222,8 @@ def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> N
     """Shade what the budget allows, grown as a disturbance of the start grows."""
     grown = np.maximum(1.0, growth)
     allowed = np.fmax.reduce(np.where(grown < _GROWTH_LIMIT, budget * grown, np.nan))
-    axes.fill_between(time, _FLOOR, allowed, color=_GREY, alpha=0.14, linewidth=0)
-    axes.plot(time, allowed, color=_GREY, linewidth=1.0)
+    axes.fill_between(time, _FLOOR, allowed, color=GREY, alpha=0.14, linewidth=0)
+    axes.plot(time, allowed, color=GREY, linewidth=1.0)
 
 
 def _has_course(evidence: Evidence, check: str) -> bool:
@@ -258,15 +252,15 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
         linewidth=1.6,
     )
     # The gid becomes a class, by which the page's legend hides the curve.
-    line.set_gid(f"result-{place}")
+    line.set_gid(f"curve-{place}")
 
 
 def _level(axes: Any, value: float, text: str) -> None:
-    axes.axhline(value, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
     axes.annotate(
         text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-3, 3),
-        textcoords="offset points", ha="right", fontsize=8, color=_INK,
-        bbox={"facecolor": _PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
+        textcoords="offset points", ha="right", fontsize=8, color=INK,
+        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
     )  # fmt: skip
 
 
@@ -294,7 +288,7 @@ def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None
     for row, column in np.ndindex(*shown.shape):
         value = logs[row, column]
         light = image.norm(value) > 0.5 if np.isfinite(value) else None
-        colour = _INK if light is None else "#111111" if light else "#fafafa"
+        colour = INK if light is None else "#111111" if light else "#fafafa"
         text = "" if row == column else quantity.length(float(shown[row, column]))
         axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=8, color=colour)
     ticks = np.arange(len(shown)) + 0.5
@@ -311,59 +305,14 @@ def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None
 
 
 def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
-    axes.axvline(1.0, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.axvline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
     axes.set_xscale("log")
     axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
     axes.set_yticks(-np.arange(len(results)), [summary.label(result) for result in results])
     for check, symbol in marker.items():
-        axes.plot([], [], symbol, color=_GREY, label=check)
+        axes.plot([], [], symbol, color=GREY, label=check)
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
 
 
 def _figure(title: str, draw: Callable[[Any], None], size: tuple[float, float] = _SIZE) -> Markup:
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    settings = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": title,
-        "font.size": 9,
-        "text.color": _INK,
-        "axes.labelcolor": _INK,
-        "axes.edgecolor": _GREY,
-        "xtick.color": _GREY,
-        "ytick.color": _GREY,
-        "xtick.labelcolor": _INK,
-        "ytick.labelcolor": _INK,
-        "axes.grid": True,
-        "grid.color": _GREY,
-        "grid.alpha": 0.25,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-    with matplotlib.rc_context(settings):
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure.add_subplot())
-        stream = io.StringIO()
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    return _themed(stream.getvalue(), title)
-
-
-def _themed(svg: str, title: str) -> Markup:
-    """Cut what only a file needs; colours become those of the page, ids that clash go."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r' id="(result-\d+)"', r' class="\1"', svg)
-    svg = re.sub(r' id="[\w.]+_\d+"', "", svg)
-    svg = re.sub(r"font(-family)?: ([\d.]+px )?[^;\"]*sans-serif[^;\"]*", _short_font, svg)
-    svg = svg.replace(_INK, "var(--ink)").replace(_PAPER, "var(--paper)")
-    for place, colour in enumerate(LIGHT):
-        svg = svg.replace(colour, f"var(--c{place})")
-    opening = Markup('<svg role="img" aria-label="{}" ').format(title)
-    return Markup(re.sub(r"<svg ", lambda _: str(opening), svg, count=1))
-
-
-def _short_font(match: re.Match[str]) -> str:
-    """Leave the choice of the font to the page."""
-    size = (match[2] or "").strip()
-    return f"font-size: {size}" if size else "font-family: inherit"
+    return themed.svg(title, lambda figure: draw(figure.add_subplot()), size, {})

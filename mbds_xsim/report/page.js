@@ -69,7 +69,7 @@ function connectLegend() {
     box.addEventListener("change", () => {
       const entry = scene.entries.find(({ name }) => name === box.dataset.show);
       if (entry) entry.visible = box.checked;
-      for (const curve of document.querySelectorAll(`.result-${box.dataset.result}`)) {
+      for (const curve of document.querySelectorAll(`.curve-${box.dataset.result}`)) {
         curve.style.display = box.checked ? "" : "none";
       }
       refresh();

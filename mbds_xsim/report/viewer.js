@@ -97,14 +97,15 @@ function lookAt() {
   return { middle: [place[0], place[1], high / 2], size: Math.max(2.2 * own, 1.15 * high) };
 }
 
-// Right, up and away of a point as the eye sees it, from the middle of what is looked at.
+// Right, up and away of a point as the eye sees it, from the middle of what is looked at. The eye
+// is above it where the pitch is positive.
 function seen([x, y, z], { yaw, pitch }) {
   const [a, b, c] = [x - focus.middle[0], y - focus.middle[1], z - focus.middle[2]];
   const away = -Math.sin(yaw) * a + Math.cos(yaw) * b;
   return [
     Math.cos(yaw) * a + Math.sin(yaw) * b,
-    Math.cos(pitch) * c - Math.sin(pitch) * away,
-    Math.cos(pitch) * away + Math.sin(pitch) * c,
+    Math.cos(pitch) * c + Math.sin(pitch) * away,
+    Math.cos(pitch) * away - Math.sin(pitch) * c,
   ];
 }
 
@@ -126,7 +127,14 @@ function camera() {
     const near = (scale * distance) / Math.max(distance + away, 0.1 * distance);
     return [box.width / 2 + view.shiftX + near * right, box.height / 2 + view.shiftY - near * up, near];
   };
-  return { project, box, scale };
+  // What of a closed line is in front of the eye.
+  const inFront = (points) => points.flatMap((point, k) => {
+    const from = points[(k || points.length) - 1];
+    const [a, b] = [from, point].map((p) => seen(p, view)[2] + 0.9 * distance);
+    const crossing = a < 0 === b < 0 ? [] : [from.map((x, axis) => x + (a / (a - b)) * (point[axis] - x))];
+    return b < 0 ? crossing : [...crossing, point];
+  });
+  return { project, inFront, box, scale };
 }
 
 // --- drawing ---------------------------------------------------------------------------------
@@ -153,7 +161,8 @@ function drawGround(eye) {
     Math.floor((around[axis][0] - focus.size / 4) / step) * step,
     Math.ceil((around[axis][1] + focus.size / 4) / step) * step,
   ]);
-  const corners = [[0, 0], [1, 0], [1, 1], [0, 1]].map(([i, j]) => eye.project([range[0][i], range[1][j], 0]));
+  const seenLine = (points) => eye.inFront(points).map(eye.project);
+  const corners = seenLine([[0, 0], [1, 0], [1, 1], [0, 1]].map(([i, j]) => [range[0][i], range[1][j], 0]));
   pen.beginPath();
   corners.forEach(([x, y], k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
   pen.fillStyle = theme("--line");
@@ -163,10 +172,10 @@ function drawGround(eye) {
   pen.strokeStyle = theme("--line");
   pen.lineWidth = 1;
   for (let x = range[0][0]; x <= range[0][1] + step / 2; x += step) {
-    line([[x, range[1][0], 0], [x, range[1][1], 0]].map(eye.project));
+    line(seenLine([[x, range[1][0], 0], [x, range[1][1], 0]]));
   }
   for (let y = range[1][0]; y <= range[1][1] + step / 2; y += step) {
-    line([[range[0][0], y, 0], [range[0][1], y, 0]].map(eye.project));
+    line(seenLine([[range[0][0], y, 0], [range[0][1], y, 0]]));
   }
 }
 

@@ -233,8 +233,8 @@ def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case, tmp_path
     assert section.count("<table") == ROWS
     assert section.count(" hidden>") == ROWS - 1
     assert "exact through all contacts" in section
-    assert 'class="result-0"' in section
-    assert 'class="result-1"' not in section
+    assert 'class="curve-0"' in section
+    assert 'class="curve-1"' not in section
 
 
 def test_a_scene_without_contact_has_nothing_of_it(case: Case, tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def test_every_finding_is_listed(page: str, case: Case) -> None:
 def test_every_engine_has_its_curve_in_every_plot_over_time(page: str, case: Case) -> None:
     errors_and_checks = 3 + 3
     for place in range(len(case.validation.engines)):
-        assert page.count(f'class="result-{place}"') == errors_and_checks
+        assert page.count(f'class="curve-{place}"') == errors_and_checks
 
 
 def test_plots_take_the_colours_of_the_page(page: str) -> None:
