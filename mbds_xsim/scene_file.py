@@ -46,9 +46,13 @@ def read_scene(path: Path) -> Scene:
     return scene
 
 
-def write_scene(scene: Scene) -> str:
-    """Give the text of a scene file; keys that have their default are mostly left out."""
-    return _compact(tomli_w.dumps(msgspec.to_builtins(scene)))
+def write_scene(scene: Scene, *, defaults: bool = False) -> str:
+    """Give the text of a scene file; keys that have their default are mostly left out.
+
+    With `defaults` they are all there: equal scenes then have equal texts, which mean the same to
+    a version with other defaults.
+    """
+    return _compact(tomli_w.dumps(_explicit(scene) if defaults else msgspec.to_builtins(scene)))
 
 
 def save_scene(scene: Scene, path: Path) -> None:
@@ -84,6 +88,18 @@ def _load(path: Path) -> Mapping[str, Any]:
         raise SceneError(f"{path}: this is not TOML: brackets without end") from error
     except ValueError as error:  # also from a number of too many digits
         raise SceneError(f"{path}: this is not TOML: {error}") from error
+
+
+def _explicit(value: Any) -> Any:
+    """Plain values of a scene, with all keys but those that say nothing."""
+    if isinstance(value, tuple):
+        return [_explicit(item) for item in value]
+    if not isinstance(value, msgspec.Struct):
+        return value
+    config = value.__struct_config__
+    tag = {config.tag_field: config.tag} if config.tag_field else {}
+    fields = {key: getattr(value, key) for key in value.__struct_fields__}
+    return tag | {key: _explicit(item) for key, item in fields.items() if item is not None}
 
 
 def _compact(text: str) -> str:

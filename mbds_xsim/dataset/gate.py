@@ -1,0 +1,114 @@
+"""Which trajectories are published: those of which every check holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks import Finding, audit
+from mbds_xsim.dataset.layout import CHECKS, INTEGRITY
+from mbds_xsim.engine import Method, Readback, Settings
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.readback import compare
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Verdict", "judge_rows"]
+
+Array = NDArray[np.float64]
+
+# The checks make many passes over arrays: pieces that stay in a core's cache are twice as fast,
+# and bound the memory.
+_BODY_FRAMES = 50_000
+_COLUMNS = {name: k for k, name in enumerate(CHECKS)}
+
+
+@dataclass(eq=False)
+class Verdict:
+    """What the checks make of some trajectories, as it is stored."""
+
+    figure: Array
+    """NaN where a check does not apply, shape (trajectory, check)."""
+    allowed: Array
+    """What the figure may reach; ∞: shown, not judged."""
+    frame: NDArray[np.int32]
+    reasons: list[list[str]]
+    """Of each trajectory, why it does not pass all checks; in the order of the checks."""
+    failed: NDArray[np.bool_]
+    """Shape (trajectory, check)."""
+    misbuilt: list[str]
+    """What the engine's model has otherwise than the scene."""
+
+    @staticmethod
+    def empty(count: int) -> Verdict:
+        """Nothing has been checked yet."""
+        shape = (count, len(CHECKS))
+        return Verdict(
+            figure=np.full(shape, np.nan),
+            allowed=np.full(shape, np.nan),
+            frame=np.full(shape, -1, dtype=np.int32),
+            reasons=[[] for _ in range(count)],
+            failed=np.zeros(shape, dtype=bool),
+            misbuilt=[],
+        )
+
+    def add(self, rows: NDArray[np.int64], findings: Iterable[Finding]) -> None:
+        """Store findings about some of the trajectories."""
+        for finding in findings:
+            column = _COLUMNS[finding.check]
+            budget = np.inf if finding.budget is None else finding.budget
+            self.figure[rows, column] = finding.figure
+            self.allowed[rows, column] = budget + finding.uncertainty
+            self.frame[rows, column] = finding.frame
+            self.failed[rows, column] = ~finding.passed
+            for k in np.flatnonzero(~finding.passed):
+                self.reasons[rows[k]].append(_reason(finding, int(k)))
+
+    def published(self, *, certified: bool) -> NDArray[np.bool_]:
+        """Tell which trajectories pass all checks, or those of integrity."""
+        judged = list(CHECKS) if certified else list(INTEGRITY)
+        failed = self.failed[:, [_COLUMNS[name] for name in judged]].any(axis=1)
+        return np.asarray(~failed & (not (certified and self.misbuilt)))
+
+    def reason(self, row: int) -> str:
+        """Say in one line why a trajectory does not pass."""
+        return "; ".join([*self.misbuilt, *self.reasons[row]])
+
+
+def judge_rows(
+    scene: Scene,
+    batch: Batch,
+    trajectory: Trajectory,
+    method: Method,
+    settings: Settings,
+    readback: Readback | None = None,
+) -> Verdict:
+    """Check every trajectory, and the engine's model where it is known."""
+    verdict = Verdict.empty(len(batch))
+    if readback is not None:
+        lines = compare(Mechanism.of(scene), batch, settings, readback)
+        verdict.misbuilt += [f"read-back: {line}" for line in lines]
+    for row, failure in enumerate(trajectory.failures):
+        if failure is not None:
+            verdict.reasons[row].append(f"ended at frame {failure.frame}: {failure.reason}")
+    for rows in _pieces(scene, len(batch)):
+        piece = trajectory[rows.tolist()]
+        verdict.add(rows, audit(scene, batch[rows], piece, method, step=settings.step))
+    return verdict
+
+
+def _pieces(scene: Scene, count: int) -> Iterator[NDArray[np.int64]]:
+    size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
+    for first in range(0, count, size):
+        yield np.arange(first, min(first + size, count))
+
+
+def _reason(finding: Finding, row: int) -> str:
+    where = f" ({finding.where[row]})" if finding.where[row] else ""
+    return (
+        f"{finding.check}: {finding.figure[row]:.3g} {finding.unit}, allowed "
+        f"{finding.budget:.3g}{where}, frame {finding.frame[row]}"
+    )

@@ -1,0 +1,112 @@
+"""Make data sets: one variant an engine and scene, in shards, then joined."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset import durable
+from mbds_xsim.dataset.join import VariantCount, join
+from mbds_xsim.dataset.lock import locked
+from mbds_xsim.dataset.plan import check_paired, pending
+from mbds_xsim.dataset.shard import rejected_folder
+from mbds_xsim.dataset.variant import Item, Variant, folder_name
+from mbds_xsim.dataset.watch import ProgressSink, watched
+from mbds_xsim.dataset.work import Carrier, make
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import core_count, run_tasks
+from mbds_xsim.scene import Scene
+
+__all__ = ["Generated", "Request", "generate"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for."""
+
+    scenes: tuple[Scene, ...]
+    choice: Choice
+    trajectories: int
+    out: Path
+    seed: int = 0
+    noise: bool = True
+
+
+@dataclass(frozen=True)
+class Generated:
+    """What came of a request."""
+
+    variants: tuple[VariantCount, ...]
+    left_out: dict[str, str]
+    """Scenes and engines that do not go together, with the reason."""
+    made: int
+    """Trajectories that this run made; an earlier one may have made others."""
+    wall_s: float
+
+
+def generate(
+    request: Request,
+    *,
+    workers: int | None = None,
+    progress: ProgressSink,
+    carry_out: Carrier = run_tasks,
+) -> Generated:
+    """Make what is missing of the data asked for; run again after any interruption to go on.
+
+    Raises:
+        InputError: Nothing can be made as asked, or the folder holds or gets something else.
+    """
+    begin = time.perf_counter()
+    if request.trajectories < 1:
+        msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
+        raise InputError(msg)
+    variants, left_out = _variants(request)
+    with locked(request.out):
+        for variant in variants:
+            check_paired(variant, request.out)
+            _clean(variant, request.out)
+        todo = _todo(variants, request)
+        missing = sum(item.count for _, item in todo)
+        total = request.trajectories * len(variants)
+        progress.begin(total, total - missing)
+        with watched([variant.folder(request.out) for variant in variants], progress):
+            make(
+                todo,
+                request.out,
+                workers=core_count() if workers is None else workers,
+                carry_out=carry_out,
+            )
+        counts = tuple(join(variants, request.trajectories, request.out))
+    return Generated(counts, left_out, missing, time.perf_counter() - begin)
+
+
+def _variants(request: Request) -> tuple[list[Variant], dict[str, str]]:
+    names = [folder_name(scene.name) for scene in request.scenes]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        msg = f"two scenes would both be stored as {twice[0]!r}; rename one, or generate it apart"
+        raise InputError(msg)
+    variants: list[Variant] = []
+    left_out: dict[str, str] = {}
+    for scene in request.scenes:
+        contenders, reasons = request.choice.contenders(scene)
+        variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
+        left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
+    return variants, left_out
+
+
+def _clean(variant: Variant, out: Path) -> None:
+    """Remove what a run left that was killed."""
+    folder = variant.folder(out)
+    for written in (folder, folder.parent, rejected_folder(variant, out)):
+        durable.clean(written)
+
+
+def _todo(variants: list[Variant], request: Request) -> list[tuple[Variant, Item]]:
+    return [
+        (variant, item)
+        for variant in variants
+        for item in pending(variant, request.trajectories, request.out)
+    ]

@@ -1,0 +1,167 @@
+"""Join shards: one virtual file a variant, and one that says what is valid in all of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.content import (
+    CONTENT,
+    describe,
+    encode,
+    finished,
+    open_new,
+    put_field,
+    values_of,
+)
+from mbds_xsim.dataset.durable import put
+from mbds_xsim.dataset.layout import SHARED, SUFFIX, Field, known_names
+from mbds_xsim.dataset.shard import rejected_folder
+from mbds_xsim.dataset.split import split_of
+from mbds_xsim.dataset.variant import Variant
+
+__all__ = ["JOINT", "VariantCount", "join"]
+
+JOINT = f"joint{SUFFIX}"
+"""Name of the file that says which trajectories are valid in all variants of a scene."""
+
+
+@dataclass(frozen=True)
+class VariantCount:
+    """What came of one variant."""
+
+    scene: str
+    variant: str
+    file: str
+    trajectories: int
+    published: int
+    rejected: int
+    rejected_by: dict[str, int]
+    """By the check that failed first."""
+    bytes: int
+
+
+def join(variants: Sequence[Variant], trajectories: int, out: Path) -> Iterator[VariantCount]:
+    """Write the joined file of every variant, and the joint file of every scene."""
+    for variant in variants:
+        yield _join_variant(variant, trajectories, out)
+    for folder in dict.fromkeys(variant.folder(out).parent for variant in variants):
+        _join_scene(folder)
+
+
+def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCount:
+    folder = variant.folder(out)
+    names = [item.file_name for item in variant.items(trajectories)]
+    shards = [_Shard(folder / name) for name in names]
+    published = sum(shard.rows for shard in shards)
+    facts = {
+        "kind": "joined",
+        "first": 0,
+        "count": trajectories,
+        "published": published,
+        "rejected": trajectories - published,
+    }
+    target = folder.with_name(f"{variant.name}{SUFFIX}")
+    put(target, _joined(shards, trajectories, {**variant.recipe, **facts}))
+    return VariantCount(
+        scene=variant.scene.name,
+        variant=variant.name,
+        file=str(target.relative_to(out)),
+        trajectories=trajectories,
+        published=published,
+        rejected=trajectories - published,
+        rejected_by=dict(_causes(rejected_folder(variant, out), names).most_common()),
+        bytes=sum(shard.path.stat().st_size for shard in shards),
+    )
+
+
+def _joined(shards: Sequence[_Shard], trajectories: int, attributes: dict[str, Any]) -> bytes:
+    """The bytes of a file that finds the trajectories of all shards; they stay where they are."""
+    index = np.concatenate([shard.index for shard in shards])
+    own = {
+        "index": index,
+        "split": split_of(index, trajectories),
+        "shard/file": np.array([f"{shard.path.parent.name}/{shard.path.name}" for shard in shards]),
+        "shard/rows": np.array([shard.rows for shard in shards]),
+        "shard/content": np.array([shard.content for shard in shards]),
+    }
+    fields = known_names()
+    with open_new("joined") as file, h5py.File(shards[0].path, "r") as first:
+        for name in sorted(own.keys() | {name for name in fields if name in first}):
+            if name in own:
+                put_field(file, fields[name], own[name])
+            elif fields[name].per_trajectory:
+                _put_virtual(file, fields[name], first[name], shards)
+            else:
+                put_field(file, fields[name], values_of(first[name]))
+        return finished(file, attributes)
+
+
+class _Shard:
+    """What joining needs of a shard."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with h5py.File(path, "r") as file:
+            self.index: NDArray[np.int64] = file["index"][()]
+            self.content = str(file.attrs[CONTENT])
+        self.rows = len(self.index)
+
+
+def _put_virtual(file: Any, field: Field, like: Any, shards: Sequence[_Shard]) -> None:
+    """Put a dataset that reads from the shards; where one is missing it has no numbers."""
+    total = sum(shard.rows for shard in shards)
+    space = h5py.h5s.create_simple((total, *like.shape[1:]))
+    # Low level, because `create_virtual_dataset` puts the time of the day into the file.
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_obj_track_times(False)
+    fill = {"f": np.nan, "u": 255, "i": -1}[like.dtype.kind]
+    creation.set_fill_value(np.array([fill], dtype=like.dtype))
+    first = 0
+    for shard in shards:
+        if shard.rows:
+            shape = (shard.rows, *like.shape[1:])
+            space.select_hyperslab((first,) + (0,) * (len(shape) - 1), shape)
+            path = f"{shard.path.parent.name}/{shard.path.name}".encode()
+            creation.set_virtual(space, path, field.name.encode(), h5py.h5s.create_simple(shape))
+        first += shard.rows
+    space.select_all()
+    file.require_group(field.name.rpartition("/")[0] or "/")
+    kind = h5py.h5t.py_create(like.dtype)
+    h5py.h5d.create(file.id, field.name.encode(), kind, space, dcpl=creation)
+    describe(file[field.name], field)
+
+
+def _causes(folder: Path, names: Sequence[str]) -> Counter[str]:
+    """Count rejected trajectories by what failed first."""
+    found: Counter[str] = Counter()
+    for name in names:
+        if (folder / name).exists():
+            with h5py.File(folder / name, "r") as file:
+                found.update(reason.split(":")[0] for reason in file["reason"].asstr()[()])
+    return found
+
+
+def _join_scene(folder: Path) -> None:
+    """Write which trajectories are published in all variants that a folder holds."""
+    masks = {}
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        if path.name != JOINT:
+            with h5py.File(path, "r") as file:
+                masks[path.stem] = np.isin(np.arange(file.attrs["count"]), file["index"][()])
+                shared = {key: file.attrs[key] for key in SHARED}
+    common = min(len(mask) for mask in masks.values())
+    valid = np.stack([mask[:common] for mask in masks.values()])
+    datasets = {
+        "variant": np.array(list(masks)),
+        "valid": valid,
+        "valid_in_all": np.asarray(valid.all(axis=0)),
+    }
+    put(folder / JOINT, encode(datasets, {**shared, "kind": "joint", "count": common}))

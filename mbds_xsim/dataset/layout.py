@@ -1,0 +1,163 @@
+"""The layout of data files, as data; `docs/dataset-layout.md` shows it as a tree.
+
+Every file is HDF5 in the format of version 1.10. Datasets are contiguous and without filters: one
+trajectory, and any window of frames of it, is one run of bytes that can be mapped into memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = [
+    "CHECKS",
+    "FIELDS",
+    "FORMAT",
+    "INTEGRITY",
+    "SHARED",
+    "SUFFIX",
+    "VERSION",
+    "Field",
+    "known_names",
+]
+
+FORMAT = "mbds-xsim data"
+VERSION = 1
+"""Of the layout. A reader refuses what is newer; a new optional dataset does not raise it."""
+SUFFIX = ".h5"
+
+
+@dataclass(frozen=True)
+class Field:
+    """A dataset of a file."""
+
+    name: str
+    """Path in the file."""
+    axes: tuple[str, ...]
+    dtype: str
+    """Of numpy; "text" for UTF-8 of fixed length."""
+    unit: str
+    meaning: str
+    kinds: tuple[str, ...] = ("shard", "rejected", "joined")
+    """Of files that have it."""
+
+    @property
+    def per_trajectory(self) -> bool:
+        """Whether the first axis counts trajectories, so that shards are joined along it."""
+        return self.axes[0] == "trajectory"
+
+
+_WHOLE = ("trajectory", "frame")
+_HELD = ("trajectory", "step")
+
+FIELDS: tuple[Field, ...] = (
+    Field(
+        "index", ("trajectory",), "<i8", "1", "number of the trajectory, the same in all engines"
+    ),
+    Field("interval", ("trajectory",), "<u1", "1", "0 low, 1 medium, 2 high: index mod 3"),
+    Field("time", ("frame",), "<f8", "s", "of each frame"),
+    Field("position", (*_WHOLE, "point", "axis"), "<f4", "m", "of the particles in W"),
+    Field("velocity", (*_WHOLE, "point", "axis"), "<f4", "m/s", "of the particles in W"),
+    Field("body/position", (*_WHOLE, "body", "xyz"), "<f8", "m", "of centres of mass in W"),
+    Field("body/orientation", (*_WHOLE, "body", "wxyz"), "<f8", "1", "unit quaternion, body to W"),
+    Field("body/velocity", (*_WHOLE, "body", "xyz"), "<f8", "m/s", "of centres of mass in W"),
+    Field("body/angular_velocity", (*_WHOLE, "body", "xyz"), "<f8", "rad/s", "in W"),
+    Field("start/position", ("trajectory", "body", "xyz"), "<f8", "m", "as drawn"),
+    Field("start/orientation", ("trajectory", "body", "wxyz"), "<f8", "1", "as drawn"),
+    Field("start/velocity", ("trajectory", "body", "xyz"), "<f8", "m/s", "as drawn"),
+    Field("start/angular_velocity", ("trajectory", "body", "xyz"), "<f8", "rad/s", "as drawn"),
+    Field(
+        "input/force",
+        (*_HELD, "body", "xyz"),
+        "<f8",
+        "N",
+        "all that acts on centres of mass in W, the noise included, held over each step",
+    ),
+    Field(
+        "input/known_force",
+        (*_HELD, "body", "xyz"),
+        "<f8",
+        "N",
+        "the same without the noise: what a model may be told; absent where there is none",
+    ),
+    Field(
+        "input/torque",
+        (*_HELD, "hinge"),
+        "<f8",
+        "N·m",
+        "about each hinge, on the child, and the opposite on the parent, held over each step",
+    ),
+    Field("check/name", ("check",), "text", "", "of each check; docs/checks.md defines them"),
+    Field("check/unit", ("check",), "text", "", "of its figure and of what is allowed"),
+    Field(
+        "check/figure",
+        ("trajectory", "check"),
+        "<f8",
+        "check/unit",
+        "worst over the frames; not a number where the check does not apply",
+    ),
+    Field(
+        "check/allowed",
+        ("trajectory", "check"),
+        "<f8",
+        "check/unit",
+        "what the figure may reach; infinite where it is shown, not judged",
+    ),
+    Field("check/frame", ("trajectory", "check"), "<i4", "1", "of the worst value; −1: none"),
+    Field("graph/edge", ("edge", "two"), "<i4", "1", "pairs of nodes: points, then static nodes"),
+    Field("graph/point_body", ("point",), "<i4", "1", "body of each point"),
+    Field("graph/static_node", ("static", "axis"), "<f8", "m", "fixed points in W"),
+    Field("graph/body_name", ("body",), "text", "", "of each body"),
+    Field("reason", ("trajectory",), "text", "", "why it was rejected", ("rejected",)),
+    Field("split", ("trajectory",), "<u1", "1", "0 train, 1 validation, 2 test", ("joined",)),
+    Field("shard/file", ("shard",), "text", "", "where its trajectories are", ("joined",)),
+    Field("shard/rows", ("shard",), "<i8", "1", "how many it has", ("joined",)),
+    Field("shard/content", ("shard",), "text", "", "its content_sha256", ("joined",)),
+    Field("variant", ("variant",), "text", "", "engine and settings", ("joint",)),
+    Field(
+        "valid",
+        ("variant", "number"),
+        "|b1",
+        "1",
+        "whether the trajectory of this number is published",
+        ("joint",),
+    ),
+    Field("valid_in_all", ("number",), "|b1", "1", "the same in all variants", ("joint",)),
+)
+
+SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
+"""Attributes that are alike in all variants of a scene in one folder."""
+
+CHECKS: dict[str, str] = {
+    "finite": "1",
+    "start": "1",
+    "gap": "m",
+    "angle gap": "rad",
+    "planarity": "1",
+    "kinematics": "1",
+    "velocity lag": "s",
+    "energy": "1",
+    "momentum": "1",
+    "penetration": "1",
+    "contact gap": "1",
+    "passivity": "1",
+    "energy rise": "1",
+    "friction": "1",
+    "wheels": "1",
+    "rolling": "1",
+    "restitution": "1",
+    "eccentric restitution": "1",
+    "hop": "1",
+    "resting": "1",
+    "error at 1 s": "m",
+    "error growth-weighted": "m",
+}
+"""Columns of the check table and their units: those of `mbds_xsim.checks.audit`, then those that
+need the reference and are known of the audit sample alone."""
+
+INTEGRITY = ("finite", "start")
+"""What even an uncertified trajectory must pass."""
+
+
+def known_names() -> dict[str, Field]:
+    """Fields by name."""
+    return {field.name: field for field in FIELDS}

@@ -1,0 +1,141 @@
+"""Which shards are still to be made, and who makes which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.errors import InputError
+
+__all__ = ["attributes_of", "check_paired", "pending", "spans"]
+
+
+def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
+    """Shards that are not there yet.
+
+    Raises:
+        InputError: The folder holds something else than the beginning of this data.
+    """
+    folder = variant.folder(out)
+    items = list(variant.items(trajectories))
+    there = {path.name for path in folder.glob(f"*{SUFFIX}")}
+    beyond = sorted(there - {item.file_name for item in items})
+    if beyond:
+        msg = (
+            f"{folder} holds {beyond[0]}, which {trajectories} trajectories do not have; ask for "
+            "as many as before, or name another --out"
+        )
+        raise InputError(msg)
+    return [
+        item
+        for item in items
+        if item.file_name not in there or not _is_complete(variant, item, folder)
+    ]
+
+
+def check_paired(variant: Variant, out: Path) -> None:
+    """Raise InputError where another variant in the folder has other starts."""
+    folder = variant.folder(out).parent
+    others = {path.parent: path for path in folder.glob(f"*/*{SUFFIX}")}
+    for path in others.values():
+        found = _attributes(path)
+        for key in SHARED:
+            if found.get(key) != variant.recipe[key]:
+                msg = (
+                    f"{folder} holds trajectories that cannot be paired with those asked for: "
+                    f"{_difference(key, found.get(key), variant.recipe[key])}; name another --out"
+                )
+                raise InputError(msg)
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Attributes of a data file.
+
+    Raises:
+        InputError: It is no data file, or of a newer layout.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            found = {key: _plain(value) for key, value in file.attrs.items()}
+    except OSError as error:
+        msg = f"{path} cannot be read as HDF5 ({_brief(error)}); it is truncated or something else"
+        raise InputError(msg) from error
+    if found.get("format") != FORMAT:
+        msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
+        raise InputError(msg)
+    if not isinstance(found.get("layout_version"), int) or found["layout_version"] > VERSION:
+        msg = (
+            f"{path} has layout version {found.get('layout_version')}, this program reads up to "
+            f"{VERSION}; install a newer mbds-xsim"
+        )
+        raise InputError(msg)
+    return found
+
+
+def spans(
+    items: Sequence[tuple[Variant, Item]], workers: int
+) -> Iterator[tuple[Variant, list[Item]]]:
+    """Divide shards into runs of one variant, each for one process, the longest first.
+
+    Starting a process takes as long as some fast shards, and slow ones must not be left to one
+    worker at the end: so runs become shorter as the work does (guided self-scheduling,
+    Polychronopoulos & Kuck 1987, IEEE Trans. Computers C-36, 1425).
+    """
+    groups: dict[Variant, list[Item]] = {}
+    for variant, item in items:
+        groups.setdefault(variant, []).append(item)
+    found = [(variant, run) for variant, group in groups.items() for run in _guided(group, workers)]
+    return iter(sorted(found, key=lambda span: -len(span[1])))
+
+
+def _guided(items: list[Item], workers: int) -> Iterable[list[Item]]:
+    first = 0
+    while first < len(items):
+        size = max(1, (len(items) - first) // (2 * max(workers, 1)))
+        yield items[first : first + size]
+        first += size
+
+
+def _is_complete(variant: Variant, item: Item, folder: Path) -> bool:
+    """Whether a file is this shard; a shorter one, of a smaller set, is made anew."""
+    path = folder / item.file_name
+    found = _attributes(path)
+    for key, wanted in variant.recipe.items():
+        if found.get(key) != wanted:
+            msg = (
+                f"{path} was made otherwise: {_difference(key, found.get(key), wanted)}; name "
+                "another --out"
+            )
+            raise InputError(msg)
+    if found.get("count", 0) > item.count:
+        msg = f"{path} holds more trajectories than asked for; ask for as many as before"
+        raise InputError(msg)
+    return bool(found["count"] == item.count)
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    try:
+        return attributes_of(path)
+    except InputError as error:
+        msg = f"{error}; delete it to have it made anew, or name another --out"
+        raise InputError(msg) from error
+
+
+def _difference(key: str, got: Any, wanted: Any) -> str:
+    if isinstance(wanted, str) and "\n" in wanted:
+        return f"its {key} differs from the one given"
+    return f"its {key} is {got!r}, now asked for is {wanted!r}"
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _brief(error: OSError) -> str:
+    return str(error).split("(", 1)[-1].rstrip(")")

@@ -1,0 +1,192 @@
+"""Make one shard: draw, simulate, check, and write what is published and what is rejected."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.content import Datasets, check_content, encode
+from mbds_xsim.dataset.durable import put
+from mbds_xsim.dataset.gate import Verdict, judge_rows
+from mbds_xsim.dataset.layout import CHECKS, known_names
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.engine import Readback
+from mbds_xsim.errors import InputError
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import Wind
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+__all__ = [
+    "LOG",
+    "Crashes",
+    "make_shard",
+    "make_shards",
+    "rejected_folder",
+    "simulate_one",
+]
+
+LOG = "log.jsonl"
+"""Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
+
+Crashes = Mapping[int, str]
+"""Trajectories that end the engine's process, each with how."""
+
+
+def make_shards(variant: Variant, work: Sequence[tuple[Item, Crashes]], out: Path) -> None:
+    """Make several shards, one after the other, in this process."""
+    for item, crashes in work:
+        make_shard(variant, item, out, crashes=crashes)
+
+
+def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | None = None) -> None:
+    """Make one shard; when its file is there it is complete.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    watch = _Watch()
+    batch = draw_batch(variant.scene, item.indices, seed=variant.seed, noise=variant.noise)
+    watch.lap("draw_s")
+    trajectory, readback = _simulated(variant, batch, crashes or {})
+    watch.lap("simulate_s")
+    settings = variant.contender.settings
+    verdict = judge_rows(variant.scene, batch, trajectory, variant.method, settings, readback)
+    watch.lap("check_s")
+    passed = verdict.published(certified=variant.certified)
+    counts = {"published": int(passed.sum()), "rejected": int((~passed).sum())}
+    attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
+    datasets = _datasets(variant, batch, trajectory, verdict)
+    path = variant.folder(out) / item.file_name
+    if not passed.all():
+        reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
+        rejected = {**_rows(datasets, ~passed), "reason": reasons}
+        aside = rejected_folder(variant, out) / item.file_name
+        _write(aside, rejected, {**attributes, "kind": "rejected"})
+    _write(path, _rows(datasets, passed), {**attributes, "kind": "shard"})
+    watch.lap("write_s")
+    _log(path.parent, {"first": item.first, "count": item.count, **counts, **watch.laps})
+
+
+def simulate_one(variant: Variant, index: int) -> None:
+    """Simulate a trajectory by itself, to see whether it ends the process."""
+    batch = draw_batch(variant.scene, [index], seed=variant.seed, noise=variant.noise)
+    simulate(variant.scene, batch, variant.contender.engine, variant.contender.settings)
+
+
+def rejected_folder(variant: Variant, out: Path) -> Path:
+    """Where what does not pass is kept."""
+    return out / "rejected" / variant.folder(out).relative_to(out)
+
+
+class _Watch:
+    """Times the stages."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.laps[stage] = round(now - self._last, 6)
+        self._last = now
+
+
+def _simulated(
+    variant: Variant, batch: Batch, crashes: Crashes
+) -> tuple[Trajectory, Readback | None]:
+    """Run the engine on what does not crash it."""
+    contender, scene = variant.contender, variant.scene
+    runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
+    if len(runs) == len(batch):
+        done = simulate(scene, batch, contender.engine, contender.settings)
+        return done.trajectory, done.readback
+    time_of_frames = np.asarray(scene.clock.frame * np.arange(batch.steps + 1), dtype=np.float64)
+    whole = Trajectory.empty(time_of_frames, len(batch), len(scene.bodies))
+    if not runs:
+        return _with_failures(whole, batch, crashes, {}), None
+    done = simulate(scene, batch[runs], contender.engine, contender.settings)
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        getattr(whole, key)[runs] = getattr(done.trajectory, key)
+    own = dict(zip(runs, done.trajectory.failures, strict=True))
+    return _with_failures(whole, batch, crashes, own), None
+
+
+def _with_failures(
+    whole: Trajectory, batch: Batch, crashes: Crashes, own: Mapping[int, Failure | None]
+) -> Trajectory:
+    failures = [
+        Failure(0, crashes[index]) if index in crashes else own[row]
+        for row, index in enumerate(batch.index.tolist())
+    ]
+    return dataclasses.replace(whole, failures=tuple(failures))
+
+
+def _datasets(
+    variant: Variant, batch: Batch, trajectory: Trajectory, verdict: Verdict
+) -> dict[str, NDArray[Any]]:
+    points = Points.of(variant.scene)
+    position, velocity = points.motion(trajectory)
+    found: dict[str, NDArray[Any]] = {
+        "index": batch.index,
+        "interval": batch.index % 3,
+        "time": trajectory.time,
+        "position": position,
+        "velocity": velocity,
+        "input/force": batch.force,
+        "input/torque": batch.torque,
+        "check/name": np.array(list(CHECKS)),
+        "check/unit": np.array(list(CHECKS.values())),
+        "check/figure": verdict.figure,
+        "check/allowed": verdict.allowed,
+        "check/frame": verdict.frame,
+        **points.graph(),
+    }
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        found[f"body/{key}"] = getattr(trajectory, key)
+        found[f"start/{key}"] = getattr(batch, key)
+    if _has_known_force(variant):
+        known = draw_batch(variant.scene, batch.index.tolist(), seed=variant.seed, noise=False)
+        found["input/known_force"] = known.force
+    return found
+
+
+def _has_known_force(variant: Variant) -> bool:
+    scene = variant.scene
+    return bool(scene.forces) or any(isinstance(term, Wind) for term in scene.sampling)
+
+
+def _rows(datasets: Datasets, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Some of the trajectories, with what belongs to all."""
+    fields = known_names()
+    return {
+        name: values[rows] if fields[name].per_trajectory and not rows.all() else values
+        for name, values in datasets.items()
+    }
+
+
+def _write(path: Path, datasets: Datasets, attributes: Mapping[str, Any]) -> None:
+    put(path, encode(datasets, attributes))
+    wrong = check_content(path)
+    if wrong is not None:
+        path.unlink()
+        msg = f"{path}: {wrong} although it was just written; check the disk and the memory"
+        raise InputError(msg)
+
+
+def _log(folder: Path, facts: Mapping[str, Any]) -> None:
+    line = json.dumps(facts) + "\n"
+    handle = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        os.write(handle, line.encode())  # one call, so that lines of several workers do not mix
+    finally:
+        os.close(handle)

@@ -1,0 +1,122 @@
+"""What a set of trajectories is made by, and the shards that it comes in."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mbds_xsim.choice import Contender
+from mbds_xsim.dataset.layout import FORMAT, SUFFIX, VERSION
+from mbds_xsim.engine import Method
+from mbds_xsim.registry import load_adapter, package_version
+from mbds_xsim.scene import Scene
+from mbds_xsim.scene_file import write_scene
+
+__all__ = ["Item", "Variant", "folder_name"]
+
+_SHARD_BYTES = 2**24  # of body states; a worker holds some ten times as much
+_MOST = 300
+_STATE_BYTES = 13 * 8  # of a body in a frame
+
+AUDIT_EVERY = 5000
+AUDIT_COUNT = 3  # one of each interval
+
+
+@dataclass(frozen=True)
+class Item:
+    """One shard: trajectories first … first + count − 1."""
+
+    first: int
+    count: int
+
+    @property
+    def file_name(self) -> str:
+        """Name of the shard's file."""
+        return f"{self.first:010d}{SUFFIX}"
+
+    @property
+    def indices(self) -> range:
+        """Numbers of its trajectories."""
+        return range(self.first, self.first + self.count)
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A scene in one engine at one setting."""
+
+    scene: Scene
+    contender: Contender
+    seed: int
+    noise: bool
+
+    @property
+    def name(self) -> str:
+        """Engine and profile, the name of its folder and file."""
+        return f"{self.contender.engine}-{self.contender.profile}"
+
+    @property
+    def method(self) -> Method:
+        """The engine's method."""
+        return load_adapter(self.contender.engine).methods[self.contender.settings.method]
+
+    @property
+    def certified(self) -> bool:
+        """Whether all checks decide on publication, not integrity alone."""
+        return self.contender.profile == "matched"
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """Attributes of its files that say how it is made; two with the same are the same data."""
+        settings, method = self.contender.settings, self.method
+        adapter = load_adapter(self.contender.engine)
+        return {
+            "format": FORMAT,
+            "layout_version": VERSION,
+            "scene_name": self.scene.name,
+            "scene": write_scene(self.scene, defaults=True),
+            "dimension": self.scene.dimension,
+            "frame_s": self.scene.clock.frame,
+            "steps": self.scene.clock.steps,
+            "seed": self.seed,
+            "noise": self.noise,
+            "engine": self.contender.engine,
+            "engine_version": adapter.version(),
+            "profile": self.contender.profile,
+            "certification": "certified" if self.certified else "uncertified",
+            "method": method.name,
+            "method_family": method.family,
+            "method_order": method.order_for(self.scene),
+            "step_s": settings.step,
+            "options": json.dumps(dict(settings.options), sort_keys=True),
+            "velocity_lag_s": method.velocity_lag * settings.step,
+            "audit_sample": f"index mod {AUDIT_EVERY} < {AUDIT_COUNT}",
+            "numpy_version": package_version("numpy"),
+            "mbds_xsim_version": package_version("mbds-xsim"),
+        }
+
+    @property
+    def shard_size(self) -> int:
+        """Trajectories of a shard; it follows from the scene alone."""
+        frames = self.scene.clock.steps + 1
+        size = _SHARD_BYTES // (frames * len(self.scene.bodies) * _STATE_BYTES)
+        return max(1, min(size, _MOST))
+
+    def items(self, trajectories: int) -> Iterator[Item]:
+        """Shards of the trajectories 0 … trajectories − 1."""
+        size = self.shard_size
+        for first in range(0, trajectories, size):
+            yield Item(first, min(size, trajectories - first))
+
+    def folder(self, out: Path) -> Path:
+        """Where its shards are."""
+        return out / folder_name(self.scene.name) / self.name
+
+
+def folder_name(scene_name: str) -> str:
+    """Give a name that is safe for a folder."""
+    return re.sub(r"[^\w.-]", "_", scene_name).lstrip(".") or "_"

@@ -1,0 +1,79 @@
+"""Data sets small enough to make many of: a swinging rod, ten frames, shards of 300."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.generate import Generated, Request, generate
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Clock, Scene
+
+TRAJECTORIES = 700  # three shards
+STEPS = 10
+
+Make = Callable[..., Generated]
+
+
+class Silence:
+    """Counts what it is told."""
+
+    def __init__(self) -> None:
+        self.total = self.done = self.rejected = 0
+
+    def begin(self, total: int, done: int) -> None:
+        self.total, self.done = total, done
+
+    def advance(self, done: int, rejected: int) -> None:
+        self.done += done
+        self.rejected += rejected
+
+
+@pytest.fixture(scope="session")
+def rod() -> Scene:
+    """One pendulum that is recorded for a fifth of a second."""
+    return msgspec.structs.replace(load_scene("1pendulum"), clock=Clock(steps=STEPS))
+
+
+@pytest.fixture(scope="session")
+def make(rod: Scene) -> Make:
+    """Make a set of the rod in a folder, in this process unless told otherwise."""
+
+    def run(
+        out: Path,
+        *,
+        scene: Scene = rod,
+        trajectories: int = TRAJECTORIES,
+        engines: str = "mujoco",
+        settings: str = "matched",
+        seed: int = 0,
+        noise: bool = True,
+        workers: int = 0,
+        progress: Silence | None = None,
+    ) -> Generated:
+        choice = Choice.parse(engines=engines, profiles=settings)
+        request = Request((scene,), choice, trajectories, out, seed=seed, noise=noise)
+        return generate(request, workers=workers, progress=progress or Silence())
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def whole(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished set, not to be changed."""
+    out = tmp_path_factory.mktemp("whole")
+    make(out)
+    return out
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Checksums of all data files, by name."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*.h5"))
+    }

@@ -1,0 +1,305 @@
+"""Killed at any instant, on a full disk, twice at once: what is there is whole, and goes on."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from mbds_xsim.dataset import durable, shard
+from mbds_xsim.dataset.content import check_content
+from mbds_xsim.dataset.lock import locked
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+from mbds_xsim.scene_file import save_scene
+
+from .conftest import TRAJECTORIES, Make, contents
+
+KILLED = 9
+
+
+def _in_a_child(work: Callable[[], object]) -> int:
+    """Run something in a copy of this process and give its exit code."""
+    child = os.fork()
+    if child == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """End the process, without any cleaning up, before its n-th step of writing files.
+
+    Half of the bytes are then in the file that was to be written.
+    """
+    steps = iter(range(10_000))
+
+    def count(original: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(*arguments: Any, **named: Any) -> Any:
+            if next(steps) == call:
+                if original is write:
+                    write(arguments[0], arguments[1][: len(arguments[1]) // 2])
+                os._exit(KILLED)
+            return original(*arguments, **named)
+
+        return counted
+
+    write = durable._write
+    monkeypatch.setattr(durable, "_write", count(write))
+    monkeypatch.setattr(os, "replace", count(os.replace))
+    monkeypatch.setattr(durable, "_flush_folder", count(durable._flush_folder))
+    monkeypatch.setattr(shard, "_log", count(shard._log))
+
+
+_STEPS = 3 * 4 + 2 * 3
+"""Three shards of write, rename, flush, log; two joined files of write, rename, flush."""
+_QUICK = (0, 1, 3, 14)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [pytest.param(k, marks=[] if k in _QUICK else pytest.mark.slow) for k in range(_STEPS)],
+)
+def test_killed_at_any_step_it_goes_on(
+    call: int, make: Make, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        _die_at(call, patch)
+        assert _in_a_child(lambda: make(tmp_path)) == KILLED
+    finished = contents(tmp_path)
+    assert finished.items() <= contents(whole).items()  # nothing half-made under its name
+    made = make(tmp_path).made
+    shards = sum("mujoco-matched/" in name for name in finished)
+    assert made == TRAJECTORIES - min(300 * shards, TRAJECTORIES)  # nothing made twice
+    assert contents(tmp_path) == contents(whole)
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_every_step_of_writing_is_covered(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _die_at(_STEPS, monkeypatch)
+    assert _in_a_child(lambda: make(tmp_path)) == 0
+
+
+class _Program:
+    """`mbds-xsim generate`, as a program of its own."""
+
+    def __init__(self, scene: Scene, folder: Path) -> None:
+        self._file = folder / "1pendulum.toml"
+        save_scene(scene, self._file)
+
+    def start(self, out: Path, *more: str, **options: Any) -> subprocess.Popen[str]:
+        words = [str(self._file), "--engines", "mujoco", "--trajectories", str(TRAJECTORIES)]
+        return subprocess.Popen(
+            [sys.executable, "-m", "mbds_xsim", "generate", *words, "--out", str(out), *more],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            **options,
+        )
+
+
+@pytest.fixture
+def program(rod: Scene, tmp_path: Path) -> _Program:
+    return _Program(rod, tmp_path)
+
+
+def test_ctrl_c_leaves_no_process_and_no_partial_file(program: _Program, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    running = program.start(out)
+    while running.poll() is None and not list(out.rglob("log.jsonl")):
+        time.sleep(0.01)
+    os.killpg(running.pid, signal.SIGINT)
+    _, err = running.communicate(timeout=30)
+    assert (running.returncode, err) in ((130, "mbds-xsim: interrupted\n"), (0, ""))
+    assert not list(out.rglob("*.part"))
+    with locked(out):  # nobody holds it
+        pass
+
+
+def _kill_at_random(program: _Program, out: Path, seed: int, times: int) -> int:
+    """Kill a run, over and over, each time after another while; give how often it was hit."""
+    rng, hits = random.Random(seed), 0
+    for _ in range(times):
+        running = program.start(out)
+        time.sleep(rng.uniform(0.5, 2.5))
+        hits += running.poll() is None
+        workers = _children(running.pid)
+        victims = [running.pid] if rng.random() < 0.5 else workers or [running.pid]
+        for victim in victims:
+            _kill(victim)
+        if running.pid not in victims:  # it finds that its workers died, and makes good for it
+            assert running.wait(timeout=60) == 0
+        running.communicate()
+        for path in out.rglob("0*.h5"):
+            assert check_content(path) is None
+    return hits
+
+
+def _children(process: int) -> list[int]:
+    listed = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(process)], capture_output=True, text=True, check=False
+    )
+    return [int(word) for word in listed.stdout.split()]
+
+
+def _kill(process: int) -> None:
+    try:
+        os.kill(process, signal.SIGKILL)
+    except ProcessLookupError:
+        return
+
+
+@pytest.mark.slow
+def test_killed_at_20_random_instants(
+    program: _Program, make: Make, whole: Path, tmp_path: Path
+) -> None:
+    hits = 0
+    for seed in range(5):
+        out = tmp_path / str(seed)
+        hits += _kill_at_random(program, out, seed, 4)
+        make(out)
+        assert contents(out) == contents(whole)
+    assert hits >= 10
+
+
+def test_a_worker_killed_is_made_good_for(program: _Program, whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    running = program.start(out, "--workers", "1")
+    while not (workers := _children(running.pid)) and running.poll() is None:
+        time.sleep(0.005)
+    for worker in workers:
+        _kill(worker)
+    assert running.wait(timeout=60) == 0
+    running.communicate()
+    assert contents(out) == contents(whole)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 1 MiB, which one shard fits on."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = shutil.which("mount") and subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(disk)],
+        check=False,
+        capture_output=True,
+    )
+    if not mounted or mounted.returncode:
+        pytest.skip("no disk can be mounted here")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_full_disk_is_one_line_and_what_is_finished_stays(
+    make: Make, whole: Path, small_disk: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"cannot write .*No space left.*run the same command"):
+        make(small_disk / "out", workers=1)
+    left = contents(small_disk / "out")
+    assert 1 <= len(left) < 5
+    assert left.items() <= contents(whole).items()
+    assert not list(small_disk.rglob("*.part"))
+    shutil.copytree(small_disk / "out", tmp_path / "moved")
+    make(tmp_path / "moved")
+    assert contents(tmp_path / "moved") == contents(whole)
+
+
+def test_a_file_too_large_for_the_system_is_one_line(make: Make, tmp_path: Path) -> None:
+    """What a quota does, without a disk of its own."""
+
+    def work() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
+        try:
+            make(tmp_path)
+        except InputError as error:
+            if "cannot write" in str(error) and not list(tmp_path.rglob("*.part")):
+                os._exit(KILLED)
+
+    assert _in_a_child(work) == KILLED
+    assert contents(tmp_path) == {}
+
+
+def test_two_runs_at_once(make: Make, tmp_path: Path) -> None:
+    with (
+        locked(tmp_path),
+        pytest.raises(InputError, match=rf"is in use by process {os.getpid()}; wait"),
+    ):
+        make(tmp_path)
+    assert make(tmp_path, trajectories=3).made == 3
+
+
+def test_a_shard_that_is_cut_off_is_named_and_left_alone(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=3)
+    path = tmp_path / "1pendulum/mujoco-matched/0000000000.h5"
+    path.write_bytes(path.read_bytes()[:-5000])
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match=r"0000000000.h5 cannot be read as HDF5.*delete it"):
+        make(tmp_path, trajectories=3)
+    assert contents(tmp_path) == before
+
+
+def _mark(path: Path, key: str, value: object) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs[key] = value
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("layout_version", 99, "layout version 99, this program reads up to 1; install a newer"),
+        ("format", "other", "is HDF5, but no mbds-xsim data file"),
+        ("engine_version", "0.1", "its engine_version is '0.1', now asked for is"),
+        ("scene", "name = 'x'", "its scene differs from the one given"),
+    ],
+)
+def test_another_s_shard_is_named_and_left_alone(
+    key: str, value: object, says: str, make: Make, tmp_path: Path
+) -> None:
+    make(tmp_path, trajectories=3)
+    _mark(tmp_path / "1pendulum/mujoco-matched/0000000000.h5", key, value)
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match=says):
+        make(tmp_path, trajectories=3)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("other", ["mujoco", "exudyn"])
+def test_a_folder_of_another_seed(other: str, make: Make, tmp_path: Path) -> None:
+    """Of the same engine, and of one that is to be paired with it."""
+    make(tmp_path, trajectories=3)
+    with pytest.raises(InputError, match=r"its seed is 0, now asked for is 1; name another --out"):
+        make(tmp_path, trajectories=3, seed=1, engines=other)
+
+
+def test_fewer_than_there_are(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=6)
+    with pytest.raises(InputError, match="ask for as many as before"):
+        make(tmp_path, trajectories=3)
+
+
+def test_no_trajectories(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--trajectories: got 0"):
+        make(tmp_path, trajectories=0)
+
+
+def test_a_target_that_is_no_folder(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"--out: cannot write to .*file"):
+        make(tmp_path / "file" / "data")

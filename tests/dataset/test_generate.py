@@ -1,0 +1,195 @@
+"""What is published: what passes, the same whoever makes it, and paired over engines."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.checks import audit
+from mbds_xsim.dataset import shard
+from mbds_xsim.dataset.layout import CHECKS
+from mbds_xsim.dataset.split import split_of
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.scene_file import write_scene
+from mbds_xsim.simulate import Simulation, simulate
+
+from .conftest import TRAJECTORIES, Make, Silence, contents
+
+FILE = "1pendulum/mujoco-matched.h5"
+
+
+def test_two_processes_make_what_one_makes(make: Make, whole: Path, tmp_path: Path) -> None:
+    make(tmp_path, workers=2)
+    assert contents(tmp_path) == contents(whole)
+    assert len(contents(tmp_path)) == 5  # three shards, the joined file, the joint one
+
+
+def test_every_trajectory_is_there_once_with_its_split(whole: Path) -> None:
+    with h5py.File(whole / FILE) as file:
+        assert np.array_equal(file["index"][()], np.arange(TRAJECTORIES))
+        assert np.array_equal(file["interval"][()], np.arange(TRAJECTORIES) % 3)
+        assert np.bincount(file["split"][()]).tolist() == [560, 70, 70]
+        assert np.isfinite(file["position"][()]).all()
+
+
+def test_the_paper_s_split() -> None:
+    split = split_of(np.arange(15_000), 15_000)
+    assert np.bincount(split).tolist() == [12_000, 1_500, 1_500]
+    assert (np.diff(split.astype(int)) >= 0).all()
+
+
+def test_a_trajectory_made_alone_has_the_same_bits(rod: Scene, whole: Path) -> None:
+    batch = draw_batch(rod, [437])
+    adapter = load_adapter("mujoco")
+    with h5py.File(whole / FILE) as file:
+        from mbds_xsim.matched import settings_for
+
+        alone = simulate(rod, batch, "mujoco", settings_for(rod, adapter, "matched")).trajectory
+        for key in ("position", "orientation", "velocity", "angular_velocity"):
+            assert np.array_equal(file[f"body/{key}"][437], getattr(alone, key)[0])
+            assert np.array_equal(file[f"start/{key}"][437], getattr(batch, key)[0])
+        assert np.array_equal(file["input/force"][437], batch.force[0])
+
+
+def test_points_are_the_particles_in_float32(whole: Path) -> None:
+    with h5py.File(whole / FILE) as file:
+        exact = file["body/position"][()]  # the particle is the body's centre of mass
+        assert np.array_equal(file["position"][()], exact.astype(np.float32))
+        with h5py.File(whole / "1pendulum/mujoco-matched/0000000300.h5") as part:
+            stated = part["position"].attrs["largest_rounding"]
+            off = np.abs(part["position"][()] - part["body/position"][()])
+        assert off.max() == stated < 3e-8
+
+
+def test_points_of_a_plane_scene_have_two_components(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, scene=load_scene("balldrop"), trajectories=2)
+    with h5py.File(tmp_path / "balldrop/mujoco-matched.h5") as file:
+        position, center = file["position"][()], file["body/position"][()]
+        assert position.shape == (2, 201, 19, 2)
+        # A disc of equal particles: their mean is its centre.
+        assert np.allclose(position.mean(axis=2), center[:, :, 0][..., [0, 2]], atol=1e-6)
+        speed = np.diff(position, axis=1)[:, :5] / 0.02
+        means = (file["velocity"][:, :5] + file["velocity"][:, 1:6]) / 2
+        assert np.allclose(speed, means, atol=5e-2)  # in free fall still, turning
+
+
+def test_known_forces_are_those_without_the_noise(make: Make, tmp_path: Path) -> None:
+    ladder = load_scene("1ladder")
+    short = msgspec.structs.replace(ladder, clock=msgspec.structs.replace(ladder.clock, steps=4))
+    make(tmp_path, scene=short, trajectories=2)
+    with h5py.File(tmp_path / "1ladder/mujoco-matched.h5") as file:
+        known = draw_batch(short, [0, 1], noise=False).force
+        assert np.array_equal(file["input/known_force"][()], known)
+        assert np.abs(file["input/force"][()] - known).max() > 0.05
+
+
+def test_without_noise_nothing_pushes(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=3, noise=False)
+    with h5py.File(tmp_path / FILE) as file:
+        assert not file["input/force"][()].any()
+        assert not file.attrs["noise"]
+
+
+def test_files_say_how_they_were_made(rod: Scene, whole: Path) -> None:
+    with h5py.File(whole / FILE) as file:
+        told = dict(file.attrs)
+        assert told["scene"] == write_scene(rod, defaults=True)
+        assert (told["engine"], told["certification"]) == ("mujoco", "certified")
+        assert (told["method"], told["seed"], told["count"]) == ("RK4", 0, TRAJECTORIES)
+        for name in ("position", "velocity", "input/force"):
+            assert file[name].attrs["unit"]
+        assert file["check/name"].asstr()[()].tolist() == list(CHECKS)
+
+
+def test_figures_are_those_of_the_checks(rod: Scene, whole: Path) -> None:
+    adapter = load_adapter("mujoco")
+    from mbds_xsim.matched import settings_for
+
+    settings = settings_for(rod, adapter, "matched")
+    batch = draw_batch(rod, [3, 4])
+    trajectory = simulate(rod, batch, "mujoco", settings).trajectory
+    method = adapter.methods[settings.method]
+    with h5py.File(whole / FILE) as file:
+        for finding in audit(rod, batch, trajectory, method, step=settings.step):
+            column = list(CHECKS).index(finding.check)
+            assert np.allclose(file["check/figure"][3:5, column], finding.figure, rtol=1e-9, atol=0)
+            allowed = (finding.budget or 0.0) + finding.uncertainty
+            assert np.allclose(file["check/allowed"][3:5, column], allowed, rtol=1e-9, atol=0)
+
+
+def _spoil(index: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a body jump by 1 mm in one trajectory, as no check can miss."""
+
+    def spoilt(*arguments: object) -> Simulation:
+        done = simulate(*arguments)  # type: ignore[arg-type]
+        rows = np.flatnonzero(arguments[1].index == index)  # type: ignore[attr-defined]
+        position = done.trajectory.position.copy()
+        position[rows, 5:] += 1e-3  # in each component
+        return dataclasses.replace(
+            done, trajectory=dataclasses.replace(done.trajectory, position=position)
+        )
+
+    monkeypatch.setattr(shard, "simulate", spoilt)
+
+
+def test_what_fails_is_kept_aside_with_its_reason(
+    make: Make, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _spoil(333, monkeypatch)
+    progress = Silence()
+    (count,) = make(tmp_path, progress=progress).variants
+    assert (count.published, count.rejected, count.rejected_by) == (699, 1, {"gap": 1})
+    assert (progress.done, progress.rejected) == (700, 1)
+    with h5py.File(tmp_path / FILE) as file, h5py.File(whole / FILE) as clean:
+        index = file["index"][()]
+        assert 333 not in index
+        assert np.array_equal(file["position"][()], clean["position"][()][index])
+        assert np.array_equal(file["split"][()], clean["split"][()][index])
+    aside = tmp_path / "rejected/1pendulum/mujoco-matched/0000000300.h5"
+    with h5py.File(aside) as file:
+        assert file["index"][()].tolist() == [333]
+        assert file.attrs["seed"] == 0
+        reason = file["reason"].asstr()[0]
+        assert reason.startswith("gap: 0.00173 m, allowed 0.0001 (joint joint1), frame 5; ")
+    with h5py.File(tmp_path / "1pendulum/joint.h5") as file:
+        assert np.flatnonzero(~file["valid_in_all"][()]).tolist() == [333]
+
+
+def test_native_sets_keep_what_is_whole_and_say_uncertified(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _spoil(1, monkeypatch)
+    (count,) = make(tmp_path, trajectories=3, settings="native").variants
+    assert (count.published, count.rejected) == (3, 0)
+    with h5py.File(tmp_path / "1pendulum/mujoco-native.h5") as file:
+        assert file.attrs["certification"] == "uncertified"
+        column = list(CHECKS).index("gap")
+        failed = file["check/figure"][:, column] > file["check/allowed"][:, column]
+        assert failed.tolist() == [False, True, False]
+
+
+def test_engines_are_paired(make: Make, tmp_path: Path) -> None:
+    counts = make(tmp_path, trajectories=4, engines="mujoco,exudyn").variants
+    one, other = (h5py.File(tmp_path / count.file) for count in counts)
+    for name in ("index", "start/velocity", "input/force", "split"):
+        assert np.array_equal(one[name][()], other[name][()])
+    assert np.allclose(one["position"][()], other["position"][()], atol=1e-4)
+    assert not np.array_equal(one["body/position"][()], other["body/position"][()])
+    with h5py.File(tmp_path / "1pendulum/joint.h5") as file:
+        assert file["variant"].asstr()[()].tolist() == ["exudyn-matched", "mujoco-matched"]
+        assert file["valid_in_all"][()].all()
+
+
+def test_a_set_grows(make: Make, whole: Path, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=450)
+    progress = Silence()
+    assert make(tmp_path, progress=progress).made == 400  # the shard that was short, and a new one
+    assert (progress.total, progress.done) == (TRAJECTORIES, TRAJECTORIES)
+    assert contents(tmp_path) == contents(whole)
