@@ -8,6 +8,7 @@ from typing import Any
 
 from mbds_xsim import registry
 from mbds_xsim.report import quantity
+from mbds_xsim.report import tradeoff_summary as summary
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
@@ -123,8 +124,7 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
     """Give label, colour and marker of the curves with the engines' usual options."""
     for curve in study.curves:
         if not curve.variation:
-            order = "–" if curve.measured_order is None else f"{curve.measured_order:.1f}"
-            label = f"{curve.engine} {curve.method}, order {order} ({curve.order})"
+            label = f"{curve.engine} {curve.method}, order {summary.order_told(curve, study)}"
             yield label, colour_of(curve.engine), marker_of(study, curve)
 
 
@@ -161,13 +161,13 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
             *zip(*run, strict=True),
             color=colour,
             linewidth=0.6 if varied else 1.4,
-            alpha=0.45 if varied else 0.9,
+            alpha=0.35 if varied else 0.9,
         )
         line.set_gid(f"curve-{place}")
     for number, (point, spot) in enumerate(zip(curve.points, spots, strict=True)):
         if spot is None:
             continue
-        if panel.is_cost and not curve.variation:
+        if panel.is_cost and not varied:
             spread = [point.wall_low_s, point.wall_high_s]
             (bar,) = axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8)
             bar.set_gid(f"curve-{place}")
@@ -179,6 +179,7 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
             markerfacecolor=PAPER if varied else colour,
             markeredgecolor=INK if curve.variation == NATIVE else colour,
             markeredgewidth=0.8,
+            alpha=0.6 if varied else 1.0,
             zorder=3,
         )
         dot.set_gid(f"tip-{place}-{number}")

@@ -27,9 +27,9 @@ def _lines(study: Tradeoff) -> list[str]:
         *(f"- {column.heading}: {column.meaning}" for column in summary.columns(study)[2:]),
         *(f"- Option that pays: {line}" for line in summary.options_that_pay(study)),
         *(f"- {name}: {steps}: {what}" for name, steps, what in summary.failures(study)),
-        *(f"- {name} left out: {reason}" for name, reason in study.left_out.items()),
-        f"- Made by `{study.command}` on {study.machine}, {study.workers} processes at a time, in "
-        f"{quantity.span(study.wall_s)}, with {versions}",
+        *(f"- Left out: {reason}" for reason in study.left_out.values()),
+        f"- Made by `{study.command}` in {quantity.span(study.wall_s)} on "
+        f"{summary.machine_told(study)}; {versions}",
         "",
     ]
 

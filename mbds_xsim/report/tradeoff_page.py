@@ -87,7 +87,7 @@ def _panels(study: Tradeoff) -> list[Panel]:
         panel
         for panel in PANELS
         if any(
-            panel.x(point) is not None and panel.y(point)
+            panel.x(point) is not None and (panel.y(point) or 0.0) > panel.floor(study)
             for curve in study.curves
             for point in curve.points
         )
@@ -109,6 +109,7 @@ def _view(study: Tradeoff) -> dict[str, Any]:
     return {
         "s": study,
         "conclusion": summary.conclusion(study),
+        "machine": summary.machine_told(study),
         "charted": summary.what_is_charted(study),
         "columns": summary.columns(study),
         "curves": summary.main_curves(study),

@@ -17,8 +17,10 @@ __all__ = [
     "columns",
     "conclusion",
     "failures",
+    "machine_told",
     "main_curves",
     "options_that_pay",
+    "order_told",
     "places",
     "steps_told",
     "what_is_charted",
@@ -26,6 +28,8 @@ __all__ = [
 
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""
+_BUSY = 1.1
+_ORDER = "Order of convergence measured; in brackets the one declared for smooth motion"
 _SHOWN_BELOW = (1e-1, 1e-3)
 """Accuracies told beside the budget, over it."""
 
@@ -56,7 +60,7 @@ def columns(study: Tradeoff) -> list[Column]:
     return [
         Column("engine", "Engine", lambda c: c.engine, text=True),
         Column("method", "Way of stepping", _method, text=True),
-        Column("order", "Order of convergence measured, and the declared one", _order),
+        Column("order", _ORDER, lambda c: order_told(c, study)),
         *itertools.chain.from_iterable(_ratio_columns(ratio, place) for ratio in ratios),
         Column(
             "all budgets",
@@ -120,7 +124,7 @@ def what_is_charted(study: Tradeoff) -> str:
 
 
 def options_that_pay(study: Tradeoff) -> list[str]:
-    """Say which other options are cheaper at the budget."""
+    """Say which other option is cheapest at the budget, for each method that gains by one."""
     budget = next((ratio for ratio in study.ratios if ratio.budget), None)
     if budget is None:
         return []
@@ -129,12 +133,25 @@ def options_that_pay(study: Tradeoff) -> list[str]:
         for curve, cost in zip(study.curves, budget.wall_s, strict=True)
         if not curve.variation
     }
-    lines = []
+    found: dict[tuple[str, str], tuple[float, str]] = {}
     for curve, cost in zip(study.curves, budget.wall_s, strict=True):
-        base = usual.get((curve.engine, curve.method))
+        method = (curve.engine, curve.method)
+        base = usual.get(method)
         if cost and base and curve.variation not in ("", NATIVE) and cost < _WORTH_TELLING * base:
-            lines.append(f"{curve.name}: {cost / base:.2g} × the cost at the budget")
-    return lines
+            line = f"{curve.name}: {cost / base:.2g} × the cost at the budget"
+            found[method] = min((cost, line), found.get(method, (math.inf, "")))
+    return [line for _, line in found.values()]
+
+
+def machine_told(study: Tradeoff) -> str:
+    """Say where times were taken, and whether anything else ran there."""
+    told = f"{study.machine}, {study.workers} processes at a time"
+    if study.busy < _BUSY:
+        return told
+    return (
+        f"{told}; it was busy: times are {_digits(study.busy)} × the processor's, in the median, "
+        "so that costs are too high and scattered"
+    )
 
 
 def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
@@ -202,9 +219,10 @@ def _method(curve: CurveResult) -> str:
     return f"{curve.method} ({NATIVE})" if curve.variation == NATIVE else curve.method
 
 
-def _order(curve: CurveResult) -> str:
+def order_told(curve: CurveResult, study: Tradeoff) -> str:
+    """Claims of order are about smooth motion, so with contact there is none to compare with."""
     measured = quantity.NONE if curve.measured_order is None else f"{curve.measured_order:.1f}"
-    return f"{measured} ({curve.order})"
+    return measured if study.contact else f"{measured} ({curve.order})"
 
 
 def _within(curve: CurveResult) -> str:

@@ -34,10 +34,14 @@ def print_tradeoff(study: Tradeoff, console: Console) -> None:
         _remark(console, name, f"{steps}: {what}", style="bold red")
     if len(failed) > _MOST_LINES:
         _remark(console, "and", f"{len(failed) - _MOST_LINES} more lines, see the page or JSON")
-    for name, reason in study.left_out.items():
-        _remark(console, f"{name} left out", reason)
+    for reason in study.left_out.values():
+        _remark(console, "left out", reason)
     measured = f"{study.measured} points × starts measured, {study.kept} kept from earlier"
-    _remark(console, "made", f"{measured}, {quantity.span(study.wall_s)} on {study.machine}")
+    _remark(
+        console,
+        "made",
+        f"{measured}, {quantity.span(study.wall_s)} on {summary.machine_told(study)}",
+    )
     console.print()
     console.print(Text.assemble((study.scene, "bold"), f": {summary.conclusion(study)}"))
 

@@ -13,6 +13,7 @@ __all__ = ["cost_at", "front", "order_of"]
 Pair = tuple[float, float]
 
 _LEAST = 3  # points that show an order
+_LEAST_SPAN = 5.0  # of the longest step over the shortest
 _STRAIGHT = 0.08  # RMS residual of log10(error) up to which points lie on a line
 _SATURATED = 0.03  # of the scene's length: larger errors follow no order
 
@@ -71,9 +72,10 @@ def order_of(pairs: Sequence[Pair], *, length: float, floor: float) -> float | N
 
 def _slope(pairs: Sequence[Pair | None]) -> float | None:
     """Slope of a line through the logarithms; None where a point lacks or lies off it."""
-    if None in pairs:
+    known = [pair for pair in pairs if pair is not None]
+    if len(known) < len(pairs) or known[0][0] < _LEAST_SPAN * known[-1][0]:
         return None
-    step, error = np.log10(np.array(pairs)).T
+    step, error = np.log10(np.array(known)).T
     fit = np.polynomial.Polynomial.fit(step, error, 1)
     if np.sqrt(np.mean((fit(step) - error) ** 2)) > _STRAIGHT:
         return None

@@ -143,6 +143,8 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     versions: dict[str, str]
     machine: str
     workers: int
+    busy: float
+    """Median of wall time over processor time: what else the machine had to do."""
     measured: int
     """Rows that were measured in this run."""
     kept: int

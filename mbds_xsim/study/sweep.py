@@ -50,7 +50,8 @@ class Curve:
 def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[str, str]]:
     """List the curves of a scene's chart.
 
-    The options in use are those of the engine's matched settings, for all of its methods.
+    The options in use are those of the engine's matched settings, for all of its methods. They
+    are changed for the matched method only, and where an option belongs to certain methods.
 
     Returns:
         The curves, and the methods left out as "engine method", each with the reason.
@@ -67,7 +68,7 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[s
             except Unsupported as error:
                 left_out[f"{name} {method}"] = str(error)
             else:
-                curves += [curve, *_variations(scene, adapter, curve)]
+                curves += [curve, *_variations(scene, adapter, curve, matched.method)]
         curves += _native(scene, adapter)
     return curves, left_out
 
@@ -78,11 +79,11 @@ def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
     return tuple(sorted(own | set(COUNTS)))
 
 
-def _variations(scene: Scene, adapter: Adapter, base: Curve) -> Iterator[Curve]:
+def _variations(scene: Scene, adapter: Adapter, base: Curve, preferred: str) -> Iterator[Curve]:
     """Change one option at a time."""
     needs = features_of(scene)
     for option, sweep in adapter.sweeps.items():
-        acts = not sweep.methods or base.method in sweep.methods
+        acts = base.method in (sweep.methods or (preferred,))
         if not acts or (sweep.needs and not sweep.needs & needs):
             continue
         used = base.options.get(option, adapter.options[option].default)

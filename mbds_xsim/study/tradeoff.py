@@ -6,6 +6,7 @@ import platform
 import time
 from collections.abc import Iterable
 
+import msgspec
 import numpy as np
 
 from mbds_xsim import reference, registry
@@ -112,8 +113,9 @@ def tradeoff_with_rows(
         fresh=fresh,
     )
     found = explore(bench, curves)
+    rows = [row for points in found for rows in points for row in rows]
     study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
-    return study, [row for points in found for rows in points for row in rows]
+    return msgspec.structs.replace(study, busy=_busy(rows)), rows
 
 
 def _study(
@@ -147,6 +149,7 @@ def _study(
         versions=_versions(result.engine for result in results),
         machine=machine(),
         workers=core_count() if bench.workers is None else bench.workers,
+        busy=1.0,
         measured=bench.measured,
         kept=bench.kept,
         wall_s=wall_s,
@@ -186,6 +189,11 @@ def _failed(truth: Truth) -> str:
 def _first_impact(truths: list[Truth]) -> float | None:
     ends = [truth.trajectory.failures[0] for truth in truths]
     return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
+
+
+def _busy(rows: list[Row]) -> float:
+    shares = [sum(row.wall_s) / sum(row.cpu_s) for row in rows if sum(row.cpu_s) > 0]
+    return float(np.median(shares)) if shares else 1.0
 
 
 def _versions(engines: Iterable[str]) -> dict[str, str]:
