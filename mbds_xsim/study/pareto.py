@@ -13,7 +13,7 @@ __all__ = ["cost_at", "front", "order_of"]
 Pair = tuple[float, float]
 
 _LEAST = 3  # points that show an order
-_LEAST_SPAN = 5.0  # of the longest step over the shortest
+_LEAST_SPAN = 4.0  # of the longest step over the shortest
 _STRAIGHT = 0.08  # RMS residual of log10(error) up to which points lie on a line
 _SATURATED = 0.03  # of the scene's length: larger errors follow no order
 
