@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from faults.bench import SCENES, checked
+from faults.bench import checked
 from faults.faults import FAULTS
 from faults.planting import Fault
+from faults.scenes import SCENES
 from smallest_fault import table
 
 from mbds_xsim.result import EngineResult

@@ -15,8 +15,8 @@ import sys
 from collections.abc import Callable, Iterator
 
 from faults.bench import ENGINES
-from faults.faults import gravity, heavier
 from faults.planting import Fault, planted
+from faults.smooth import gravity, heavier
 
 from mbds_xsim import registry
 from mbds_xsim.choice import Choice

@@ -58,11 +58,11 @@ def judge(
     trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
     if trajectory is None:
         return Row(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
-    contender = outcome.contender
-    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
+    settings, adapter = outcome.contender.settings, registry.load_adapter(outcome.contender.engine)
+    method, spread = adapter.methods[settings.method], adapter.contact_scales(settings).time
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
     findings = [
-        *audit(scene, batch, trajectory, method, step=contender.settings.step),
+        *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),
         *_error_findings(scene, batch, error, truth, reference.growth),
         *_consistency(scene, batch, outcome, trajectory, reference, method),
     ]

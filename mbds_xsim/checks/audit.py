@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.friction import friction, rolling
-from mbds_xsim.checks.impacts import eccentric_restitution, restitution
+from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
@@ -45,6 +46,7 @@ CHECKS: tuple[Check, ...] = (
     rolling,
     restitution,
     eccentric_restitution,
+    eccentric_friction,
     hop,
     resting,
 )
@@ -58,6 +60,7 @@ def audit(
     method: Method | None = None,
     *,
     step: float | None = None,
+    contact_time: float | None = None,
 ) -> list[Finding]:
     """Run every check that applies to the scene.
 
@@ -68,8 +71,9 @@ def audit(
         method: How it was made, which decides budgets and velocity lag; None: unknown, and
             first order is assumed.
         step: Integration step [s]; the frame interval where it is left out.
+        contact_time: Over which the engine spreads an impact [s], as it declares; None: unknown.
     """
-    record = Record(scene, batch, trajectory, method, step)
+    record = Record(scene, batch, trajectory, method, step, contact_time)
     # A blow-up may overflow on its way to infinity; the check `finite` reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         found = (check(record) for check in CHECKS)

@@ -32,6 +32,8 @@ class Record:
     """How it was made; None: unknown, as for a file from elsewhere."""
     step: float | None = None
     """Integration step [s]; None: the frame interval."""
+    contact_time: float | None = None
+    """Over which the engine declares to spread an impact [s]; None: unknown."""
 
     @functools.cached_property
     def mechanism(self) -> Mechanism:

@@ -8,19 +8,30 @@ momentum of the frames shows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flow import FIELDS
+from mbds_xsim.checks.flow import FIELDS, picked
 from mbds_xsim.checks.ground import Push, Spheres, pushes_of, spheres_of
 from mbds_xsim.joint_space import BodyStates
 
-__all__ = ["Impacts", "eccentric_restitution", "impacts_of", "restitution", "untouched"]
+__all__ = [
+    "Impacts",
+    "fast_impacts_of",
+    "followed",
+    "impacts_of",
+    "one_sphere",
+    "restitution",
+    "told_restitution",
+    "untouched",
+]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 _REFINEMENTS = 4  # Newton's steps to the time of touch
 _SUBSTEPS = 4  # of Runge and Kutta to it
@@ -34,16 +45,33 @@ class Impacts:
 
     row: Index
     step: Index
+    sphere: Index
+    before: BodyStates
+    """At the touch on arrival, shape (impact, body, …)."""
+    after: BodyStates
+    """At the touch on leaving."""
     arriving: Array
     """Downward speed of the sphere [m/s]."""
     leaving: Array
     """Upward speed [m/s]."""
     slip: Array
     """Horizontal velocity of the sphere's lowest point on arrival [m/s], shape (impact, 2)."""
+    rebound: Array
+    """The same on leaving."""
+    duration: Array
+    """From arrival to leaving, negative where the motions meet above the ground [s]."""
     impulse: Array
     """Of the ground [N·s], shape (impact, 3)."""
     gap: Array
     """Between sphere and ground where the two motions meet, negative below it [m]."""
+
+    def __getitem__(self, picks: Mask) -> Impacts:
+        """Take some of the impacts."""
+        taken: dict[str, Any] = {
+            key: picked(value, picks) if isinstance(value, BodyStates) else value[picks]
+            for key, value in vars(self).items()
+        }
+        return Impacts(**taken)
 
 
 def restitution(record: Record) -> Finding | None:
@@ -65,43 +93,37 @@ def restitution(record: Record) -> Finding | None:
     )
 
 
-def eccentric_restitution(record: Record) -> Finding | None:
-    """Show the same of single impacts beside centres of mass; None without spheres there."""
-    pushes = [push for push in pushes_of(record) if not push.ball]
-    if not pushes:
-        return None
-    parts, note = _delivered(record, pushes)
-    return Finding.of(
-        "eccentric restitution",
-        "1",
-        parts,
-        budget=None,
-        names=tuple(push.name for push in pushes),
-        note=note,
-    )
-
-
 def _delivered(record: Record, pushes: list[Push]) -> tuple[Array, str]:
     """Deviations from the coefficient, (trajectory, frame, group), and what was delivered."""
     ground = record.scene.ground
     assert ground is not None
     parts = np.full((*record.finite.shape, len(pushes)), np.nan)
     parts[:, 0] = 0.0  # not every trajectory bounces
-    slow = _SLOW * record.frame * float(np.linalg.norm(record.scene.gravity))
     ratios: list[float] = []
     for k, push in enumerate(pushes):
-        hits = impacts_of(record, push)
-        fast = hits.arriving > slow
-        ratio = (hits.leaving / hits.arriving)[fast]
-        parts[hits.row[fast], hits.step[fast] + 1, k] = np.abs(ratio - ground.restitution)
+        hits = fast_impacts_of(record, push)
+        ratio = hits.leaving / hits.arriving
+        parts[hits.row, hits.step + 1, k] = np.abs(ratio - ground.restitution)
         ratios += ratio.tolist()
+    return parts, told_restitution(ratios, ground.restitution)
+
+
+def told_restitution(ratios: list[float], wanted: float) -> str:
+    """Say which coefficients were delivered."""
     if not ratios:
-        return parts, f"no impact, the scene has {ground.restitution:.4f}"
+        return f"no impact, the scene has {wanted:.4f}"
     told = f"{min(ratios):.4f} to {max(ratios):.4f} delivered, median {np.median(ratios):.4f}"
-    return parts, f"{told}, the scene has {ground.restitution:.4f}"
+    return f"{told}, the scene has {wanted:.4f}"
 
 
-def untouched(record: Record, push: Push) -> NDArray[np.bool_]:
+def fast_impacts_of(record: Record, push: Push) -> Impacts:
+    """Find the single impacts that are a measure of restitution."""
+    hits = impacts_of(record, push)
+    fall = record.frame * float(np.linalg.norm(record.scene.gravity))
+    return hits[hits.arriving > _SLOW * fall]
+
+
+def untouched(record: Record, push: Push) -> Mask:
     """Tell in which frames no sphere of a group touches, shape (trajectory, frame)."""
     gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres]
     return np.asarray((gap > 0.0).all(axis=2))
@@ -113,8 +135,8 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     alone = push.reach.sum(axis=2) == 1
     row, step = np.nonzero(free[:, 1:] & free[:, :-1] & alone & (push.impulse[..., 2] > 0.0))
     sphere = push.spheres[push.reach[row, step].argmax(axis=1)]
-    before, falling = _at_touch(record, row, step, step, sphere)
-    after, rising = _at_touch(record, row, step, step + 1, sphere)
+    arrival, before, falling = _at_touch(record, row, step, step, sphere)
+    parting, after, rising = _at_touch(record, row, step, step + 1, sphere)
     pull = float(np.linalg.norm(record.scene.gravity)) or np.finfo(float).tiny
     left = record.frame - falling + rising
     arriving, leaving = -before.climb, after.climb
@@ -123,9 +145,14 @@ def impacts_of(record: Record, push: Push) -> Impacts:
     return Impacts(
         row=row[single],
         step=step[single],
+        sphere=sphere[single],
+        before=picked(arrival, single),
+        after=picked(parting, single),
         arriving=arriving[single],
         leaving=leaving[single],
         slip=before.slip[single],
+        rebound=after.slip[single],
+        duration=left[single],
         impulse=push.impulse[row, step][single],
         gap=(-left / (1.0 / arriving + 1.0 / leaving))[single],
     )
@@ -133,8 +160,8 @@ def impacts_of(record: Record, push: Push) -> Impacts:
 
 def _at_touch(
     record: Record, row: Index, step: Index, frame: Index, sphere: Index
-) -> tuple[Spheres, Array]:
-    """Follow frames to the touch of a sphere: the sphere there, and the time to it [s].
+) -> tuple[BodyStates, Spheres, Array]:
+    """Follow frames to the touch of a sphere: bodies and sphere there, and the time to it [s].
 
     Forwards from the step's first frame, backwards from its last; NaN where it stays clear.
     """
@@ -142,7 +169,7 @@ def _at_touch(
     force, torque = record.batch.force[row, step], record.batch.torque[row, step]
     sense = np.where(frame > step, -1.0, 1.0)
     time, limit = np.zeros(len(row)), 1.5 * record.frame
-    there, here = bodies, _one(record, bodies, sphere)
+    there, here = bodies, one_sphere(record, bodies, sphere)
     pull = float(np.linalg.norm(record.scene.gravity))
     for k in range(_REFINEMENTS + 1):
         speed = sense * here.climb
@@ -150,20 +177,21 @@ def _at_touch(
         square = np.sqrt(speed**2 + 2.0 * pull * np.maximum(here.gap, 0.0))
         ahead = 2.0 * here.gap / (square - speed) if k == 0 else -here.gap / speed
         time = np.clip(time + sense * ahead, -limit, limit)
-        there = _followed(record, bodies, force, torque, time)
-        here = _one(record, there, sphere)
+        there = followed(record, bodies, force, torque, time)
+        here = one_sphere(record, there, sphere)
     reached = (np.abs(time) <= record.frame) & (np.abs(here.gap) < 1e-6 * record.scene.length)
-    return here, np.where(reached, time, np.nan)
+    return there, here, np.where(reached, time, np.nan)
 
 
-def _one(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
+def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
+    """Look at one sphere of each state."""
     spheres, each = spheres_of(record.mechanism, bodies), np.arange(len(sphere))
     return Spheres(
         spheres.gap[each, sphere], spheres.climb[each, sphere], spheres.slip[each, sphere]
     )
 
 
-def _followed(
+def followed(
     record: Record, bodies: BodyStates, force: Array, torque: Array, time: Array
 ) -> BodyStates:
     """Follow states without contact by Runge and Kutta's method, each over its own time [s]."""

@@ -18,9 +18,10 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, around, pushes_of, spheres_of
 from mbds_xsim.checks.impacts import impacts_of, untouched
 
-__all__ = ["energy_rise", "passivity", "stored"]
+__all__ = ["energy_rise", "passivity", "risen", "settled", "stored"]
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def passivity(record: Record) -> Finding | None:
@@ -92,14 +93,33 @@ def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, 
     energy = energy_of(record)
     left = energy.total - input_work(record)
     left[:, 1:] -= explained
-    compared = record.finite.copy()
+    compared, most = record.finite.copy(), left.copy()
     for push in pushes:
-        compared &= untouched(record, push) | around(push.supported)
-        left = left + stored(record, push)
-    lowest = np.minimum.accumulate(np.where(compared, left, np.inf), axis=1)
-    rise = np.where(compared, left - lowest, np.nan)
+        compared &= settled(record, push)
+        most += stored(record, push)
+    return risen(left, most, compared) / energy.scale[:, None], energy.scale
+
+
+def risen(least: Array, most: Array, compared: Mask) -> Array:
+    """Rise from the lowest that energy can have been to what it is at least.
+
+    In between is what contacts may store. Shape (trajectory, frame), NaN where not compared.
+    """
+    lowest = np.minimum.accumulate(np.where(compared, most, np.inf), axis=1)
+    rise = np.where(compared, np.maximum(least - lowest, 0.0), np.nan)
     rise[:, 0] = 0.0
-    return rise / energy.scale[:, None], energy.scale
+    return np.asarray(rise)
+
+
+def settled(record: Record, push: Push) -> Mask:
+    """Frames at which a group's contacts store no more than `stored`, (trajectory, frame).
+
+    Those in flight, those around which the ground only carries, and the start: what overlaps
+    there was put there.
+    """
+    found = untouched(record, push) | around(push.supported)
+    found[:, 0] = True
+    return np.asarray(found)
 
 
 def stored(record: Record, push: Push) -> Array:

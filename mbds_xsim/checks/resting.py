@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, around, pushes_of, spheres_of
-from mbds_xsim.checks.impacts import untouched
-from mbds_xsim.checks.passivity import stored
+from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.passivity import risen, settled, stored
 
 __all__ = ["hop", "resting"]
 
@@ -76,13 +75,10 @@ def _rise(record: Record, push: Push, pull: float) -> Array:
     height, climb = record.bodies.position[:, :, body, 2], record.bodies.velocity[:, :, body, 2]
     lift = record.batch.force[:, : record.steps, body, 2] / push.mass
     work = np.cumsum(lift * np.diff(height, axis=1), axis=1)
-    energy = 0.5 * climb**2 + pull * height + stored(record, push) / push.mass
+    energy = 0.5 * climb**2 + pull * height
     energy[:, 1:] -= work
-    compared = record.finite & (untouched(record, push) | around(push.supported))
-    lowest = np.minimum.accumulate(np.where(compared, energy, np.inf), axis=1)
-    rise = np.where(compared, (energy - lowest) / pull, np.nan)
-    rise[:, 0] = 0.0
-    return rise
+    most = energy + stored(record, push) / push.mass
+    return risen(energy, most, record.finite & settled(record, push)) / pull
 
 
 def _moved(record: Record, push: Push) -> Array:

@@ -230,6 +230,19 @@ def test_a_ball_that_hops_shows() -> None:
     assert findings["hop"].figure == pytest.approx(start**2 / (2 * 9.81), rel=0.01)
 
 
+def test_a_ball_that_the_ground_throws_up_at_the_start_shows() -> None:
+    """As engines do with what overlaps in them, but not in the scene."""
+    scene = _short("ballscroll", 10)
+    batch = draw_batch(scene, range(3))
+    velocity = batch.velocity + np.array([0.0, 0.0, 2.0])
+    motion = reference.solve(scene, dataclasses.replace(batch, velocity=velocity), cache=False)
+    motion.velocity[:, 0] = batch.velocity
+    findings = _findings(scene, batch, motion)
+
+    assert {"passivity", "hop"} <= _failed(findings)
+    assert findings["hop"].figure == pytest.approx(2.0**2 / (2 * 9.81), rel=1e-3)
+
+
 def test_a_ball_that_goes_on_slipping_does_not_roll() -> None:
     scene = _slope("along x")
     batch, motion = _exact(scene)

@@ -1,8 +1,9 @@
-"""Energy in impacts beside the centre of mass, where the law itself may add to it."""
+"""Impacts beside the centre of mass: two laws for them, and one that may add energy."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
@@ -10,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mbds_xsim.checks import Record
+from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impacts import eccentric_restitution, impacts_of
+from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.overlap import contact_gap
 from mbds_xsim.checks.passivity import energy_rise, passivity
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.sampling import draw_batch
@@ -24,6 +27,7 @@ Array = NDArray[np.float64]
 
 RK4 = load_adapter("mujoco").methods["RK4"]
 OFFSET, RADIUS, MOMENT, GRAVITY = np.array([0.2, -0.1]), 0.02, 0.02, 9.81
+PART = 1e-3  # of the time unit of a spring, in steps
 
 
 def _club(friction: float = 0.43, restitution: float = 0.9332) -> Scene:
@@ -93,11 +97,31 @@ class _State:
                 impulse = along * goal[1] / (give[1] @ along)
                 if sense * (self.speed + give @ impulse)[0] >= 0.0:
                     break
+        return self._struck(impulse)
+
+    def press(self, friction: float, restitution: float) -> _State:
+        """Bounce on a spring that pushes e² as hard on its way back, with friction all along."""
+        x, z = self.lever
+        give = np.eye(2) + np.outer([z, -x], [z, -x]) / MOMENT
+        speed, total, depth = self.speed, np.zeros(2), 0.0
+        while depth >= 0.0:
+            depth -= PART * speed[1]
+            push = PART * max(depth, 0.0) * (1.0 if speed[1] < 0.0 else restitution**2)
+            across = -(speed[0] + give[0, 1] * push) / give[0, 0]
+            impulse = np.array([np.clip(across, -friction * push, friction * push), push])
+            speed, total = speed + give @ impulse, total + impulse
+        return self._struck(total)
+
+    def _struck(self, impulse: Array) -> _State:
+        x, z = self.lever
         rate = self.rate + (z * impulse[0] - x * impulse[1]) / MOMENT
         return _State(self.place, self.velocity + impulse, self.angle, rate)
 
 
-def _frame_later(state: _State, friction: float, restitution: float) -> _State:
+Law = Callable[[_State, float, float], _State]
+
+
+def _frame_later(state: _State, law: Law, friction: float, restitution: float) -> _State:
     left = 0.02
     while left > 0.0:
         times = np.linspace(1e-9, left, 20)
@@ -105,14 +129,15 @@ def _frame_later(state: _State, friction: float, restitution: float) -> _State:
         if not below:
             return state.later(left)
         hit = brentq(lambda t, s=state: s.later(t).gap, 1e-12, below[0], xtol=1e-15)
-        state, left = state.later(hit).hit(friction, restitution), left - hit
+        state, left = law(state.later(hit), friction, restitution), left - hit
     return state
 
 
-def _thrown(scene: Scene, restitution: float) -> tuple[Batch, Trajectory]:
-    """Follow clubs through rigid impacts with a restitution, which may be above 1."""
-    assert scene.ground is not None
-    batch = draw_batch(scene, range(60))
+def _thrown(
+    scene: Scene, friction: float, restitution: float, law: Law, count: int
+) -> tuple[Batch, Trajectory]:
+    """Follow clubs through impacts on a ground that need not be the scene's."""
+    batch = draw_batch(scene, range(count))
     motion = Trajectory.empty(np.linspace(0.0, 0.4, 21), len(batch), 1)
     for row in range(len(batch)):
         w, _, y, _ = batch.orientation[row, 0]
@@ -121,7 +146,7 @@ def _thrown(scene: Scene, restitution: float) -> tuple[Batch, Trajectory]:
         state = _State(place, velocity, angle, rate)
         for frame in range(21):
             if frame:
-                state = _frame_later(state, scene.ground.friction, restitution)
+                state = _frame_later(state, law, friction, restitution)
             half = 0.5 * state.angle
             motion.position[row, frame, 0] = [state.place[0], 0.0, state.place[1]]
             motion.velocity[row, frame, 0] = [state.velocity[0], 0.0, state.velocity[1]]
@@ -134,7 +159,14 @@ def _record(
     friction: float = 0.43, restitution: float = 0.9332, delivered: float | None = None
 ) -> Record:
     scene = _club(friction, restitution)
-    return Record(scene, *_thrown(scene, restitution if delivered is None else delivered), RK4)
+    delivered = restitution if delivered is None else delivered
+    return Record(scene, *_thrown(scene, friction, delivered, _State.hit, 60), RK4)
+
+
+def _bounced(law: Law, friction: float = 0.43, restitution: float = 0.9332) -> Record:
+    """Throw some clubs on a ground that the scene may not have."""
+    scene = _club()
+    return Record(scene, *_thrown(scene, friction, restitution, law, 15), RK4)
 
 
 @pytest.fixture(scope="module")
@@ -173,16 +205,65 @@ def test_more_than_the_law_adds_is_not_explained(delivered: float) -> None:
     assert (unexplained[made] > 1e-3).all()
 
 
-def test_the_restitution_of_eccentric_impacts_is_shown(lawful: Record) -> None:
-    finding = eccentric_restitution(lawful)
-    assert finding is not None
-    assert finding.budget is None
-    assert finding.figure.max() < 1e-6
+@pytest.mark.parametrize(("law", "known"), [(_State.hit, 1e-6), (_State.press, 5e-3)])
+def test_impacts_keep_to_either_law(law: Law, known: float) -> None:
+    restitution, friction = _eccentric(_bounced(law))
 
-    other = eccentric_restitution(_record(delivered=1.0))
-    assert other is not None
-    assert other.figure.max() == pytest.approx(1.0 - 0.9332)
-    assert "median 1.0000, the scene has 0.9332" in other.note
+    assert restitution.figure.max() < known
+    assert friction.figure.max() < known
+    assert "the scene has 0.9332" in restitution.note
+
+
+def test_springs_do_not_keep_to_newtons_law() -> None:
+    record = _bounced(_State.press)
+    (push,) = pushes_of(record)
+    hits = impacts_of(record, push)
+
+    assert np.abs(hits.leaving / hits.arriving - 0.9332).max() > 0.05
+
+
+@pytest.mark.parametrize("law", [_State.hit, _State.press])
+def test_another_restitution_of_eccentric_impacts_shows(law: Law) -> None:
+    restitution, _ = _eccentric(_bounced(law, restitution=1.0))
+
+    assert not restitution.passed.all()
+    assert restitution.figure.max() == pytest.approx(1.0 - 0.9332, abs=5e-3)
+
+
+@pytest.mark.parametrize("law", [_State.hit, _State.press])
+@pytest.mark.parametrize("taken", [0.185, 0.0])
+def test_another_friction_of_eccentric_impacts_shows(law: Law, taken: float) -> None:
+    _, friction = _eccentric(_bounced(law, friction=taken))
+
+    assert not friction.passed.all()
+    assert friction.figure.max() <= 1.0 - taken / 0.43 + 5e-3
+
+
+def _eccentric(record: Record) -> tuple[Finding, Finding]:
+    restitution, friction = eccentric_restitution(record), eccentric_friction(record)
+    assert restitution is not None
+    assert friction is not None
+    return restitution, friction
+
+
+def test_a_sphere_that_sinks_further_than_its_contact_lasts_shows(lawful: Record) -> None:
+    """What is 2 mm larger in the scene than in the motion meets the ground 2 mm below it."""
+    (sphere,) = lawful.scene.contacts
+    other = msgspec.structs.replace(sphere, radius=RADIUS + 2e-3)
+    larger = dataclasses.replace(
+        lawful, scene=msgspec.structs.replace(lawful.scene, contacts=(other,))
+    )
+    unknown, rigid, soft = (
+        contact_gap(dataclasses.replace(larger, contact_time=time)) for time in (None, 1e-5, 1e-2)
+    )
+
+    assert unknown is not None
+    assert unknown.passed.all()
+    assert rigid is not None
+    assert rigid.figure.max() * lawful.scene.length == pytest.approx(2e-3, rel=0.02)
+    assert not rigid.passed.all()
+    assert soft is not None
+    assert soft.passed.all()
 
 
 def test_impacts_are_taken_apart_exactly(lawful: Record) -> None:

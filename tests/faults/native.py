@@ -10,7 +10,10 @@ from unittest import mock
 
 import numpy as np
 
-__all__ = ["force_off_center", "joint_damping", "motors_left_on"]
+from mbds_xsim import rotation
+from mbds_xsim.mechanism import WORLD_INDEX
+
+__all__ = ["force_off_center", "joint_damping", "motors_left_on", "no_reaction"]
 
 _OFFSET = [0.0, 0.0, 0.05]
 """[m]"""
@@ -36,6 +39,17 @@ def joint_damping(engine: str) -> AbstractContextManager[object]:
 def force_off_center(engine: str) -> AbstractContextManager[object]:
     """Push bodies beside their centres of mass."""
     return {"pybullet": _pybullet, "dart": _dart, "exudyn": _exudyn}[engine]()
+
+
+def no_reaction(engine: str) -> AbstractContextManager[object]:
+    """Let hinge torques act on the child alone."""
+    one_sided = {
+        "mujoco": _one_sided_mujoco,
+        "pybullet": _one_sided_pybullet,
+        "dart": _one_sided_dart,
+        "exudyn": _one_sided_exudyn,
+    }
+    return one_sided[engine]()
 
 
 def _pybullet() -> AbstractContextManager[object]:
@@ -95,6 +109,65 @@ def _damped_dart() -> AbstractContextManager[object]:
     return mock.patch.object(
         adapter, "build_listing", lambda *given: listing(*given) + _DART_DAMPING
     )
+
+
+def _one_sided_mujoco() -> AbstractContextManager[object]:
+    """Drive a point of the child instead of the joint."""
+    model = _adapter("_mujoco_model")
+    add_motors = model._motors
+
+    def add_one_sided(actuators: Any, bodies: Any, mechanism: Any) -> None:
+        add_motors(actuators, bodies, mechanism)
+        for motor, hinge in zip(actuators, mechanism.hinges, strict=True):
+            if motor.attrib.pop("refsite", None) is None:
+                del motor.attrib["joint"]
+                site = model._site(bodies[hinge.child], f"{hinge.name} hub", hinge.in_child)
+                motor.set("site", site)
+                motor.set("gear", model.numbers((0.0, 0.0, 0.0, *hinge.axis)))
+
+    return mock.patch.object(model, "_motors", add_one_sided)
+
+
+def _one_sided_pybullet() -> AbstractContextManager[object]:
+    """Take the reaction back from the parent."""
+    loads = _adapter("_pybullet_loads").Loads
+    apply = loads.apply
+
+    def apply_one_sided(self: Any, force: Any, torque: Any, state: Any) -> None:
+        apply(self, force, torque, state)
+        for hinge, value in zip(self._hinges, torque, strict=True):
+            if hinge.parent != WORLD_INDEX and value:
+                back = value * rotation.rotate(state.native[hinge.parent], hinge.axis)
+                self._apply_torque(*self._address(hinge.parent), back.tolist(), self._in_world)
+
+    return mock.patch.object(loads, "apply", apply_one_sided)
+
+
+def _one_sided_dart() -> AbstractContextManager[object]:
+    """Take the reaction back from the parent."""
+    loads = _adapter("_dart_loads").Loads
+    hold = loads.hold
+
+    def hold_one_sided(self: Any, force: Any, torque: Any) -> None:
+        # What clears a torque of the step before is a force, be it none.
+        hold(self, np.where(force == 0.0, np.finfo(float).tiny, force), torque)
+        for hinge, value in zip(self._model.mechanism.hinges, torque, strict=True):
+            if hinge.parent != WORLD_INDEX:
+                parent = self._model.bodies[hinge.parent]
+                self._torques.append((parent.addExtTorque, value * hinge.axis))
+
+    return mock.patch.object(loads, "hold", hold_one_sided)
+
+
+def _one_sided_exudyn() -> AbstractContextManager[object]:
+    run = _adapter("_exudyn_run").ExudynRun
+    load = run._load
+
+    def load_one_sided(self: Any, force: Any, torque: Any) -> None:
+        self._names["torques"] = [(child, None) for child, _ in self._names["torques"]]
+        load(self, force, torque)
+
+    return mock.patch.object(run, "_load", load_one_sided)
 
 
 def _adapter(module: str) -> Any:

@@ -8,7 +8,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from unittest import mock
 
+from mbds_xsim.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.engine import Adapter, Profile, Readback, Run, Settings
+from mbds_xsim.judge import Row, judge
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
@@ -45,7 +47,9 @@ class Fault:
     checks: tuple[str, ...]
     """Those it is for: one of them must fail."""
     told: str = ""
-    """How the line of the read-back that tells it begins; empty where no engine could know."""
+    """How the line of the read-back that tells it begins; empty where no engine knows."""
+    untold: tuple[str, ...] = ()
+    """Engines that cannot tell it."""
     odd: bool = False
     """Large enough for the vote of the engines to name the one that has it."""
     unseen: Mapping[str, str] = field(default_factory=dict)
@@ -63,7 +67,7 @@ class Fault:
 def planted(fault: Fault | None, engine: str) -> Iterator[None]:
     """Plant a fault into the simulations that a validation in this process makes.
 
-    A simulation of the same engine with the same fault, or none, is made only once.
+    A simulation of the same engine with the same fault, or none, is made and judged only once.
     """
 
     def run(scene: Scene, batch: Batch, name: str, settings: Settings) -> Simulation:
@@ -73,11 +77,25 @@ def planted(fault: Fault | None, engine: str) -> Iterator[None]:
             _DONE[key] = _simulated(bug, scene, batch, name, settings)
         return _DONE[key]
 
-    with mock.patch("mbds_xsim.campaign.simulate", run):
+    with (
+        mock.patch("mbds_xsim.campaign.simulate", run),
+        mock.patch("mbds_xsim.validate.judge", _judged),
+    ):
         yield
 
 
 _DONE: dict[tuple[object, ...], Simulation] = {}
+_ROWS: dict[tuple[object, ...], Row] = {}
+
+
+def _judged(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome, *, native: bool
+) -> Row:
+    """Judge what stays as it is once; simulations are never made twice, so they tell."""
+    key = (scene, outcome.contender.engine, native, *map(id, outcome.parts))
+    if key not in _ROWS:
+        _ROWS[key] = judge(scene, batch, outcome, reference, native=native)
+    return _ROWS[key]
 
 
 def _simulated(

@@ -1,0 +1,135 @@
+"""Single impacts beside the centre of mass, held against the two laws that engines have for them.
+
+- Rigid: Newton's restitution, and Coulomb's friction against the slip that the impact leaves, or
+  enough of it to leave none.
+- Compliant: restitution of the normal work, and friction against the slip of each moment.
+
+With friction beside the centre of mass the two give different rebounds. An impact has to keep to
+one of them, in restitution and in friction.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.course import course_of, yielding
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.ground import pushes_of
+from mbds_xsim.checks.impacts import Impacts, fast_impacts_of, told_restitution
+
+__all__ = ["eccentric_friction", "eccentric_restitution"]
+
+Array = NDArray[np.float64]
+
+_RESTITUTION = 5.0  # times the budget of balls; springs of a dozen steps give up to 0.038
+_FRICTION = 15.0  # times the budget; PyBullet's friction beside the slip gives up to 0.24
+_BLUR = 3.0  # times the rebound's speed that the course does not explain
+
+
+@dataclass(frozen=True, eq=False)
+class _Deviation:
+    """From one law, one entry an impact."""
+
+    restitution: Array
+    friction: Array
+
+
+def eccentric_restitution(record: Record) -> Finding | None:
+    """Compare what single eccentric impacts give back with the scene's coefficient, else None.
+
+    Of speed or of normal work, whichever law the impact keeps to.
+    """
+    groups = _deviations(record)
+    if not groups:
+        return None
+    assert record.scene.ground is not None
+    ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
+    return Finding.of(
+        "eccentric restitution",
+        "1",
+        _parts(record, [(hits, deviation.restitution) for _, hits, deviation in groups]),
+        budget=_RESTITUTION * record.scene.budget.restitution,
+        names=tuple(name for name, _, _ in groups),
+        note=told_restitution(ratios, record.scene.ground.restitution),
+    )
+
+
+def eccentric_friction(record: Record) -> Finding | None:
+    """Compare the friction of single eccentric impacts with Coulomb's law, over μ · normal."""
+    groups = _deviations(record)
+    if not groups:
+        return None
+    return Finding.of(
+        "eccentric friction",
+        "1",
+        _parts(record, [(hits, deviation.friction) for _, hits, deviation in groups]),
+        budget=_FRICTION * record.scene.budget.friction,
+        names=tuple(name for name, _, _ in groups),
+    )
+
+
+def _parts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
+    """Place what belongs to impacts, (trajectory, frame, group); not every trajectory has some."""
+    parts = np.full((*record.finite.shape, len(groups)), np.nan)
+    parts[:, 0] = 0.0
+    for k, (hits, values) in enumerate(groups):
+        parts[hits.row, hits.step + 1, k] = values
+    return parts
+
+
+@functools.lru_cache(maxsize=1)
+def _deviations(record: Record) -> list[tuple[str, Impacts, _Deviation]]:
+    """Name and impacts of each group that is no ball, and how far they are from a law."""
+    pushes = [push for push in pushes_of(record) if not push.ball]
+    found = [(push.name, fast_impacts_of(record, push)) for push in pushes]
+    return [(name, hits, _deviation(record, hits)) for name, hits in found]
+
+
+def _deviation(record: Record, hits: Impacts) -> _Deviation:
+    """From the law that each impact keeps to best."""
+    budget = record.scene.budget
+    rigid, compliant = _from_rigid(record, hits), _from_compliant(record, hits)
+    worst = [
+        np.maximum(
+            law.restitution / (_RESTITUTION * budget.restitution),
+            law.friction / (_FRICTION * budget.friction),
+        )
+        for law in (rigid, compliant)
+    ]
+    hard = worst[0] <= worst[1]
+    return _Deviation(
+        np.where(hard, rigid.restitution, compliant.restitution),
+        np.where(hard, rigid.friction, compliant.friction),
+    )
+
+
+def _from_rigid(record: Record, hits: Impacts) -> _Deviation:
+    ground = record.scene.ground
+    assert ground is not None
+    restitution = np.abs(hits.leaving / hits.arriving - ground.restitution)
+    most, across = ground.friction * hits.impulse[:, 2], hits.impulse[:, :2]
+    soft = yielding(record, hits.after, hits.sphere)[:, :2, :2]
+    # What it would have taken to leave no slip, or to be at the cone's edge against it.
+    missing = np.linalg.solve(soft, hits.rebound[..., None])[..., 0]
+    speed = np.linalg.norm(hits.rebound, axis=1, keepdims=True)
+    against = -most[:, None] * hits.rebound / np.maximum(speed, np.finfo(float).tiny)
+    off = [np.linalg.norm(part, axis=1) for part in (missing, across - against)]
+    beyond = np.maximum(np.linalg.norm(across, axis=1) - most, 0.0)
+    size = (ground.friction or 1.0) * hits.impulse[:, 2]
+    return _Deviation(restitution, np.maximum(np.minimum(*off), beyond) / size)
+
+
+def _from_compliant(record: Record, hits: Impacts) -> _Deviation:
+    ground = record.scene.ground
+    assert ground is not None
+    course = course_of(record, hits)
+    blur = _BLUR * np.abs(course.velocity[:, 2] - hits.leaving) / hits.arriving
+    off = np.linalg.norm(course.friction - hits.impulse[:, :2], axis=1)
+    return _Deviation(
+        np.maximum(np.abs(course.restitution - ground.restitution) - blur, 0.0),
+        off / ((ground.friction or 1.0) * hits.impulse[:, 2]),
+    )

@@ -1,0 +1,67 @@
+"""The scenes in which faults are planted: built-in ones, cut short or started in another way."""
+
+from __future__ import annotations
+
+import msgspec
+
+from mbds_xsim import registry
+from mbds_xsim.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
+from mbds_xsim.scene import Scene
+
+__all__ = ["SCENES", "scene_of"]
+
+SCENES = {
+    "3pendulum": 50,
+    "2ladder": 25,
+    "workbench": 16,
+    "ballscroll": 40,
+    "ballscroll at 45°": 40,
+    "balldrop": 75,
+    "particlecar": 20,
+    "particlecar at 100 rad/s": 20,
+    "simplecubli": 50,
+    "simplecubli set down": 15,
+}
+"""Recorded frames: a second, or what is enough for the faults that are planted there."""
+
+_NONE = (0.0, 0.0)
+
+
+def scene_of(name: str) -> Scene:
+    """Load a scene and cut it short."""
+    scene = registry.load_scene(name.split()[0])
+    clock = msgspec.structs.replace(scene.clock, steps=SCENES[name])
+    scene = msgspec.structs.replace(scene, clock=clock)
+    changes = {
+        "ballscroll at 45°": _across,
+        "particlecar at 100 rad/s": _fast,
+        "simplecubli set down": _set_down,
+    }
+    return changes[name](scene) if name in changes else scene
+
+
+def _across(scene: Scene) -> Scene:
+    """Throw the ball between x and y, without spin."""
+    throw = Throw("ball", velocity=((3.0, 3.0), (3.0, 3.0), _NONE))
+    return _started(msgspec.structs.replace(scene, dimension=3), throw, Roll("ball", share=_NONE))
+
+
+def _fast(scene: Scene) -> Scene:
+    """Drive a car whose wheels are about to pass 100 rad/s."""
+    wheels = tuple(joint.name for joint in scene.joints)
+    rolling = (scene.contacts[0].radius, 0.0, 0.0)
+    rate = HingeRate(wheels, rate=(99.8, 99.9), travel=rolling)
+    return _started(scene, rate, HingeTorque(wheels, torque=(1.5, 2.0), hold=scene.clock.steps))
+
+
+def _set_down(scene: Scene) -> Scene:
+    """Let a cube stand on four corners, on ground that soon stops it where it does not."""
+    assert scene.ground is not None
+    drop = min(sphere.center[2] - sphere.radius for sphere in scene.contacts)
+    throw = Throw("frame", displacement=(_NONE, _NONE, (-drop, -drop)))
+    ground = msgspec.structs.replace(scene.ground, restitution=0.5)
+    return _started(msgspec.structs.replace(scene, noise=0.0, ground=ground), throw)
+
+
+def _started(scene: Scene, *sampling: Draw) -> Scene:
+    return msgspec.structs.replace(scene, sampling=sampling)

@@ -1,0 +1,369 @@
+"""Faults of smooth motion: what users and adapters get wrong, each where it can be seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import Settings
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference import accelerations
+from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene
+from mbds_xsim.state import Batch, Trajectory
+
+from .bench import ENGINES
+from .native import force_off_center, joint_damping, motors_left_on, no_reaction
+from .planting import Fault
+
+__all__ = ["SMOOTH", "gravity", "heavier"]
+
+Array = NDArray[np.float64]
+
+_CONSISTENCY = ("consistency of positions", "consistency of energy")
+
+
+def gravity(value: float) -> Callable[[Scene], Scene]:
+    """Give the scene another gravity [m/s²]."""
+    return lambda scene: msgspec.structs.replace(scene, gravity=(0.0, 0.0, -value))
+
+
+def heavier(name: str, share: float) -> Callable[[Scene], Scene]:
+    """Make the particles of a body heavier by a share of their mass."""
+
+    def change(body: Body) -> Body:
+        return _with_particles(
+            body,
+            lambda particle: msgspec.structs.replace(particle, mass=particle.mass * (1 + share)),
+        )
+
+    return _in_body(name, change)
+
+
+def _with_particles(body: Body, change: Callable[[Particle], Particle]) -> Body:
+    return msgspec.structs.replace(body, particles=tuple(map(change, body.particles)))
+
+
+def _in_body(name: str, change: Callable[[Body], Body]) -> Callable[[Scene], Scene]:
+    def changed(scene: Scene) -> Scene:
+        bodies = tuple(change(body) if body.name == name else body for body in scene.bodies)
+        assert bodies != scene.bodies
+        return msgspec.structs.replace(scene, bodies=bodies)
+
+    return changed
+
+
+def _free_particles(scene: Scene) -> Scene:
+    """Let particles keep their orientation: a rod then turns without their own inertia.
+
+    What is left of it only keeps the inertia regular.
+    """
+
+    def loosen(particle: Particle) -> Particle:
+        return msgspec.structs.replace(particle, inertia=1e-3 * particle.inertia)
+
+    bodies = tuple(_with_particles(body, loosen) for body in scene.bodies)
+    return msgspec.structs.replace(scene, bodies=bodies)
+
+
+def _all_heavier(share: float) -> Callable[[Scene], Scene]:
+    def changed(scene: Scene) -> Scene:
+        for body in scene.bodies:
+            scene = heavier(body.name, share)(scene)
+        return scene
+
+    return changed
+
+
+def _thick_rods(scene: Scene) -> Scene:
+    def thicken(body: Body) -> Body:
+        (particle,) = body.particles
+        moments = (particle.inertia, particle.inertia, 2.0 * particle.inertia)
+        inertia = Inertia(particle.mass, moments, com=particle.position)
+        return msgspec.structs.replace(body, particles=(), inertia=inertia)
+
+    bodies = tuple(map(thicken, scene.bodies))
+    return msgspec.structs.replace(scene, bodies=bodies, edges=())
+
+
+def _swapped_axes(body: Body) -> Body:
+    assert body.inertia is not None
+    xx, yy, zz = body.inertia.moments
+    inertia = msgspec.structs.replace(body.inertia, moments=(yy, xx, zz))
+    return msgspec.structs.replace(body, inertia=inertia)
+
+
+def _flipped(name: str) -> Callable[[Scene], Scene]:
+    def flip(joint: Joint) -> Joint:
+        if joint.name != name or joint.axis is None:
+            return joint
+        x, y, z = joint.axis
+        return msgspec.structs.replace(joint, axis=(-x, -y, -z))
+
+    def changed(scene: Scene) -> Scene:
+        joints = tuple(flip(joint) for joint in scene.joints)
+        assert joints != scene.joints
+        return msgspec.structs.replace(scene, joints=joints)
+
+    return changed
+
+
+def _options(**options: float) -> Callable[[Settings], Settings]:
+    return lambda settings: dataclasses.replace(settings, options={**settings.options, **options})
+
+
+def _swapped_start(batch: Batch) -> Batch:
+    """Take xyzw for wxyz."""
+    return dataclasses.replace(batch, orientation=np.roll(batch.orientation, 1, axis=-1))
+
+
+def _swapped_recording(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Record xyzw where wxyz is published."""
+    return dataclasses.replace(motion, orientation=np.roll(motion.orientation, -1, axis=-1))
+
+
+def _shifted(batch: Batch) -> Batch:
+    """Apply each frame's inputs one frame late; the first frame has its own."""
+    late = np.maximum(np.arange(batch.steps) - 1, 0)
+    return dataclasses.replace(batch, force=batch.force[:, late], torque=batch.torque[:, late])
+
+
+def _late(
+    *, steps: float = 0.0, frames: float = 0.0, places: bool = True, speeds: bool = True
+) -> Callable[[Scene, Batch, float, Trajectory], Trajectory]:
+    """Record frames some steps or frames late; the first is the start."""
+
+    def record(scene: Scene, batch: Batch, step: float, motion: Trajectory) -> Trajectory:
+        delay = steps * step + frames * scene.clock.frame
+        linear, angular = _pulls(scene, batch, motion)
+        turned = delay * motion.angular_velocity + 0.5 * delay**2 * angular
+        late = dataclasses.replace(motion)
+        if places:
+            moved = motion.position + delay * motion.velocity + 0.5 * delay**2 * linear
+            spun = rotation.multiply(rotation.from_vector(turned), motion.orientation)
+            late = dataclasses.replace(late, position=moved, orientation=spun)
+        if speeds:
+            late = dataclasses.replace(
+                late,
+                velocity=motion.velocity + delay * linear,
+                angular_velocity=motion.angular_velocity + delay * angular,
+            )
+        return _with_first_frame(late, motion)
+
+    return record
+
+
+def _with_first_frame(late: Trajectory, motion: Trajectory) -> Trajectory:
+    changed = {}
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        changed[key] = getattr(late, key).copy()
+        changed[key][:, 0] = getattr(motion, key)[:, 0]
+    return dataclasses.replace(late, **changed)
+
+
+def _pulls(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Array, Array]:
+    """Accelerations just after each frame, under the inputs that then begin."""
+    mechanism = Mechanism.of(scene)
+    states = BodyStates(
+        motion.position,
+        mechanism.native_rotation(motion.orientation),
+        motion.velocity,
+        motion.angular_velocity,
+    )
+    held = np.minimum(np.arange(len(motion.time)), batch.steps - 1)
+    return accelerations(mechanism, states, batch.force[:, held], batch.torque[:, held])
+
+
+SMOOTH = (
+    Fault(
+        name="default damping of 0.04 left on",
+        scene="3pendulum",
+        engines=("pybullet",),
+        checks=("energy", *_CONSISTENCY),
+        settings=_options(linear_damping=0.04, angular_damping=0.04),
+        odd=True,
+    ),
+    Fault(
+        name="joint damping of 0.01 N·m·s left in",
+        scene="3pendulum",
+        engines=("mujoco", "dart"),
+        checks=("energy", *_CONSISTENCY),
+        told="damping",
+        native=joint_damping,
+        odd=True,
+    ),
+    Fault(
+        name="joint motors left on",
+        scene="3pendulum",
+        engines=("pybullet",),
+        checks=("energy", "error growth-weighted"),
+        native=motors_left_on,
+        odd=True,
+    ),
+    Fault(
+        name="default solref on the loops",
+        scene="2ladder",
+        engines=("mujoco",),
+        checks=("gap", *_CONSISTENCY),
+        settings=_options(loop_time_constant=0.0),
+    ),
+    Fault(
+        name="one rung 1 % heavier",
+        scene="2ladder",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="mass [kg] of rung1",
+        model=heavier("rung1", 0.01),
+    ),
+    Fault(
+        name="inertia axes swapped",
+        scene="workbench",
+        engines=("mujoco", "pybullet", "dart"),
+        checks=_CONSISTENCY,
+        told="inertia [kg·m²] of forearm",
+        model=_in_body("forearm", _swapped_axes),
+    ),
+    Fault(
+        name="quaternion order swapped at the start",
+        scene="3pendulum",
+        engines=("mujoco", "exudyn"),
+        checks=("start",),
+        told="start: orientation",
+        inputs=_swapped_start,
+        odd=True,
+    ),
+    Fault(
+        name="quaternion order swapped in the recording",
+        scene="3pendulum",
+        engines=("dart", "pybullet"),
+        checks=("start",),
+        motion=_swapped_recording,
+    ),
+    Fault(
+        name="hinge axis flipped",
+        scene="workbench",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="axis of shoulder",
+        model=_flipped("shoulder"),
+        odd=True,
+    ),
+    Fault(
+        name="frames half a step late",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=("kinematics", *_CONSISTENCY),
+        motion=_late(steps=0.5),
+    ),
+    Fault(
+        name="positions half a step late",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=("kinematics", "velocity lag", *_CONSISTENCY),
+        motion=_late(steps=0.5, speeds=False),
+    ),
+    Fault(
+        name="velocities half a step late",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=("kinematics", "velocity lag", *_CONSISTENCY),
+        motion=_late(steps=0.5, places=False),
+    ),
+    Fault(
+        name="velocities half a step late, first order with loops",
+        scene="2ladder",
+        engines=("pybullet", "dart"),
+        checks=("kinematics", "velocity lag"),
+        motion=_late(steps=0.5, places=False),
+    ),
+    Fault(
+        name="frames half a frame late",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=("error growth-weighted", *_CONSISTENCY),
+        motion=_late(frames=0.5),
+        odd=True,
+    ),
+    Fault(
+        name="force 5 cm off the centre of mass",
+        scene="3pendulum",
+        engines=("pybullet", "dart", "exudyn"),
+        checks=_CONSISTENCY,
+        native=force_off_center,
+    ),
+    Fault(
+        name="hinge torque without its reaction",
+        scene="workbench",
+        engines=ENGINES,
+        checks=("momentum", *_CONSISTENCY),
+        native=no_reaction,
+        odd=True,
+    ),
+    Fault(
+        name="inputs a frame late",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        inputs=_shifted,
+    ),
+    Fault(
+        name="gravity 9.80",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="gravity [m/s²]",
+        model=gravity(9.80),
+    ),
+    Fault(
+        name="particles free instead of welded",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="inertia [kg·m²] of link1",
+        model=_free_particles,
+        odd=True,
+    ),
+    Fault(
+        name="one particle 1 % heavier",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="mass [kg] of link2",
+        model=heavier("link2", 0.01),
+    ),
+    Fault(
+        name="all particles 1 % heavier",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=_CONSISTENCY,
+        told="mass [kg] of link1",
+        model=_all_heavier(0.01),
+    ),
+    Fault(
+        name="axis of a hinge without a drive flipped",
+        scene="workbench",
+        engines=("mujoco", "dart"),
+        checks=(),
+        told="axis of rocker pin",
+        model=_flipped("rocker pin"),
+        unseen=dict.fromkeys(
+            ("mujoco", "dart"), "only the sign of the hinge's angle changes, which nothing uses"
+        ),
+    ),
+    Fault(
+        name="inertia about the rods doubled",
+        scene="3pendulum",
+        engines=ENGINES,
+        checks=(),
+        told="inertia [kg·m²] of link1",
+        model=_thick_rods,
+        unseen=dict.fromkeys(
+            ENGINES, "nothing turns a rod about itself, so no motion depends on it"
+        ),
+    ),
+)
