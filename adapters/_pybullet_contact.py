@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 CONTACT_LAW = ContactLaw(
     normal="rigid: impulses of one step, by sweeps over contacts (PGS); acts ahead of the touch",
     restitution="a coefficient of each body, above 0.2 m/s",
-    friction="a round cone",
+    friction="a round cone, turned towards where a body yields less (along x or y)",
     mixing="the product of frictions, cut to 10, and of restitutions",
     adapter="The ground has friction and restitution 1, so that the products are the pair's. At "
     "matched, contacts act from a gap of 1 µm on and not a step ahead, overlaps are pushed out "

@@ -102,6 +102,10 @@ Tell = Callable[[float], str]
 Right = Callable[[float], bool]
 
 
+def _degrees(value: float) -> str:
+    return f"{value:.1f}°"
+
+
 def _three(value: float) -> str:
     return f"{value:.3f}"
 
@@ -225,7 +229,10 @@ def _friction_columns(study: ContactStudy) -> list[Column]:
 
     return [
         *(column("ball", ball, h, _three, right) for h in (0.0, 15.0, 45.0)),
-        column("aside", aside, 15.0, lambda x: f"{x:.1f}°", close_to(0.0, 1.0)),
+        column("aside", aside, 15.0, _degrees, close_to(0.0, 1.0)),
+        column(
+            "wheel aside", "wheel: friction aside of the slip", 30.0, _degrees, close_to(0.0, 1.0)
+        ),
         _column(study, "hops by", "ball: hops while it slides", tiny_length, still),
         *(column("crate", crate, h, _three, right) for h in (0.0, 45.0)),
         *(column("creep", creep, h, speed, still) for h in (0.0, 45.0)),

@@ -157,6 +157,14 @@ LINES = (
         "0",
     ),
     Line(
+        "under a wheel, aside at 30°",
+        "wheel: friction aside of the slip",
+        _as(lambda value: f"{value:.1f}°"),
+        close_to(0.0, 1.0),
+        {"heading_deg": 30.0},
+        "0",
+    ),
+    Line(
         "sliding ball hops by",
         "ball: hops while it slides",
         _as(tiny_length),

@@ -40,6 +40,7 @@ __all__ = [
     "ball",
     "crate",
     "reason",
+    "wheel",
 ]
 
 Array = NDArray[np.float64]
@@ -49,6 +50,7 @@ RADIUS = PARTICLE_RADIUS
 FRICTION, RESTITUTION = 0.43, 0.9332
 CRATE_MASS = 30.0
 _HALF_EDGE = 0.2
+_CENTRE = (0.0, 0.0, RADIUS)
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -127,12 +129,25 @@ class Bench:
 
 def ball(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
     """Make one particle and its starts, fields of shape (row, 3); at rest on the ground if none."""
-    centre = (0.0, 0.0, RADIUS)
+    body = Body("ball", particles=(Particle(_CENTRE),))
+    return _sphere(body, ground, clock, start)
+
+
+def wheel(ground: Ground, clock: Clock, **start: Array) -> tuple[Scene, Batch]:
+    """Make a ball that turns about y as a particle does, and about x and z ten times harder."""
+    moment = 0.4 * RADIUS**2
+    inertia = Inertia(1.0, (10.0 * moment, moment, 10.0 * moment))
+    return _sphere(Body("wheel", inertia=inertia, position=_CENTRE), ground, clock, start)
+
+
+def _sphere(
+    body: Body, ground: Ground, clock: Clock, start: dict[str, Array]
+) -> tuple[Scene, Batch]:
     scene = Scene(
-        "ball",
-        (Body("ball", particles=(Particle(centre),)),),
+        body.name,
+        (body,),
         length=1.0,
-        contacts=(ContactSphere("ball", centre, RADIUS),),
+        contacts=(ContactSphere(body.name, _CENTRE, RADIUS),),
         ground=ground,
         clock=clock,
     )

@@ -23,6 +23,7 @@ from mbds_xsim.study.contact_bench import (
     ball,
     crate,
     reason,
+    wheel,
 )
 
 __all__ = ["HEADINGS", "PUSHES", "friction"]
@@ -36,6 +37,8 @@ HEADINGS = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 """Of the slip from the x axis [°]."""
 _CRATE_HEADINGS = (0.0, 45.0)
 _BALL_SPEED, _BALL_WINDOW = 5.0, (0.06, 0.22)  # it slides for 0.339 s, and 0.240 s in a box
+# So fast that friction does not turn the slip, and so short that the wheel does not turn aside.
+_WHEEL_SPEED, _WHEEL_WINDOW, _WHEEL_FRAME = 20.0, (0.005, 0.02), 0.005
 _CRATE_SPEED, _CRATE_WINDOW = 2.0, (0.1, 0.3)  # it slides for 0.474 s, and 0.335 s in a box
 PUSHES = (0.6, 0.7, 0.8, 0.9, 1.05, 1.2, 1.4, 1.5)
 """Held forces over the largest that friction bears, from small to large."""
@@ -44,13 +47,15 @@ _SLIDES = 0.02  # what a push so much above the limit makes it faster by is no c
 _PUSHED = 0.4  # [s]
 _CREEPS_FROM = 0.2  # what sets itself at the start is over by then [s]
 _FRAME = 0.02
+_CARRIED = 0.05  # of the weight
 
 
 def friction(engine: str, profile: Profile) -> list[Measured]:
-    """Measure the coefficient of a sliding ball and crate, and a pushed crate's creep and start."""
+    """Measure friction on a sliding ball, wheel and crate; a pushed crate's creep and start."""
     on_points = Bench(engine, profile, "simplecubli")
     return [
         *_sliding_ball(Bench(engine, profile, "ballscroll")),
+        *_sliding_wheel(Bench(engine, profile, "particlecar")),
         *_sliding_crate(on_points),
         *(m for heading in _CRATE_HEADINGS for m in _pushed_crate(on_points, heading)),
     ]
@@ -63,11 +68,16 @@ def sliding(motion: Trajectory, along: Array, window: tuple[float, float]) -> tu
         motion: Of one body.
         along: Direction of the slip at the start, shape (row, 3).
         window: Times between which it slides all the time [s].
+
+    Returns:
+        NaN where the ground does not carry the body.
     """
     begin, end = np.searchsorted(motion.time, np.array(window) - 1e-9)
     change = motion.velocity[:, end, 0] - motion.velocity[:, begin, 0]
     lift = change[:, 2] + PULL * (motion.time[end] - motion.time[begin])
-    back = -np.sum(change * along, axis=1)
+    # What has hopped off shows no friction.
+    carried = lift > _CARRIED * PULL * (motion.time[end] - motion.time[begin])
+    back = np.where(carried, -np.sum(change * along, axis=1), np.nan)
     aside = np.abs(np.cross(along, change)[:, 2])
     return back / lift, np.degrees(np.arctan2(aside, back))
 
@@ -81,6 +91,15 @@ def _sliding_ball(bench: Bench) -> list[Measured]:
         *_by_heading(bench, "ball", HEADINGS, *sliding(motion, along, _BALL_WINDOW), motion),
         bench.measured("ball: hops while it slides", "m", hop, {}, reason(motion)),
     ]
+
+
+def _sliding_wheel(bench: Bench) -> list[Measured]:
+    """What is harder to move along one axis than along the other: friction must not care."""
+    along = _directions(HEADINGS)
+    clock = bench.clock(_WHEEL_FRAME, _WHEEL_WINDOW[1])
+    motion = bench.motion(*wheel(_BALL_GROUND, clock, velocity=_WHEEL_SPEED * along))
+    found = sliding(motion, along, _WHEEL_WINDOW)
+    return _by_heading(bench, "wheel", HEADINGS, *found, motion)
 
 
 def _sliding_crate(bench: Bench) -> list[Measured]:
@@ -99,9 +118,10 @@ def _by_heading(
     aside: Array,
     motion: Trajectory,
 ) -> list[Measured]:
-    note, found = reason(motion), []
+    found = []
     for heading, coefficient, angle in zip(headings, back, aside, strict=True):
         at = {"heading_deg": heading}
+        note = reason(motion) or ("it hops off the ground" if np.isnan(coefficient) else "")
         found += [
             bench.measured(f"{what}: sliding friction", "1", coefficient, at, note),
             bench.measured(f"{what}: friction aside of the slip", "°", angle, at, note),

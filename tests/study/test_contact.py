@@ -22,8 +22,9 @@ from mbds_xsim.study.contact_friction import friction, sliding
 from mbds_xsim.study.contact_limits import limits
 
 
-def _value(found: list[Measured], quantity: str, **at: float) -> float | None:
+def _value(found: list[Measured], quantity: str, **at: float) -> float:
     (one,) = [m for m in found if m.quantity == quantity and m.at == at]
+    assert one.value is not None
     return one.value
 
 
@@ -81,6 +82,19 @@ def test_known_laws_of_friction_show() -> None:
     assert diagonal == pytest.approx(np.sqrt(2) * FRICTION, rel=1e-3)
     assert _value(found, "crate: push that starts it", heading_deg=0.0) == 1.05
     assert _value(found, "crate: push that starts it", heading_deg=45.0) == 1.5
+
+
+def test_friction_under_a_wheel_is_opposite_to_its_slip_but_in_pybullet() -> None:
+    """Bullet divides the slip along x and along y each by its own compliance, 1/m + r²/I."""
+    for engine in ("mujoco", "pybullet"):
+        pytest.importorskip(engine)
+    along, across = 1.0 + 1.0 / 0.4, 1.0 + 1.0 / 4.0
+    turned = np.degrees(np.arctan(np.tan(np.radians(30.0)) * along / across)) - 30.0
+
+    aside = "wheel: friction aside of the slip"
+    assert _value(friction("mujoco", "matched"), aside, heading_deg=30.0) < 0.3
+    found = _value(friction("pybullet", "matched"), aside, heading_deg=30.0)
+    assert found == pytest.approx(turned, abs=0.3)
 
 
 def test_drag_that_nobody_asked_for_is_told_as_silent() -> None:
