@@ -111,4 +111,4 @@ def _left_of_curve(bench: Bench, curve: Curve, points: Sequence[Sequence[Row]]) 
 
 def _cost(bench: Bench, row: Row) -> float:
     """Time of a rollout that was measured [s]."""
-    return bench.scene.clock.duration * min(row.wall_s, default=0.0)
+    return bench.scene.clock.duration * min(row.cpu_s, default=0.0)

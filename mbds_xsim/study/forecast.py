@@ -21,17 +21,18 @@ _REPEATS = 0.3
 def rollout_cost(rows: Sequence[Row], count: int, duration: float) -> float | None:
     """Predict the time of a rollout at a number of steps a frame [s]; None where nothing tells.
 
-    The last two points tell how the cost grows, at most in proportion to the steps.
+    The last two points tell how the cost grows, at most in proportion to the steps. Processor
+    time is taken, which does not depend on what else the machine has to do.
     """
-    done = [(row.steps_per_frame, float(np.median(row.wall_s))) for row in rows if row.wall_s]
+    done = [(row.steps_per_frame, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
     if not done:
         return None
-    last, wall = done[-1]
+    last, spent = done[-1]
     power = 1.0
     if len(done) > 1:
         before, less = done[-2]
-        power = min(1.0, max(0.0, math.log(wall / less) / math.log(last / before)))
-    return duration * wall * (count / last) ** power
+        power = min(1.0, max(0.0, math.log(spent / less) / math.log(last / before)))
+    return duration * spent * (count / last) ** power
 
 
 def cost_of(rollout: float) -> float:

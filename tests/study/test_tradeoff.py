@@ -31,7 +31,7 @@ _HANG = 2.0  # [s] until a hanging task is ended
 def _small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep rows and references apart, and try few steps."""
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(sweep, "COUNTS", (2, 5, 10, 20))
+    monkeypatch.setattr(sweep, "COUNTS", (1, 2, 5, 10, 20))
     monkeypatch.setattr(sweep, "_THIN", (5,))
     monkeypatch.setattr(point, "_ENOUGH", 0.01)
 
@@ -133,7 +133,7 @@ def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
     study = _study(scene, "mujoco", limit=1e-6)
 
     curve = _curve(study, "mujoco RK4")
-    assert [point.kind for point in curve.points] == ["done", *["too slow"] * 4]
+    assert [point.kind for point in curve.points] == ["done", *["too slow"] * 5]
     assert "limit 1e-06 s" in curve.points[1].reason
 
 
