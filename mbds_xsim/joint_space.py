@@ -75,7 +75,9 @@ def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
             axis = rotation.rotate(parent.native, joint.axis)
             if joint.kind == "slider":
                 arm = child.position - parent.position
-                relative = child.velocity - parent.velocity - np.cross(parent.angular_velocity, arm)
+                relative = (
+                    child.velocity - parent.velocity - rotation.cross(parent.angular_velocity, arm)
+                )
             rate[..., k] = np.sum(relative * axis, axis=-1)
     return LinkStates(turn, spin, coordinate, rate, position, velocity)
 
@@ -120,9 +122,9 @@ def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
         x[..., body, :] = parent.position + to_joint - from_joint
         v[..., body, :] = (
             parent.velocity
-            + np.cross(parent.angular_velocity, to_joint)
+            + rotation.cross(parent.angular_velocity, to_joint)
             + shift_rate
-            - np.cross(w[..., body, :], from_joint)
+            - rotation.cross(w[..., body, :], from_joint)
         )
     return bodies
 

@@ -11,6 +11,17 @@ IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
 IDENTITY.flags.writeable = False
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products along the last axis: numpy's, bit for bit, without its detours."""
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    np.subtract(a1 * b2, a2 * b1, out=product[..., 0])
+    np.subtract(a2 * b0, a0 * b2, out=product[..., 1])
+    np.subtract(a0 * b1, a1 * b0, out=product[..., 2])
+    return product
+
+
 def multiply(p: Array, q: Array) -> Array:
     """Hamilton product p ⊗ q: the rotation q followed by p."""
     pw, px, py, pz = np.moveaxis(p, -1, 0)
@@ -34,8 +45,8 @@ def conjugate(q: Array) -> Array:
 def rotate(q: Array, v: Array) -> Array:
     """Turn the vectors v by the unit quaternions q."""
     w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return np.asarray(v + w * t + np.cross(u, t))
+    t = 2.0 * cross(u, v)
+    return np.asarray(v + w * t + cross(u, t))
 
 
 def matrix(q: Array) -> Array:

@@ -126,7 +126,7 @@ class _Drawing:
 
     def add_twist(self, bodies: list[int], point: Array, rate: Array) -> None:
         """Add a rigid angular velocity about a point of W."""
-        self.velocity[bodies] += np.cross(rate, self.position[bodies] - point)
+        self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
         self.angular_velocity[bodies] += rate
 
 
@@ -215,7 +215,7 @@ def _swing(term: Swing, drawing: _Drawing) -> None:
         drawing.native[body] = turn
         drawing.position[body] = pivot + down
         drawing.velocity[body] = pivot_velocity + relative
-        drawing.angular_velocity[body] = np.cross(down, relative) / (down @ down)
+        drawing.angular_velocity[body] = rotation.cross(down, relative) / (down @ down)
 
 
 def _point_of(drawing: _Drawing, body: int, in_body: Array) -> tuple[Array, Array]:
@@ -225,7 +225,7 @@ def _point_of(drawing: _Drawing, body: int, in_body: Array) -> tuple[Array, Arra
     arm = rotation.rotate(drawing.native[body], in_body)
     return (
         drawing.position[body] + arm,
-        drawing.velocity[body] + np.cross(drawing.angular_velocity[body], arm),
+        drawing.velocity[body] + rotation.cross(drawing.angular_velocity[body], arm),
     )
 
 

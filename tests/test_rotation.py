@@ -130,3 +130,10 @@ def test_normals_make_a_right_handed_triad(axis: list[float]) -> None:
 
     np.testing.assert_allclose(triad @ triad.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(triad) == pytest.approx(1.0)
+
+
+def test_cross_products_are_numpy_s_bit_for_bit() -> None:
+    rng = np.random.default_rng(5)
+    for a, b in (((3,), (3,)), ((7, 4, 3), (3,)), ((1, 4, 3), (7, 1, 3)), ((0, 3), (3,))):
+        one, other = rng.standard_normal(a), rng.standard_normal(b)
+        assert np.array_equal(rotation.cross(one, other), np.cross(one, other))

@@ -42,7 +42,7 @@ class Points:
         """Positions [m] and velocities [m/s], each of shape (trajectory, frame, point, axis)."""
         native = self.mechanism.native_rotation(trajectory.orientation)
         arm = rotation.rotate(native[..., self.body, :], self.offset)
-        swing = np.cross(trajectory.angular_velocity[..., self.body, :], arm)
+        swing = rotation.cross(trajectory.angular_velocity[..., self.body, :], arm)
         position = trajectory.position[..., self.body, :] + arm
         velocity = trajectory.velocity[..., self.body, :] + swing
         return position[..., self.axes], velocity[..., self.axes]

@@ -32,7 +32,7 @@ __all__ = [
     "make_shard",
     "make_shards",
     "rejected_folder",
-    "simulate_one",
+    "try_out",
 ]
 
 LOG = "log.jsonl"
@@ -77,9 +77,9 @@ def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | No
     _log(path.parent, {"first": item.first, "count": item.count, **counts, **watch.laps})
 
 
-def simulate_one(variant: Variant, index: int) -> None:
-    """Simulate a trajectory by itself, to see whether it ends the process."""
-    batch = draw_batch(variant.scene, [index], seed=variant.seed, noise=variant.noise)
+def try_out(variant: Variant, indices: Sequence[int]) -> None:
+    """Simulate some trajectories, to see whether they end the process."""
+    batch = draw_batch(variant.scene, indices, seed=variant.seed, noise=variant.noise)
     simulate(variant.scene, batch, variant.contender.engine, variant.contender.settings)
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from mbds_xsim.dataset.plan import spans
-from mbds_xsim.dataset.shard import Crashes, make_shards, simulate_one
+from mbds_xsim.dataset.shard import Crashes, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
@@ -16,6 +17,7 @@ __all__ = ["Carrier", "make"]
 
 _SHARD_TIMEOUT = 3600.0  # [s]
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
+_TRIES = 2
 
 Job = tuple[Variant, Item]
 
@@ -36,10 +38,14 @@ class Carrier(Protocol):
 def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) -> None:
     """Make shards; those that are there when this ends abnormally are complete.
 
+    Where a process ends without an answer its shard is tried again, for it may have been killed
+    from outside. Where it ends again the trajectories that end it are looked for and rejected.
+
     Raises:
         InputError: One cannot be written, or cannot be made at all.
     """
     todo = list(jobs)
+    tries: Counter[Job] = Counter()
     crashes: dict[Job, Crashes] = {}
     while todo:
         runs = list(spans(todo, workers))
@@ -47,11 +53,12 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
         answers = carry_out(tasks, workers=workers, finished=_refuse)
         for (variant, run), answer in zip(runs, answers, strict=True):
             if isinstance(answer, Crash):
-                culprit = next(item for item in run if _missing(variant, item, out))
-                if (variant, culprit) in crashes:
-                    raise InputError(_despair(variant, culprit, answer))
-                found = _crashes(variant, culprit, workers, carry_out)
-                crashes[variant, culprit] = found
+                culprit = variant, next(item for item in run if _missing(variant, item, out))
+                tries[culprit] += 1
+                if tries[culprit] == _TRIES:
+                    crashes[culprit] = _crashes(*culprit, workers, carry_out)
+                elif tries[culprit] > _TRIES:
+                    raise InputError(_despair(*culprit, answer))
         todo = [(variant, item) for variant, item in todo if _missing(variant, item, out)]
 
 
@@ -67,14 +74,28 @@ def _refuse(_place: int, answer: Any) -> None:
 
 
 def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> Crashes:
-    """Find the trajectories that end the engine's process; none where it was ended from outside."""
-    tasks = [Task(simulate_one, (variant, index), _TRAJECTORY_TIMEOUT) for index in item.indices]
-    answers = carry_out(tasks, workers=workers)
-    return {
-        index: answer.reason
-        for index, answer in zip(item.indices, answers, strict=True)
-        if isinstance(answer, Crash)
-    }
+    """Find the trajectories that end the engine's process, by halving."""
+    found: dict[int, str] = {}
+    groups = [list(item.indices)]
+    while groups:
+        tasks = [
+            Task(try_out, (variant, group), _TRAJECTORY_TIMEOUT * len(group)) for group in groups
+        ]
+        answers = carry_out(tasks, workers=workers)
+        guilty = [
+            (group, answer.reason)
+            for group, answer in zip(groups, answers, strict=True)
+            if isinstance(answer, Crash)
+        ]
+        found |= {group[0]: reason for group, reason in guilty if len(group) == 1}
+        larger = [group for group, _ in guilty if len(group) > 1]
+        groups = [half for group in larger for half in _halves(group)]
+    return found
+
+
+def _halves(group: list[int]) -> tuple[list[int], list[int]]:
+    middle = len(group) // 2
+    return group[:middle], group[middle:]
 
 
 def _missing(variant: Variant, item: Item, out: Path) -> bool:
