@@ -187,11 +187,11 @@ def _carried(
     gyration = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
     turn, spin = states.native[..., None, :], states.angular_velocity[..., None, :]
     arm = rotation.rotate(turn, gyration[:, None, None] * _ARMS)
-    swing = np.cross(spin, arm)
+    swing = rotation.cross(spin, arm)
     return (
         states.position[..., None, :] + arm,
         states.velocity[..., None, :] + swing,
-        pull[..., None, :] + np.cross(push[..., None, :], arm) + np.cross(spin, swing),
+        pull[..., None, :] + rotation.cross(push[..., None, :], arm) + rotation.cross(spin, swing),
     )
 
 

@@ -82,7 +82,7 @@ def _angular(record: Record, balance: Balance) -> tuple[Array, Array]:
     )
     mass, velocity = mechanism.mass[bodies], states.velocity[:, :, bodies]
     drift = 0.0 if balance.about is not None else _mean(mass, velocity)
-    carried = np.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
+    carried = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
     each = rotation.rotate(native, own) + carried
     return each.sum(axis=2), _scale(record, balance, each, record.scene.length)
 
@@ -111,7 +111,7 @@ def _moments(record: Record, balance: Balance, load: Array) -> tuple[Array, Arra
     frame = record.frame
     held = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     held = held + record.lag * (arm[:, 1:] - arm[:, :-1])
-    impulse = np.cross(held, load).sum(axis=2) + frame * _driving(record, balance)
+    impulse = rotation.cross(held, load).sum(axis=2) + frame * _driving(record, balance)
     # What a parabola leaves of the step's displacement shows the third derivative of the place;
     # the integral is off by H⁵/720 of the fourth.
     bend = np.diff(arm, axis=1) - frame / 2 * (speed[:, 1:] + speed[:, :-1])
