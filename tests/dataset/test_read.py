@@ -1,0 +1,129 @@
+"""Reading: the same numbers as the file, mapped, and windows of them as training draws them."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import mbds_xsim
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+
+from .conftest import STEPS, TRAJECTORIES, Make
+
+FILE = "1pendulum/mujoco-matched.h5"
+
+
+@pytest.fixture(scope="module")
+def data(whole: Path) -> Dataset:
+    return mbds_xsim.load_dataset(whole / FILE)
+
+
+def test_it_says_what_it_is(data: Dataset, rod: Scene) -> None:
+    assert repr(data) == (
+        "<1pendulum mujoco matched (certified): 700 trajectories of 10 steps of 0.02 s>"
+    )
+    assert data.scene == rod
+    assert len(data) == TRAJECTORIES
+    assert data.position.shape == (TRAJECTORIES, STEPS + 1, 1, 3)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "body/orientation", "input/force"])
+def test_arrays_are_the_file_s(name: str, data: Dataset, whole: Path) -> None:
+    with h5py.File(whole / FILE) as file:
+        series, stored = data[name], file[name][()]
+        assert np.array_equal(np.asarray(series), stored)
+        for row in (0, 299, 300, 650, -1):
+            assert np.array_equal(series[row], stored[row])
+        assert np.array_equal(np.stack(list(series)), stored)
+
+
+def test_nothing_can_be_overwritten(data: Dataset) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        data.position[0][0] = 1.0
+
+
+def test_a_row_that_is_not_there(data: Dataset) -> None:
+    with pytest.raises(IndexError, match="row 700 of 700"):
+        data.position[TRAJECTORIES]
+
+
+def test_windows_are_the_frames_of_their_place(data: Dataset) -> None:
+    windows = data.windows(6)
+    assert len(windows) == TRAJECTORIES * (STEPS + 1 - 5)
+    rng = np.random.default_rng(0)
+    numbers = rng.integers(len(windows), size=200)
+    position, velocity = windows.take(numbers)
+    rows, frames = windows.where(numbers)
+    assert len(np.unique(rows // 300)) == 3  # of all shards
+    for k, (row, frame) in enumerate(zip(rows, frames, strict=True)):
+        assert np.array_equal(position[k], data.position[row][frame : frame + 6])
+        assert np.array_equal(velocity[k], data.velocity[row][frame : frame + 6])
+
+
+def test_windows_fetch_as_torch_does(data: Dataset) -> None:
+    windows = data.windows(3, names=("position",))
+    (batch,) = windows.take([5, 1000])
+    assert np.array_equal(windows[5][0], batch[0])
+    assert np.array_equal(windows.__getitems__([5, 1000])[1][0], batch[1])
+    copy = pickle.loads(pickle.dumps(windows))
+    assert np.array_equal(copy[1000][0], batch[1])
+    with pytest.raises(IndexError):
+        windows[len(windows)]
+    with pytest.raises(IndexError):
+        windows.take([len(windows)])
+
+
+def test_windows_of_a_part(data: Dataset) -> None:
+    test = data.windows(2, split="test")
+    rows, _ = test.where(np.arange(len(test)))
+    assert np.array_equal(np.unique(rows), np.arange(630, 700))
+    both = data.windows(2, split="test", rows=np.array([3, 640]))
+    assert len(both) == STEPS
+
+
+def test_windows_too_long(data: Dataset) -> None:
+    with pytest.raises(InputError, match="length: got 12, allowed is 1 to 11 frames"):
+        data.windows(12)
+
+
+def test_an_unknown_part(data: Dataset) -> None:
+    with pytest.raises(InputError, match="split: got 'eval', allowed is train, validation, test"):
+        data.rows_of("eval")
+
+
+def test_one_shard_alone(whole: Path) -> None:
+    shard = mbds_xsim.load_dataset(whole / "1pendulum/mujoco-matched/0000000300.h5")
+    assert shard.index.tolist() == list(range(300, 600))
+    assert len(shard.windows(11)) == 300
+    with pytest.raises(InputError, match="is one shard; the split is in the file that joins"):
+        shard.rows_of("train")
+
+
+def test_files_that_hold_no_trajectories(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no trajectories, it is of the kind 'joint'"):
+        mbds_xsim.load_dataset(whole / "1pendulum/joint.h5")
+    (tmp_path / "text.h5").write_text("not HDF5")
+    with pytest.raises(InputError, match="cannot be read as HDF5"):
+        mbds_xsim.load_dataset(tmp_path / "text.h5")
+    with pytest.raises(InputError, match=r"No such file|unable to open"):
+        mbds_xsim.load_dataset(tmp_path / "nothing.h5")
+
+
+def test_shards_that_are_missing_are_told(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=3)
+    (tmp_path / "1pendulum/mujoco-matched/0000000000.h5").unlink()
+    with pytest.raises(InputError, match=r"1 of its 1 shards are missing, first .*0000000000"):
+        mbds_xsim.load_dataset(tmp_path / FILE)
+    with h5py.File(tmp_path / FILE) as file:  # and no zeros are made up
+        assert np.isnan(file["position"][()]).all()
+
+
+def test_the_package_knows_no_other_names() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'load_data'"):
+        mbds_xsim.load_data  # noqa: B018
