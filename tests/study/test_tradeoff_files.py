@@ -1,0 +1,224 @@
+"""What `mbds-xsim tradeoff` prints and writes, from a hand-made study and through the command."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+from rich.console import Console
+
+from mbds_xsim import cli
+from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.report.tradeoff_csv import to_csv
+from mbds_xsim.report.tradeoff_files import write_files
+from mbds_xsim.report.tradeoff_terminal import print_tradeoff
+from mbds_xsim.study.rows import SCHEMA, CurveResult, Point, Ratio, Row, Tradeoff, to_json
+
+
+def _point(count: int, wall: float | None, error: float, **other: object) -> Point:
+    plain = Point(steps_per_frame=count, step_s=0.02 / count, kind="done", starts=3)
+    figures = {"wall_s": wall, "wall_low_s": wall, "wall_high_s": wall, "cpu_s": wall}
+    errors = {"error_m": error, "error_weighted_m": error, "gap_m": 1e-6, "energy": 1e-4}
+    return msgspec.structs.replace(plain, **(figures | errors | {"setup_s": 0.01} | other))
+
+
+def _curve(engine: str, method: str, points: list[Point], variation: str = "") -> CurveResult:
+    return CurveResult(
+        engine=engine,
+        version="1.0",
+        method=method,
+        family="RK4",
+        variation=variation,
+        options={},
+        order=4,
+        measured_order=3.98,
+        points=tuple(points),
+    )
+
+
+_FAST = [
+    Point(steps_per_frame=1, step_s=0.02, kind="crashed", reason="<b>SIGSEGV</b> & gone"),
+    _point(2, 0.01, 1e-3, broken=("gap",), on_front=True),
+    _point(4, 0.02, 1e-5, on_front=True),
+]
+_SLOW = [
+    _point(1, 0.5, 1e-2),
+    _point(2, 2.0, 1e-4),
+    Point(steps_per_frame=4, step_s=0.005, kind="too slow", reason="predicted 40 s a start"),
+]
+
+
+@pytest.fixture
+def study() -> Tradeoff:
+    return Tradeoff(
+        schema=SCHEMA,
+        scene="pair",
+        description="two bodies",
+        command="mbds-xsim tradeoff pair",
+        seed=0,
+        trajectories=(1, 4, 7),
+        horizon_s=1.0,
+        reference_ends_s=None,
+        duration_s=4.0,
+        length_m=1.0,
+        budget={"error_1s": 1e-3, "error": 1e-2, "gap": 1e-4, "energy_first_order": 1e-2},
+        contact=False,
+        limit_s=30.0,
+        curves=(
+            _curve("mujoco", "RK4", _FAST),
+            _curve("dart", "semi-implicit-euler", _SLOW),
+            _curve("mujoco", "RK4", [_point(2, 0.005, 5e-4)], "solver = CG"),
+        ),
+        ratios=(
+            Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 1.0, 0.005), best=2),
+            Ratio(error_m=1e-4, budget=False, wall_s=(0.0141, 2.0, None), best=0),
+        ),
+        left_out={"exudyn RK44": "exudyn RK44 cannot do ball joint"},
+        versions={"mujoco": "4.0.0"},
+        machine="a machine",
+        workers=2,
+        busy=1.02,
+        measured=12,
+        kept=3,
+        wall_s=12.0,
+    )
+
+
+def _printed(study: Tradeoff, width: int) -> str:
+    stream = io.StringIO()
+    print_tradeoff(study, Console(file=stream, width=width, color_system=None))
+    return stream.getvalue()
+
+
+def test_the_table_compares_costs_at_equal_accuracy(study: Tradeoff) -> None:
+    text = _printed(study, 130)
+
+    (fast,) = (line for line in text.splitlines() if re.match(r" *mujoco +RK4", line))
+    (slow,) = (line for line in text.splitlines() if re.match(r" *dart", line))
+    told = "4.0 (4) 10 ms 2× 1× 5.0 ms: 20 ms 10 µm"
+    assert " ".join(fast.split()).endswith(told)
+    assert "200×" in slow
+    assert "142×" in slow
+    assert "mujoco RK4 solver = CG: 0.5 × the cost at the budget" in text
+    assert "crashed: <b>SIGSEGV</b> & gone" in text
+    assert "too slow: predicted 40 s a start" in text
+
+
+@pytest.mark.parametrize("width", [80, 104])
+def test_the_table_fits_the_terminal(study: Tradeoff, width: int) -> None:
+    lines = _printed(study, width).splitlines()
+
+    assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
+
+
+def test_the_cheapest_within_all_budgets_breaks_none(study: Tradeoff) -> None:
+    found = summary.cheapest_within(study)
+
+    assert found is not None
+    curve, point = found
+    assert (curve.variation, point.wall_s) == ("solver = CG", 0.005)
+
+
+def test_a_busy_machine_is_told(study: Tradeoff) -> None:
+    assert "busy" not in summary.machine_told(study)
+    noisy = msgspec.structs.replace(study, busy=2.5)
+    assert "it was busy: times are 2.5 × the processor's" in summary.machine_told(noisy)
+
+
+def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
+    impact = msgspec.structs.replace(study, reference_ends_s=0.383, horizon_s=0.38)
+    at_once = msgspec.structs.replace(study, reference_ends_s=0.0, horizon_s=0.0)
+
+    assert "at 1 s, the worst of 3 medium starts" in summary.what_is_charted(study)
+    assert "before the first impact (0.38 s" in summary.what_is_charted(impact)
+    assert "no unique solution" in summary.what_is_charted(at_once)
+
+
+def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
+    other = msgspec.structs.replace(study, scene="other")
+    paths = {kind: tmp_path / f"out.{kind}" for kind in ("csv", "html", "png", "markdown")}
+
+    write_files([study, other], [_row()], **paths)
+
+    page = paths["html"].read_text()
+    assert page.count("<svg role=") >= 6
+    assert "&lt;b&gt;SIGSEGV" in page
+    assert "<b>SIGSEGV" not in page
+    assert 'class="curve-1 tip"><title>dart semi-implicit-euler' in page
+    assert not re.search(r'(src|href)="(?!#)', page)
+    assert paths["png"].read_bytes()[:4] == b"\x89PNG"
+    text = paths["markdown"].read_text()
+    assert "# pair: speed against accuracy" in text
+    assert "# other: speed against accuracy" in text
+    told = json.loads(to_json([study]))
+    assert told["curves"][0]["points"][0]["kind"] == "crashed"
+    assert [entry["scene"] for entry in json.loads(to_json([study, other]))] == ["pair", "other"]
+
+
+def test_raw_rows_keep_every_repeat_and_version() -> None:
+    (line,) = csv.DictReader(io.StringIO(to_csv([_row()]).decode()))
+
+    assert line["wall_s"] == "0.01 0.02"
+    assert json.loads(line["options"]) == {"solver": "CG"}
+    assert line["broken"] == "error at 1 s; gap"
+    assert (line["version"], line["machine"], line["error_m"]) == ("4.0.0", "a, machine", "")
+
+
+def _row() -> Row:
+    return Row(
+        key="k",
+        scene="pair",
+        engine="mujoco",
+        version="4.0.0",
+        method="RK4",
+        variation="solver = CG",
+        options={"solver": "CG"},
+        steps_per_frame=2,
+        step_s=0.01,
+        trajectory=1,
+        seed=0,
+        machine="a, machine",
+        limit_s=30.0,
+        kind="done",
+        wall_s=(0.01, 0.02),
+        broken=("error at 1 s", "gap"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "Missing argument 'SCENE…'"),
+        (["teapot"], "no scene is called 'teapot'"),
+        (["1pendulum", "teapot"], "no scene is called 'teapot'"),
+        (["1pendulum", "--engines", "ode"], "no engine is called 'ode'"),
+        (["1pendulum", "--starts", "0"], "--starts"),
+        (["1pendulum", "--limit", "0"], "--limit"),
+        (["1pendulum", "--png", "."], "--png: cannot write ."),
+        (["1pendulum", "--csv", "a", "--html", "a"], "both name a"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "tradeoff", *words])
+
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+
+    err = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
