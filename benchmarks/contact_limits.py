@@ -127,7 +127,7 @@ def _checked(checks: dict[str, Finding], exact: Trajectory) -> dict[str, float]:
     if "momentum" in checks:
         series = checks["momentum"].series
         found["momentum in flight"] = float(np.nanmax(series))
-        known: NDArray[np.bool_] = np.isfinite(exact.position).all(axis=(2, 3))
+        known = np.asarray(np.isfinite(exact.position).all(axis=(2, 3)))
         if known[:, 1:].any() and not known.all():
             found["momentum before the first impact"] = float(np.nanmax(series[known]))
     return found
