@@ -14,6 +14,7 @@ from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
+from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.momentum import momentum
 from mbds_xsim.checks.overlap import contact_gap, penetration
 from mbds_xsim.checks.passivity import energy_rise, passivity
@@ -61,6 +62,7 @@ def audit(
     *,
     step: float | None = None,
     contact_time: float | None = None,
+    steps_compared: tuple[int, int] = EVERY_SECOND,
 ) -> list[Finding]:
     """Run every check that applies to the scene.
 
@@ -72,8 +74,10 @@ def audit(
             first order is assumed.
         step: Integration step [s]; the frame interval where it is left out.
         contact_time: Over which the engine spreads an impact [s], as it declares; None: unknown.
+        steps_compared: First step, and every how many, over which displacements are held against
+            velocities; every second takes in all frames, and may cost more than all other checks.
     """
-    record = Record(scene, batch, trajectory, method, step, contact_time)
+    record = Record(scene, batch, trajectory, method, step, contact_time, steps_compared)
     # A blow-up may overflow on its way to infinity; the check `finite` reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         found = (check(record) for check in CHECKS)

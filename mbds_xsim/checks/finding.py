@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.checks.mismatch import Mismatch, mismatch_of
+from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.engine import Method
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
@@ -34,6 +34,8 @@ class Record:
     """Integration step [s]; None: the frame interval."""
     contact_time: float | None = None
     """Over which the engine declares to spread an impact [s]; None: unknown."""
+    steps_compared: tuple[int, int] = EVERY_SECOND
+    """First step, and every how many, over which displacements are held against velocities."""
 
     @functools.cached_property
     def mechanism(self) -> Mechanism:
@@ -87,6 +89,7 @@ class Record:
             self.batch.torque,
             frame=self.frame,
             lag=self.lag,
+            steps=self.steps_compared,
         )
 
     @property

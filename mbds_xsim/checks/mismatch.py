@@ -1,9 +1,10 @@
 """What positions do between frames that velocities do not tell.
 
-Over every second step, so that each frame is looked at, the displacement of points on the bodies
-is compared with the integral of their velocities: of the quintic that meets the velocity, and the
-acceleration and jerk that the scene gives, at both ends of the step. Its error is H⁷/100800 of
-the velocity's sixth derivative (Davis & Rabinowitz 1984, Methods of Numerical Integration, 2.9).
+Over every second step, so that each frame is looked at, or over fewer, the displacement of points
+on the bodies is compared with the integral of their velocities: of the quintic that meets the
+velocity, and the acceleration and jerk that the scene gives, at both ends of the step. Its error is
+H⁷/100800 of the velocity's sixth derivative (Davis & Rabinowitz 1984, Methods of Numerical
+Integration, 2.9).
 """
 
 from __future__ import annotations
@@ -21,10 +22,13 @@ from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["Mismatch", "mismatch_of"]
+__all__ = ["EVERY_SECOND", "Mismatch", "mismatch_of"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+EVERY_SECOND = (0, 2)
+"""First step, and every how many: these take in every frame once."""
 
 _MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
 _FACTOR = 5.0  # errors of the quintic are up to so many times their estimate (measured: 4.6)
@@ -84,8 +88,9 @@ def mismatch_of(
     *,
     frame: float,
     lag: float,
+    steps: tuple[int, int] = EVERY_SECOND,
 ) -> Mismatch:
-    """Compare positions and velocities over every second step, outside contact.
+    """Compare positions and velocities over some steps, outside contact.
 
     Args:
         mechanism: Whose motion.
@@ -94,15 +99,14 @@ def mismatch_of(
         torque: [N·m], shape (trajectory, step, hinge).
         frame: Interval of the frames [s].
         lag: Recorded velocities belong to frame time + lag [s].
+        steps: First step, and every how many; every second takes in all frames.
     """
-    first = np.arange(0, bodies.position.shape[1] - 1, 2)
+    first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
     force, torque = force[:, first], torque[:, first]
     flow = Flow(mechanism, _MOMENT * frame)
-    closed = flow.closed(bodies)
     free = flying(mechanism, bodies, frame)[:, first]
     begin, end = (
-        _points_at(flow, _frames(bodies, at), _frames(closed, at), free, force, torque, lag)
-        for at in (first, first + 1)
+        _points_at(flow, _frames(bodies, at), free, force, torque, lag) for at in (first, first + 1)
     )
     moved = (end.position - begin.position) / frame
     # Hermite's formulas with no, one and two derivatives at each end.
@@ -130,7 +134,6 @@ def mismatch_of(
 def _points_at(
     flow: Flow,
     states: BodyStates,
-    closed: BodyStates,
     free: Mask,
     force: Array,
     torque: Array,
@@ -140,7 +143,8 @@ def _points_at(
     count = flow.mechanism.body_count
     points = np.full((len(_Points._fields), *known.shape, count, 4, 3), np.nan)
     if known.any():
-        kept, near = picked(states, known), picked(closed, known)
+        kept = picked(states, known)
+        near = flow.closed(kept)
         if lag:
             rates = flow.accelerations(near, force[known], torque[known])
             gain = flow.of_rates(near, *rates)
