@@ -24,8 +24,8 @@ def cross(a: Array, b: Array) -> Array:
 
 def multiply(p: Array, q: Array) -> Array:
     """Hamilton product p ⊗ q: the rotation q followed by p."""
-    pw, px, py, pz = np.moveaxis(p, -1, 0)
-    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
+    pw, px, py, pz = (p[..., k] for k in range(4))
+    qw, qx, qy, qz = (q[..., k] for k in range(4))
     return np.stack(
         [
             pw * qw - px * qx - py * qy - pz * qz,
@@ -115,6 +115,6 @@ def angle_about(q: Array, axis: Array) -> Array:
 def normal_to(axis: Array) -> tuple[Array, Array]:
     """Two unit vectors that make a right-handed triad (first, second, axis)."""
     axis = axis / np.linalg.norm(axis)
-    first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    first = cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
-    return first, np.cross(axis, first)
+    return first, cross(axis, first)

@@ -22,13 +22,9 @@ __all__ = [
     "CONTENT",
     "Attributes",
     "Datasets",
+    "NewFile",
     "check_content",
-    "describe",
-    "digest",
     "encode",
-    "finished",
-    "open_new",
-    "put_field",
     "values_of",
 ]
 
@@ -44,34 +40,72 @@ _ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
 
 def encode(datasets: Datasets, attributes: Attributes) -> bytes:
     """Give the bytes of the file."""
-    with open_new("content") as file:
+    with NewFile() as new:
         fields = known_names()
         for name in sorted(datasets):
-            put_field(file, fields[name], datasets[name])
-        return finished(file, attributes)
+            new.put(fields[name], datasets[name])
+        return new.finished(attributes)
 
 
-def open_new(name: str) -> Any:
-    """Open a new HDF5 file in memory."""
-    return h5py.File(
-        name,
-        "w",
-        driver="core",
-        backing_store=False,
-        libver=("v110", "v110"),
-        alignment_threshold=_ALIGNMENT,
-        alignment_interval=_ALIGNMENT,
-        track_order=False,
-    )
+class NewFile:
+    """An HDF5 file in memory that is being written."""
+
+    def __init__(self) -> None:
+        self.hdf5 = h5py.File(
+            "new",
+            "w",
+            driver="core",
+            backing_store=False,
+            libver=("v110", "v110"),
+            alignment_threshold=_ALIGNMENT,
+            alignment_interval=_ALIGNMENT,
+        )
+        self._told: dict[str, dict[str, Any]] = {}
+
+    def __enter__(self) -> NewFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.hdf5.close()
+
+    def put(self, field: Field, values: NDArray[Any]) -> None:
+        """Write a dataset, say what it is, and put its checksum."""
+        told: dict[str, Any] = {}
+        if field.dtype == "text":
+            encoded = [str(text).encode() for text in values]
+            kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
+            stored: NDArray[Any] = np.array(encoded, dtype=kind)
+        else:
+            kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
+        if field.dtype == "<f4":
+            off = np.abs(stored - values).max(initial=0.0, where=np.isfinite(values))
+            told["rounding"] = "to the nearest float32 of the float64 value"
+            told["largest_rounding"] = float(off)
+        self.hdf5.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
+        self.describe(field, {**told, SUM: _sum(stored)})
+
+    def describe(self, field: Field, more: Attributes) -> None:
+        """Say on a dataset what it is."""
+        told = {
+            "axes": ", ".join(field.axes),
+            "unit": field.unit,
+            "meaning": field.meaning,
+            **more,
+        }
+        self._told[field.name] = _plain(told)
+        _put_attributes(self.hdf5[field.name], told)
+
+    def finished(self, attributes: Attributes) -> bytes:
+        """Put the attributes of the file and its checksum; give its bytes."""
+        content = _digest({**self._told, "": _plain(attributes)})
+        _put_attributes(self.hdf5, {**attributes, CONTENT: content})
+        self.hdf5.flush()
+        return bytes(self.hdf5.id.get_file_image())
 
 
-def finished(file: Any, attributes: Attributes) -> bytes:
-    """Put the attributes of the file and its checksum; give its bytes."""
+def _put_attributes(item: Any, attributes: Attributes) -> None:
     for key in sorted(attributes):
-        file.attrs[key] = attributes[key]
-    file.attrs[CONTENT] = digest(file)
-    file.flush()
-    return bytes(file.id.get_file_image())
+        item.attrs[key] = attributes[key]
 
 
 def values_of(dataset: Any) -> NDArray[Any]:
@@ -86,42 +120,21 @@ def check_content(path: Path) -> str | None:
         for name, dataset in _datasets(file):
             if SUM in dataset.attrs and dataset.attrs[SUM] != _sum(dataset[()]):
                 return f"dataset {name} is not what was written"
-        if file.attrs.get(CONTENT) != digest(file):
+        if file.attrs.get(CONTENT) != _content_of(file):
             return "attributes are not what was written"
     return None
 
 
-def digest(file: Any) -> str:
-    """Checksum of all attributes and, by their own checksums, of all datasets."""
-    found = {"": _plain(file.attrs)}
-    for name, dataset in _datasets(file):
-        found[name] = _plain(dataset.attrs)
+def _content_of(file: Any) -> str:
+    found = {name: _plain(dataset.attrs) for name, dataset in _datasets(file)}
+    found[""] = _plain(file.attrs)
     found[""].pop(CONTENT, None)
-    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+    return _digest(found)
 
 
-def describe(dataset: Any, field: Field) -> None:
-    """Say on a dataset what it is."""
-    dataset.attrs["axes"] = ", ".join(field.axes)
-    dataset.attrs["unit"] = field.unit
-    dataset.attrs["meaning"] = field.meaning
-
-
-def put_field(file: Any, field: Field, values: NDArray[Any]) -> None:
-    """Write a dataset, say what it is, and put its checksum."""
-    if field.dtype == "text":
-        encoded = [str(text).encode() for text in values]
-        kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
-        stored: NDArray[Any] = np.array(encoded, dtype=kind)
-    else:
-        kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
-    dataset = file.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
-    describe(dataset, field)
-    if field.dtype == "<f4":
-        off = np.abs(stored - values).max(initial=0.0, where=np.isfinite(values))
-        dataset.attrs["rounding"] = "to the nearest float32 of the float64 value"
-        dataset.attrs["largest_rounding"] = float(off)
-    dataset.attrs[SUM] = _sum(stored)
+def _digest(attributes: Mapping[str, Attributes]) -> str:
+    """Checksum of the attributes of all datasets, their checksums among them, and of the file."""
+    return hashlib.sha256(json.dumps(attributes, sort_keys=True).encode()).hexdigest()
 
 
 def _sum(values: NDArray[Any]) -> str:

@@ -9,20 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks import Finding, audit
+from mbds_xsim.checks.mismatch import EVERY_SECOND
+from mbds_xsim.choice import Contender
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY
-from mbds_xsim.engine import Method, Readback, Settings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.readback import compare
+from mbds_xsim.engine import Method
+from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Verdict", "judge_rows"]
+__all__ = ["Making", "Verdict", "judge_rows"]
 
 Array = NDArray[np.float64]
 
 # The checks make many passes over arrays: pieces that stay in a core's cache are twice as fast,
 # and bound the memory.
 _BODY_FRAMES = 50_000
+
+# Holding displacements against velocities costs more than all other checks together, and what it
+# finds, frames that belong to another time, is in all of a trajectory.
+_SPARSE = 16
+_MANY = 64  # steps; of shorter trajectories all frames are looked at
+
 _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
 
 
@@ -78,32 +85,55 @@ class Verdict:
         return "; ".join([*self.misbuilt, *self.reasons[row]])
 
 
-def judge_rows(
-    scene: Scene,
-    batch: Batch,
-    trajectory: Trajectory,
-    method: Method,
-    settings: Settings,
-    readback: Readback | None = None,
-) -> Verdict:
-    """Check every trajectory, and the engine's model where it is known."""
+@dataclass(frozen=True)
+class Making:
+    """What the checks must know of how trajectories were made."""
+
+    method: Method
+    step: float
+    """[s]"""
+    contact_time: float
+    """Over which the engine spreads an impact [s]."""
+
+    @staticmethod
+    def of(contender: Contender) -> Making:
+        """Ask the engine's adapter."""
+        adapter, settings = load_adapter(contender.engine), contender.settings
+        time = adapter.contact_scales(settings).time
+        return Making(adapter.methods[settings.method], settings.step, time)
+
+
+def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Making) -> Verdict:
+    """Check every trajectory; what a figure is depends on the trajectory and its number alone."""
     verdict = Verdict.empty(len(batch))
-    if readback is not None:
-        lines = compare(Mechanism.of(scene), batch, settings, readback)
-        verdict.misbuilt += [f"read-back: {line}" for line in lines]
     for row, failure in enumerate(trajectory.failures):
         if failure is not None:
             verdict.reasons[row].append(f"ended at frame {failure.frame}: {failure.reason}")
-    for rows in _pieces(scene, len(batch)):
-        piece = trajectory[rows.tolist()]
-        verdict.add(rows, audit(scene, batch[rows], piece, method, step=settings.step))
+    for group, rows in _groups(scene, batch.index):
+        findings = audit(
+            scene,
+            batch[rows],
+            trajectory[rows.tolist()],
+            making.method,
+            step=making.step,
+            contact_time=making.contact_time,
+            steps_compared=_steps_compared(scene, group),
+        )
+        verdict.add(rows, findings)
     return verdict
 
 
-def _pieces(scene: Scene, count: int) -> Iterator[NDArray[np.int64]]:
+def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
     size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
-    for first in range(0, count, size):
-        yield np.arange(first, min(first + size, count))
+    for group in np.unique(index // size):
+        yield int(group), np.flatnonzero(index // size == group)
+
+
+def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
+    """Every 16th step, another one in each group: together they take in all frames."""
+    if scene.clock.steps < _MANY:
+        return EVERY_SECOND
+    return 2 * (group % (_SPARSE // 2)), _SPARSE
 
 
 def _reason(finding: Finding, row: int) -> str:

@@ -12,15 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.content import (
-    CONTENT,
-    describe,
-    encode,
-    finished,
-    open_new,
-    put_field,
-    values_of,
-)
+from mbds_xsim.dataset.content import CONTENT, NewFile, encode, values_of
 from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.layout import SHARED, SUFFIX, Field, known_names
 from mbds_xsim.dataset.shard import rejected_folder
@@ -93,15 +85,15 @@ def _joined(shards: Sequence[_Shard], trajectories: int, attributes: dict[str, A
         "shard/content": np.array([shard.content for shard in shards]),
     }
     fields = known_names()
-    with open_new("joined") as file, h5py.File(shards[0].path, "r") as first:
+    with NewFile() as new, h5py.File(shards[0].path, "r") as first:
         for name in sorted(own.keys() | {name for name in fields if name in first}):
             if name in own:
-                put_field(file, fields[name], own[name])
+                new.put(fields[name], own[name])
             elif fields[name].per_trajectory:
-                _put_virtual(file, fields[name], first[name], shards)
+                _put_virtual(new, fields[name], first[name], shards)
             else:
-                put_field(file, fields[name], values_of(first[name]))
-        return finished(file, attributes)
+                new.put(fields[name], values_of(first[name]))
+        return new.finished(attributes)
 
 
 class _Shard:
@@ -115,7 +107,7 @@ class _Shard:
         self.rows = len(self.index)
 
 
-def _put_virtual(file: Any, field: Field, like: Any, shards: Sequence[_Shard]) -> None:
+def _put_virtual(new: NewFile, field: Field, like: Any, shards: Sequence[_Shard]) -> None:
     """Put a dataset that reads from the shards; where one is missing it has no numbers."""
     total = sum(shard.rows for shard in shards)
     space = h5py.h5s.create_simple((total, *like.shape[1:]))
@@ -133,10 +125,10 @@ def _put_virtual(file: Any, field: Field, like: Any, shards: Sequence[_Shard]) -
             creation.set_virtual(space, path, field.name.encode(), h5py.h5s.create_simple(shape))
         first += shard.rows
     space.select_all()
-    file.require_group(field.name.rpartition("/")[0] or "/")
+    new.hdf5.require_group(field.name.rpartition("/")[0] or "/")
     kind = h5py.h5t.py_create(like.dtype)
-    h5py.h5d.create(file.id, field.name.encode(), kind, space, dcpl=creation)
-    describe(file[field.name], field)
+    h5py.h5d.create(new.hdf5.id, field.name.encode(), kind, space, dcpl=creation)
+    new.describe(field, {})
 
 
 def _causes(folder: Path, names: Sequence[str]) -> Counter[str]:

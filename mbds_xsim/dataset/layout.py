@@ -146,6 +146,7 @@ CHECKS: dict[str, str] = {
     "rolling": "1",
     "restitution": "1",
     "eccentric restitution": "1",
+    "eccentric friction": "1",
     "hop": "1",
     "resting": "1",
     "error at 1 s": "m",

@@ -93,6 +93,7 @@ class Variant:
             "method_order": method.order_for(self.scene),
             "step_s": settings.step,
             "options": json.dumps(dict(settings.options), sort_keys=True),
+            "contact_time_s": adapter.contact_scales(settings).time,
             "velocity_lag_s": method.velocity_lag * settings.step,
             "audit_sample": f"index mod {AUDIT_EVERY} < {AUDIT_COUNT}",
             "numpy_version": package_version("numpy"),

@@ -14,6 +14,7 @@ from mbds_xsim.checks import audit
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.split import split_of
+from mbds_xsim.matched import settings_for
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
@@ -49,8 +50,6 @@ def test_a_trajectory_made_alone_has_the_same_bits(rod: Scene, whole: Path) -> N
     batch = draw_batch(rod, [437])
     adapter = load_adapter("mujoco")
     with h5py.File(whole / FILE) as file:
-        from mbds_xsim.matched import settings_for
-
         alone = simulate(rod, batch, "mujoco", settings_for(rod, adapter, "matched")).trajectory
         for key in ("position", "orientation", "velocity", "angular_velocity"):
             assert np.array_equal(file[f"body/{key}"][437], getattr(alone, key)[0])
@@ -108,10 +107,17 @@ def test_files_say_how_they_were_made(rod: Scene, whole: Path) -> None:
         assert file["check/name"].asstr()[()].tolist() == list(CHECKS)
 
 
+@pytest.mark.parametrize("name", ["ballscroll", "particlecar", "simplecubli", "workbench"])
+def test_every_check_has_a_column(name: str) -> None:
+    scene, adapter = load_scene(name), load_adapter("mujoco")
+    batch, settings = draw_batch(scene, [0]), settings_for(scene, adapter, "native")
+    trajectory = simulate(scene, batch, "mujoco", settings).trajectory
+    for finding in audit(scene, batch, trajectory, adapter.methods[settings.method]):
+        assert CHECKS[finding.check] == finding.unit
+
+
 def test_figures_are_those_of_the_checks(rod: Scene, whole: Path) -> None:
     adapter = load_adapter("mujoco")
-    from mbds_xsim.matched import settings_for
-
     settings = settings_for(rod, adapter, "matched")
     batch = draw_batch(rod, [3, 4])
     trajectory = simulate(rod, batch, "mujoco", settings).trajectory

@@ -1,0 +1,63 @@
+"""What checks and storage cost beside the engine: python benchmarks/generate.py [ENGINE…].
+
+The raw rate is that of `simulate` alone, over the trajectories of one shard of 6pendulum; the other
+that of making the whole shard: drawing, simulating, checking every trajectory, writing, reading
+back. Both at matched settings, interleaved, one process on one core; the time is the core's own, so
+that other processes on the machine do not count. The aim is a ratio of 0.8.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.shard import LOG, make_shard
+from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.simulate import simulate
+
+SCENE = "6pendulum"
+COUNTS = {"mujoco": 133, "pybullet": 12, "dart": 6, "exudyn": 30}
+REPEATS = 5
+
+
+def core_seconds(work: Callable[[], object]) -> float:
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+def measure(engine: str, folder: Path) -> None:
+    (contender,), _ = Choice.parse(engines=engine).contenders(load_scene(SCENE))
+    variant = Variant(load_scene(SCENE), contender, seed=0, noise=True)
+    item = Item(0, COUNTS[engine])
+    batch = draw_batch(variant.scene, item.indices)
+    raw, whole = [], []
+    for _ in range(REPEATS):
+        raw.append(core_seconds(lambda: simulate(variant.scene, batch, engine, contender.settings)))
+        whole.append(core_seconds(lambda: make_shard(variant, item, folder)))
+    log = (variant.folder(folder) / LOG).read_text().splitlines()
+    stages = [json.loads(line) for line in log]
+    parts = ", ".join(
+        f"{key.removesuffix('_s')} {median(line[key] for line in stages) / item.count * 1e3:.2f}"
+        for key in ("draw_s", "simulate_s", "check_s", "write_s")
+    )
+    alone, made = item.count / median(raw), item.count / median(whole)
+    print(f"{engine:9} raw {alone:7.2f}/s  made {made:7.2f}/s  ratio {made / alone:.3f}")
+    print(f"{'':9} wall ms a trajectory: {parts}")
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or ["mujoco", "pybullet"]:
+        with tempfile.TemporaryDirectory() as folder:
+            measure(name, Path(folder))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"peak memory of this process: {peak / 1024:.0f} MiB")

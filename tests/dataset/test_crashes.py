@@ -1,0 +1,96 @@
+"""An engine that ends its process: the trajectories that do it are found, and the others made."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset import shard
+from mbds_xsim.dataset.generate import Generated, Request, generate
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import Simulation, simulate
+
+from .conftest import Silence, contents
+
+FATAL = (7, 411, 412)
+FILE = "1pendulum/mujoco-matched.h5"
+
+
+def fork(
+    tasks: Sequence[Task],
+    *,
+    workers: int | None = None,
+    finished: Callable[[int, Any], None] | None = None,
+) -> list[Any]:
+    """Carry out each task in a copy of this process, as `run_tasks` does in fresh ones."""
+    del workers
+    answers = []
+    for place, task in enumerate(tasks):
+        pickle.dumps((task.function, task.arguments))  # as what goes elsewhere must
+        child = os.fork()
+        if child == 0:
+            task.function(*task.arguments)
+            os._exit(0)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        answers.append(Crash(f"ended with {code}") if code else None)
+        if finished is not None:
+            finished(place, answers[-1])
+    return answers
+
+
+def _make(scene: Scene, out: Path) -> Generated:
+    request = Request((scene,), Choice.parse(engines="mujoco"), 700, out)
+    return generate(request, workers=2, progress=Silence(), carry_out=fork)
+
+
+def _fatal_to(indices: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    def deadly(*arguments: Any) -> Simulation:
+        if np.isin(arguments[1].index, indices).any():
+            os._exit(66)
+        return simulate(*arguments)
+
+    monkeypatch.setattr(shard, "simulate", deadly)
+
+
+def test_the_trajectories_that_crash_are_rejected(
+    rod: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _fatal_to(FATAL, monkeypatch)
+    (count,) = _make(rod, tmp_path).variants
+    assert (count.published, count.rejected) == (697, 3)
+    assert count.rejected_by == {"ended at frame 0": 3}
+    with h5py.File(tmp_path / FILE) as file, h5py.File(whole / FILE) as clean:
+        index = file["index"][()]
+        assert sorted(set(range(700)) - set(index.tolist())) == list(FATAL)
+        for name in ("body/position", "position", "input/force"):
+            assert np.array_equal(file[name][()], clean[name][()][index])
+    with h5py.File(tmp_path / "rejected/1pendulum/mujoco-matched/0000000300.h5") as file:
+        assert file["index"][()].tolist() == [411, 412]
+        assert file["reason"].asstr()[0].startswith("ended at frame 0: ended with 66; finite: inf")
+        assert np.isnan(file["body/position"][()]).all()
+
+
+def test_nothing_crashes_here(rod: Scene, whole: Path, tmp_path: Path) -> None:
+    _make(rod, tmp_path)
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_what_never_can_be_made_is_told(
+    rod: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shard, "judge_rows", lambda *_: os._exit(67))
+    with pytest.raises(
+        InputError, match=r"1pendulum mujoco-matched: .* 0 to 299 cannot be made: ended with 67"
+    ):
+        _make(rod, tmp_path)
+    assert contents(tmp_path) == {}
