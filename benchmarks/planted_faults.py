@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from faults.bench import checked
+from faults.bench import checked, told
 from faults.faults import FAULTS
 from faults.planting import Fault
 from faults.scenes import SCENES
 from smallest_fault import table
-
-from mbds_xsim.result import EngineResult
 
 _HEAD = """\
 # Do the checks bite?
@@ -29,8 +27,9 @@ with the scene (read-back) switched off. The table shows the checks that fail in
 has the fault, how often the vote of the engines and the reference names that engine, and how often
 reading the model back tells the fault too.
 
-Without a fault all engines pass. `tests/faults` repeats the table in every test run, on
-{clocks}.
+Without a fault all engines pass. `tests/faults` repeats the table in every test run. The scenes
+are built-in ones, cut short and some started in another way (`tests/faults/scenes.py`): {clocks}
+recorded frames.
 """
 
 _SMALLEST = """
@@ -41,6 +40,10 @@ the motion alone: one body too heavy by a share of its mass, or gravity too stro
 `benchmarks/smallest_fault.py`. The comparison of runs at three steps with the reference is what
 sees errors so far below the budgets; how far depends on how exactly the engine's own error at
 these steps can be extrapolated.
+
+Contact has no such comparison, but laws that each frame must keep to. There the smallest error is
+the budget: 2 % of the friction under balls and wheels that slip, 0.01 of a ball's restitution,
+0.05 of the one of other single impacts, and for the radius of a sphere 0.2 % of the scene's length.
 """
 
 _NEVER = """
@@ -48,6 +51,10 @@ _NEVER = """
 
 {unseen}
 - Errors below the figures above.
+- Contact spheres a little too small on a body that tumbles, in MuJoCo and Exudyn: a soft contact
+  lets spheres in as far. Once the body rests they are seen.
+- Friction where no contact slips, and of a body that tumbles in trajectories with few single
+  impacts. Under balls and wheels that slip every frame shows it.
 - A mistake in what all share: adapters and reference get masses, centres of mass, inertias and
   anchors from one module, `mbds_xsim/mechanism.py`. If that is wrong, all agree on a wrong motion.
   It is tested against closed forms instead (`tests/test_mechanism.py`).
@@ -71,7 +78,7 @@ class _Try:
 def page() -> Iterator[str]:
     """Give the page, line by line."""
     tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
-    clocks = ", ".join(f"{frames} frames of {name}" for name, frames in SCENES.items())
+    clocks = ", ".join(f"{name} {frames}" for name, frames in SCENES.items())
     yield _HEAD.format(clocks=clocks)
     yield from _count(tries)
     yield ""
@@ -86,7 +93,6 @@ def page() -> Iterator[str]:
 
 def _try(fault: Fault, engine: str) -> _Try:
     motion = checked(fault.scene, fault, engine)
-    native = checked(fault.scene, fault, engine, readback=True)
     bad = [row.engine for row in motion.engines if row.verdict == "fail"]
     row = next(row for row in motion.engines if row.engine == engine)
     return _Try(
@@ -94,12 +100,8 @@ def _try(fault: Fault, engine: str) -> _Try:
         bad == [engine],
         frozenset(found.check for found in row.findings if not found.passed),
         motion.odd_one_out == f"{engine} matched",
-        _is_told(next(row for row in native.engines if row.engine == engine)),
+        bool(told(fault.scene, fault, engine)),
     )
-
-
-def _is_told(row: EngineResult) -> bool:
-    return any(reason.startswith("read-back") for reason in row.reasons)
 
 
 def _count(tries: dict[Fault, list[_Try]]) -> Iterator[str]:

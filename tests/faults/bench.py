@@ -15,7 +15,7 @@ from mbds_xsim.validate import validate_with_evidence
 from .planting import Fault, planted
 from .scenes import scene_of
 
-__all__ = ["ENGINES", "checked"]
+__all__ = ["ENGINES", "checked", "told"]
 
 ENGINES = ("mujoco", "pybullet", "dart", "exudyn")
 
@@ -68,9 +68,18 @@ def checked(
     *,
     engines: tuple[str, ...] = ENGINES,
     readback: bool = False,
+    frames: int | None = None,
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
+    choice = _Quick(engines, bench=scene)
     with planted(fault, engine):
         return validate_with_evidence(
-            scene_of(scene), choice=_Quick(engines, bench=scene), workers=0, readback=readback
+            scene_of(scene, frames), choice=choice, workers=0, readback=readback
         )[0]
+
+
+def told(scene: str, fault: Fault, engine: str) -> list[str]:
+    """Give what reading the native model back tells; a frame of motion is enough for it."""
+    validation = checked(scene, fault, engine, engines=(engine,), readback=True, frames=1)
+    reasons = (reason.partition("read-back: ") for reason in validation.engines[0].reasons)
+    return [what for before, _, what in reasons if not before]

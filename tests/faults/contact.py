@@ -264,6 +264,22 @@ CONTACT = (
         model=_radius(0.8),
     ),
     Fault(
+        name="corners of a thrown cube 5 % too small",
+        scene="simplecubli",
+        engines=("pybullet", "dart"),
+        checks=("contact gap",),
+        told="radius of contact",
+        model=_radius(0.95),
+    ),
+    Fault(
+        name="corners of a thrown cube 5 % too large",
+        scene="simplecubli",
+        engines=ENGINES,
+        checks=("contact gap",),
+        told="radius of contact",
+        model=_radius(1.05),
+    ),
+    Fault(
         name="contact left out",
         scene="ballscroll",
         engines=ENGINES,
@@ -294,7 +310,7 @@ CONTACT = (
     ),
     Fault(
         name="hinge torque without its reaction, in flight",
-        scene="simplecubli",
+        scene="simplecubli in flight",
         engines=ENGINES,
         checks=("momentum",),
         native=no_reaction,
