@@ -59,7 +59,7 @@ class Bench:
     limit: float
     """Longest rollout of one start [s]."""
     workers: int | None
-    store: Store
+    store: Store[Row]
     meter: Meter
     measured: int = 0
     kept: int = 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 import msgspec
 
@@ -18,20 +19,28 @@ from mbds_xsim.study.rows import Row
 __all__ = ["Store"]
 
 
-class Store:
-    """The rows of one scene by their keys; the latest of a key counts."""
+class _Keyed(Protocol):
+    @property
+    def key(self) -> str: ...
 
-    def __init__(self, path: Path) -> None:
+
+R = TypeVar("R", bound=_Keyed)
+
+
+class Store(Generic[R]):
+    """Rows of one kind by their keys; the latest of a key counts."""
+
+    def __init__(self, path: Path, kind: type[R]) -> None:
         self.path = path
-        self.rows = {row.key: row for row in _read(path)}
+        self.rows: dict[str, R] = {row.key: row for row in _read(path, kind)}
 
     @staticmethod
-    def of(scene: str) -> Store:
-        """Open the store of a scene in the user's cache directory."""
+    def of(scene: str) -> Store[Row]:
+        """Open the store of a scene's trade-off rows in the user's cache directory."""
         safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in scene)
-        return Store(directory() / "tradeoff" / f"{safe}.jsonl")
+        return Store(directory() / "tradeoff" / f"{safe}.jsonl", Row)
 
-    def add(self, row: Row) -> None:
+    def add(self, row: R) -> None:
         """Keep a row.
 
         Raises:
@@ -52,13 +61,13 @@ class Store:
             raise InputError(msg) from error
 
 
-def _read(path: Path) -> list[Row]:
+def _read(path: Path, kind: type[R]) -> list[R]:
     if not path.is_file():
         return []
     rows = []
     for line in path.read_bytes().splitlines():
         try:
-            rows.append(msgspec.json.decode(line, type=Row))
+            rows.append(msgspec.json.decode(line, type=kind))
         except (msgspec.DecodeError, msgspec.ValidationError):
             continue
     return rows

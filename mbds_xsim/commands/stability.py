@@ -1,0 +1,134 @@
+"""`mbds-xsim stability`: where methods fail."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from mbds_xsim.commands.shared import JsonFile, app, check_targets, console_for, write_json
+
+if TYPE_CHECKING:
+    from mbds_xsim.study.stability.definition import Study, Value
+
+__all__ = ["stability"]
+
+T = TypeVar("T")
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim stability --list  ·  mbds-xsim stability stiffness --png map.png"
+    "  ·  mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01"
+)
+def stability(
+    studies: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Name the studies, and end.")] = False,
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    methods: Annotated[
+        str | None, typer.Option("--methods", "--method", help="Comma-separated; all by default.")
+    ] = None,
+    settings: Annotated[
+        str, typer.Option(help="matched (all methods), native, or both: matched,native.")
+    ] = "matched,native",
+    value: Annotated[
+        str | None, typer.Option(help="Only this value; any number, or a name of the study.")
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Only this step [s]; divides a frame of 0.1 s.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Three values and three steps.")] = False,
+    limit: Annotated[float, typer.Option(help="Longest that a cell may take [s].", min=1.0)] = 30.0,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Run again what was run earlier.")] = False,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write all files of every study there.")
+    ] = None,
+    json: JsonFile = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the cells as CSV.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the maps.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
+    ] = None,
+) -> None:
+    """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
+    from mbds_xsim.choice import Choice
+    from mbds_xsim.isolate import core_count
+    from mbds_xsim.report.stability_files import write_all, write_files
+    from mbds_xsim.report.stability_terminal import print_cells, print_list, print_sweep
+    from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.study.stability.contenders import profiles_of
+    from mbds_xsim.study.stability.rows import to_json
+    from mbds_xsim.study.stability.studies import STUDIES, study_named
+    from mbds_xsim.study.stability.survey import Plan, survey
+
+    console = console_for(json)
+    if listed:
+        print_list(STUDIES.values(), console)
+        return
+    check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    single = value is not None and step is not None
+    plans = [
+        Plan(
+            study=study,
+            engines=Choice.parse(engines=engines).engines,
+            methods=_words(methods),
+            profiles=profiles_of(settings),
+            values=_values(study, value, quick=quick),
+            counts=_counts(step, quick=quick),
+            limit=limit,
+            workers=workers,
+            fresh=fresh or single,
+            cache=cache,
+            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+        )
+        for study in map(study_named, studies or STUDIES)
+    ]
+    sweeps = []
+    for plan in plans:
+        with StudyBar(console, workers or core_count(), plan.study.name) as meter:
+            sweeps.append(survey(plan, meter))
+        (print_cells if single else print_sweep)(sweeps[-1], console)
+        if out is not None:
+            write_all(sweeps[-1], out)
+    write_files(sweeps, csv=csv, html=html, png=png, markdown=markdown)
+    write_json(to_json(sweeps), json)
+
+
+def _words(text: str | None) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",")) if text else ()
+
+
+def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...]:
+    if value is not None:
+        return (study.parse(value),)
+    return _three(study.values) if quick else study.values
+
+
+def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
+    """Steps a frame."""
+    from mbds_xsim.engine import Settings
+    from mbds_xsim.study.stability.definition import COUNTS, FRAME
+
+    if step is not None:
+        return (Settings("", step).substeps(FRAME),)
+    return _three(COUNTS) if quick else COUNTS
+
+
+def _three(values: tuple[T, ...]) -> tuple[T, ...]:
+    """Keep the first, the middle and the last."""
+    return (values[0], values[len(values) // 2], values[-1])

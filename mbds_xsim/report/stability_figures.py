@@ -1,0 +1,142 @@
+"""Maps of stability: step across, the swept value upwards, colour for what breaks first.
+
+A cell that goes wrong without a word of the engine is hatched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mbds_xsim.report import stability_summary as summary
+from mbds_xsim.report.themed import GREY, INK
+from mbds_xsim.study.stability.definition import text_of
+from mbds_xsim.study.stability.rows import Cell, Outcome, Sweep
+
+__all__ = ["LOOKS", "Look", "draw_legend", "draw_panel", "size_of", "tips"]
+
+
+@dataclass(frozen=True)
+class Look:
+    """How an outcome is drawn, and what it means."""
+
+    colour: str
+    letter: str
+    meaning: str
+
+
+# Colours that colour-blind people tell apart (Okabe and Ito's, darkened), and a letter besides.
+LOOKS: dict[Outcome, Look] = {
+    "stable": Look("#8fd6b9", "", "stable and on course"),
+    "off course": Look("#e9efb5", "o", "stable, but more than a tenth of the length off"),
+    "gains energy": Look("#d55e00", "E", "gains energy"),
+    "loses energy": Look("#56b4e9", "L", "loses energy"),
+    "comes apart": Look("#cc79a7", "A", "joints come apart"),
+    "sinks in": Look("#a5772b", "S", "spheres sink into the ground"),
+    "stuck": Look("#e69f00", "F", "hardly moves"),
+    "ends early": Look("#9a4b4b", "X", "ends early, nothing seen before"),
+    "crashed": Look("#333333", "C", "the process crashes"),
+    "timed out": Look("#77727f", "T", "no answer in time"),
+    "refused": Look("#e4e4e4", "–", "cannot be represented"),
+}
+_LIGHT = {"stable", "off course", "loses energy", "comes apart", "stuck", "refused"}
+_HATCH = "////"
+_CELL = (0.36, 0.30)  # [in]
+_MARGIN = (1.15, 0.85)  # [in]
+
+
+def size_of(sweep: Sweep) -> tuple[float, float]:
+    """Width and height of one panel [in]."""
+    labels = 0.075 * max(len(text_of(value)) for value in sweep.values)
+    width = max(_CELL[0] * len(sweep.steps_s), 1.6)
+    return (_MARGIN[0] + labels + width, _MARGIN[1] + _CELL[1] * len(sweep.values))
+
+
+def draw_panel(axes: Any, sweep: Sweep, place: int) -> None:
+    """Draw the map of one engine's method."""
+    panel = sweep.panels[place]
+    for row, cells in enumerate(panel.cells):
+        for column, cell in enumerate(cells):
+            _draw_cell(axes, cell, column, row, f"tip-{place}-{row * len(cells) + column}")
+    steps = [summary.milliseconds(step) for step in sweep.steps_s]
+    axes.set_xticks(range(len(steps)), steps)
+    axes.set_yticks(range(len(sweep.values)), [text_of(value) for value in sweep.values])
+    axes.set_xlim(-0.5, len(steps) - 0.5)
+    axes.set_ylim(-0.5, len(sweep.values) - 0.5)
+    axes.set_xlabel("step [ms]")
+    axes.set_ylabel(_short(summary.swept(sweep)))
+    axes.set_title(panel.name, fontsize=9, loc="left", color=INK)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    for side in axes.spines.values():
+        side.set_visible(False)
+
+
+def draw_legend(figure: Any, sweep: Sweep, *, columns: int) -> None:
+    """Explain the colours that occur, and the hatching, below the maps."""
+    from matplotlib.patches import Patch
+
+    seen = {cell.outcome for cell in sweep.cells}
+    patches = [
+        Patch(facecolor=look.colour, edgecolor=GREY, linewidth=0.4, label=_label(look))
+        for outcome, look in LOOKS.items()
+        if outcome in seen
+    ]
+    silent = Patch(
+        facecolor="white", edgecolor=INK, linewidth=0.0, hatch=_HATCH,
+        label="hatched: without a word of the engine",
+    )  # fmt: skip
+    figure.legend(
+        handles=[*patches, silent], loc="outside lower left", ncols=columns, frameon=False,
+        fontsize=8,
+    )  # fmt: skip
+
+
+def tips(sweep: Sweep) -> dict[str, str]:
+    """Say what each cell is when it is pointed at, by the gid of its artist."""
+    return {
+        f"tip-{place}-{row * len(cells) + column}": _told(cell, sweep)
+        for place, panel in enumerate(sweep.panels)
+        for row, cells in enumerate(panel.cells)
+        for column, cell in enumerate(cells)
+    }
+
+
+def _draw_cell(axes: Any, cell: Cell, column: int, row: int, gid: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    look = LOOKS[cell.outcome]
+    ink = "#1a1a1a" if cell.outcome in _LIGHT else "#ffffff"
+    box = Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, facecolor=look.colour, linewidth=0)
+    box.set_gid(gid)
+    axes.add_patch(box)
+    if cell.silent:
+        axes.add_patch(
+            Rectangle(
+                (column - 0.47, row - 0.45), 0.94, 0.9, facecolor="none", edgecolor=ink,
+                linewidth=0, hatch=_HATCH, alpha=0.55,
+            )
+        )  # fmt: skip
+    if look.letter:
+        back = {"facecolor": look.colour, "edgecolor": "none", "pad": 0.8}
+        axes.text(
+            column, row, look.letter, ha="center", va="center", fontsize=7, color=ink, bbox=back
+        )
+
+
+def _told(cell: Cell, sweep: Sweep) -> str:
+    lines = [summary.name_of(cell, sweep)]
+    lines += [f"{subject}: {text}" for subject, text in summary.told(cell, sweep)]
+    return "\n".join(lines)
+
+
+def _label(look: Look) -> str:
+    return f"{look.letter}  {look.meaning}" if look.letter else look.meaning
+
+
+def _short(text: str) -> str:
+    """Break a long axis label in two lines."""
+    if len(text) < 28:
+        return text
+    middle = text.rfind(" ", 0, len(text) // 2 + 4)
+    return f"{text[:middle]}\n{text[middle + 1 :]}"

@@ -1,0 +1,150 @@
+"""A stability study in words: limits, what breaks first, who said so."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from mbds_xsim.report import quantity
+from mbds_xsim.study.stability.definition import text_of
+from mbds_xsim.study.stability.rows import Cell, Panel, Sweep
+
+__all__ = [
+    "breaking",
+    "command_of",
+    "conclusion",
+    "limit",
+    "milliseconds",
+    "name_of",
+    "reading",
+    "swept",
+    "told",
+    "what_happened",
+]
+
+_WHO = {
+    "engine": "the engine",
+    "adapter": "the adapter's watch on the states; the engine itself says nothing",
+    "process": "the process, by its end",
+    "nobody": "nobody: only the checks saw it",
+}
+
+
+def swept(sweep: Sweep) -> str:
+    """Name what is swept, with its unit."""
+    return f"{sweep.quantity} [{sweep.unit}]" if sweep.unit else sweep.quantity
+
+
+def limit(panel: Panel, row: int) -> str:
+    """Write the largest stable step [ms], and in brackets the largest on course if it is less."""
+    stable, on_course = panel.largest_stable(row), panel.largest_on_course(row)
+    if stable is None:
+        return "refused" if _all_refused(panel.cells[row]) else quantity.NONE
+    if on_course == stable:
+        return milliseconds(stable)
+    less = quantity.NONE if on_course is None else milliseconds(on_course)
+    return f"{milliseconds(stable)} ({less})"
+
+
+def milliseconds(step: float) -> str:
+    """Write a step [s] without its unit."""
+    return f"{1e3 * step:.4g}"
+
+
+def reading(sweep: Sweep) -> str:
+    """Explain the table of limits."""
+    steps = ", ".join(map(milliseconds, sweep.steps_s))
+    return (
+        f"in ms, of {steps} tried over {sweep.duration_s:g} s; in brackets the largest one that is "
+        f"on course too; {quantity.NONE}: none"
+    )
+
+
+def breaking(sweep: Sweep) -> Iterator[tuple[str, str]]:
+    """Say of every panel what breaks, how often, and how often silently."""
+    for panel in sweep.panels:
+        wrong = [c for row in panel.cells for c in row if c.failed or c.outcome == "off course"]
+        counts = Counter(cell.outcome for cell in wrong)
+        silent = sum(cell.silent for cell in wrong)
+        text = ", ".join(f"{what} {count}×" for what, count in counts.most_common())
+        if text:
+            cells = sum(len(row) for row in panel.cells)
+            yield panel.name, f"{text}, of {cells} cells; {silent} without a word of the engine"
+
+
+def conclusion(sweep: Sweep) -> str:
+    """Say in one line what bears most, and how much goes wrong silently."""
+    cells = sweep.cells
+    failed = [cell for cell in cells if cell.failed]
+    silent = [cell for cell in failed if cell.silent]
+    stable = Counter(
+        {p.name: sum(not c.failed for row in p.cells for c in row) for p in sweep.panels}
+    )
+    most = max(stable.values())
+    best = [name for name, count in stable.items() if count == most]
+    shown = ", ".join(best[:3]) + (f" and {len(best) - 3} more" if len(best) > 3 else "")
+    return (
+        f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
+        f"engine; most stable: {shown} ({most} of {len(cells) // len(sweep.panels)})"
+    )
+
+
+def name_of(cell: Cell, sweep: Sweep) -> str:
+    """Name a cell in one line."""
+    where = f"{sweep.quantity} {text_of(cell.value, sweep.unit)}"
+    profile = f" ({cell.profile} settings)"
+    step = quantity.span(cell.step_s)
+    return f"{cell.study}, {where}: {cell.engine} {cell.method}{profile}, step {step}"
+
+
+def told(cell: Cell, sweep: Sweep) -> Iterator[tuple[str, str]]:
+    """Tell all about a cell: what happened, who said so, the figures."""
+    yield "outcome", what_happened(cell)
+    if cell.failed or cell.outcome == "off course":
+        yield "who told", _WHO[cell.told]
+    if cell.reason:
+        yield "in its words", cell.reason
+    figures = ", ".join(_figures(cell))
+    if figures:
+        yield "figures", figures
+    if cell.options:
+        yield "options", ", ".join(f"{key} = {value}" for key, value in cell.options.items())
+    yield "again", command_of(cell, sweep)
+
+
+def what_happened(cell: Cell) -> str:
+    """Say what became of a run, with when."""
+    text: str = cell.outcome
+    if cell.broke_s is not None:
+        text += f" from {quantity.span(cell.broke_s)} on"
+    if cell.ended_s is not None and cell.ended_s < cell.duration_s - 1e-9:
+        text += f", ended at {quantity.span(cell.ended_s)}"
+    return text
+
+
+def command_of(cell: Cell, sweep: Sweep) -> str:
+    """Give the command line that runs a cell again."""
+    profile = "" if cell.profile == "matched" else f" --settings {cell.profile}"
+    return (
+        f"mbds-xsim stability {sweep.study} --engines {cell.engine} --methods {cell.method}"
+        f"{profile} --value {text_of(cell.value)} --step {cell.step_s:g}"
+    )
+
+
+def _figures(cell: Cell) -> Iterator[str]:
+    if cell.energy is not None:
+        yield f"energy {cell.energy:+.2g} of its scale"
+    if cell.gap is not None:
+        yield f"joints open by {quantity.number(cell.gap)} of the length"
+    if cell.sunk is not None:
+        yield f"sunk by {quantity.number(cell.sunk)} of the length"
+    if cell.way is not None:
+        yield f"way {cell.way:.2g} of the due one"
+    if cell.error is not None:
+        yield f"error {quantity.number(cell.error)} of the length"
+    if cell.wall_s is not None:
+        yield f"{quantity.span(cell.wall_s)} of wall time"
+
+
+def _all_refused(cells: tuple[Cell, ...]) -> bool:
+    return all(cell.outcome == "refused" for cell in cells)

@@ -1,0 +1,162 @@
+"""What a stability study records: a cell a setting, and the map made of the cells."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from mbds_xsim.engine import Profile
+
+__all__ = ["FAILED", "SCHEMA", "Cell", "Outcome", "Panel", "Sweep", "Told", "to_json"]
+
+SCHEMA = "mbds-xsim/stability/1"
+
+Options = dict[str, float | int | bool | str]
+Outcome = Literal[
+    "stable", "off course", "gains energy", "loses energy", "comes apart", "sinks in", "stuck",
+    "ends early", "crashed", "timed out", "refused",
+]  # fmt: skip
+"""What became of a run, or what broke first in it; `verdict` defines them."""
+FAILED = frozenset(
+    {
+        "gains energy", "loses energy", "comes apart", "sinks in", "stuck", "ends early",
+        "crashed", "timed out",
+    }
+)  # fmt: skip
+"""Outcomes that are not stable. A motion that is off course is stable, and wrong."""
+Told = Literal["engine", "adapter", "process", "nobody"]
+"""Who said that something was wrong: the engine by a warning or an error; only this project's
+adapter, which watches the states; the process, which died or did not end; or nobody, so that only
+the checks saw it."""
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """One run: an engine's method at one value and one step."""
+
+    key: str
+    """Hash of all that decides the figures."""
+    study: str
+    value: float | str
+    engine: str
+    version: str
+    method: str
+    family: str
+    profile: Profile
+    options: Options
+    step_s: float
+    duration_s: float
+    """That was to be simulated."""
+    limit_s: float
+    """Wall time that the run was given."""
+    machine: str
+    outcome: Outcome
+    told: Told
+    reason: str = ""
+    """In whose words: the engine's, the adapter's or the process's; empty where nobody said
+    anything."""
+    broke_s: float | None = None
+    """Simulated time of the first frame at which something was wrong."""
+    ended_s: float | None = None
+    """Simulated time of the last frame with numbers."""
+    energy: float | None = None
+    """Largest deviation of the energy balance over the scale, with its sign; with contact the
+    largest unexplained rise."""
+    gap: float | None = None
+    """Largest gap of a joint over the scene's length, or angle between its axes [rad]."""
+    sunk: float | None = None
+    """Deepest overlap of a contact sphere with the ground over the scene's length."""
+    way: float | None = None
+    """Way of the particles over that of the reference."""
+    error: float | None = None
+    """Largest RMS particle error over the scene's length."""
+    wall_s: float | None = None
+    """Of the rollout, in that process."""
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run is not stable."""
+        return self.outcome in FAILED
+
+    @property
+    def silent(self) -> bool:
+        """Whether it went wrong and the engine did not say so."""
+        wrong = self.failed or self.outcome == "off course"
+        return wrong and self.told in ("adapter", "nobody")
+
+
+class Panel(msgspec.Struct, frozen=True, kw_only=True):
+    """The map of one engine's method: rows by value, columns by step, the longest first."""
+
+    engine: str
+    version: str
+    method: str
+    family: str
+    profile: Profile
+    cells: tuple[tuple[Cell, ...], ...]
+
+    @property
+    def name(self) -> str:
+        """Engine, method and profile."""
+        words = (self.engine, self.method, "" if self.profile == "matched" else self.profile)
+        return " ".join(filter(None, words))
+
+    def largest_stable(self, row: int) -> float | None:
+        """Longest step at which this and all shorter ones are stable [s]."""
+        return _longest(self.cells[row], frozenset({"stable", "off course"}))
+
+    def largest_on_course(self, row: int) -> float | None:
+        """Longest step at which this and all shorter ones are stable and on course [s]."""
+        return _longest(self.cells[row], frozenset({"stable"}))
+
+    def first_broken(self, row: int) -> Cell | None:
+        """The longest of the steps that fail next to the stable ones; None where none fails."""
+        failed = [cell for cell in self.cells[row] if cell.failed]
+        return failed[-1] if failed else None
+
+
+def _longest(cells: tuple[Cell, ...], good: frozenset[str]) -> float | None:
+    longest = None
+    for cell in reversed(cells):
+        if cell.outcome not in good:
+            break
+        longest = cell.step_s
+    return longest
+
+
+class Sweep(msgspec.Struct, frozen=True, kw_only=True):
+    """A study carried out."""
+
+    schema: str
+    study: str
+    sentence: str
+    quantity: str
+    unit: str
+    values: tuple[float | str, ...]
+    steps_s: tuple[float, ...]
+    duration_s: float
+    criteria: str
+    panels: tuple[Panel, ...]
+    left_out: dict[str, str]
+    """Methods that cannot do the scene, each with the reason."""
+    unknown: dict[str, str]
+    """Values without a reference solution, each with the reason: being off course or stuck cannot
+    be told there."""
+    command: str
+    versions: dict[str, str]
+    machine: str
+    workers: int
+    measured: int
+    kept: int
+    wall_s: float
+
+    @property
+    def cells(self) -> list[Cell]:
+        """All cells, panel by panel."""
+        return [cell for panel in self.panels for row in panel.cells for cell in row]
+
+
+def to_json(sweeps: list[Sweep]) -> bytes:
+    """Write one study as an object, several as a list; NaN and infinities become null."""
+    what = sweeps[0] if len(sweeps) == 1 else sweeps
+    return msgspec.json.format(msgspec.json.encode(what), indent=2)

@@ -1,0 +1,207 @@
+"""What a stability study leaves: table, maps, page and rows, and a command for each cell."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mbds_xsim import cli
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.report.stability_csv import to_csv
+from mbds_xsim.report.stability_figures import LOOKS
+from mbds_xsim.report.stability_markdown import to_markdown
+from mbds_xsim.report.stability_page import to_html, to_png
+from mbds_xsim.report.stability_summary import breaking, command_of, conclusion, limit, told
+from mbds_xsim.study.stability import survey as surveys
+from mbds_xsim.study.stability.rows import FAILED, Sweep
+from mbds_xsim.study.stability.studies import STUDIES
+from mbds_xsim.study.stability.survey import Plan, survey
+
+_COUNTS = (2, 10, 50)
+_VALUES = (1e2, 1e4)
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        plan = Plan(
+            STUDIES["stiffness"],
+            ("mujoco", "pybullet"),
+            values=_VALUES,
+            counts=_COUNTS,
+            workers=0,
+            command="mbds-xsim stability stiffness",
+        )
+        return survey(plan)
+
+
+def test_the_table_gives_the_largest_stable_step(sweep: Sweep) -> None:
+    rk4 = next(panel for panel in sweep.panels if panel.name == "mujoco RK4")
+
+    assert [limit(rk4, row) for row in range(2)] == ["50", "10"]
+    table = to_markdown([sweep])
+    assert "| engine and method / stiffness [N/m] | 100 | 10000 |" in table
+    assert "| mujoco RK4 | 50 | 10 |" in table
+
+
+def test_what_breaks_is_counted_with_what_is_silent(sweep: Sweep) -> None:
+    failed = [cell for cell in sweep.cells if cell.failed]
+    silent = [cell for cell in failed if cell.silent]
+
+    assert conclusion(sweep).startswith(f"{len(failed)} of {len(sweep.cells)} cells fail, ")
+    assert f"{len(silent)} of them without a word" in conclusion(sweep)
+    lines = dict(breaking(sweep))
+    assert "without a word of the engine" in lines["pybullet semi-implicit-euler"]
+
+
+def test_every_outcome_has_its_own_look() -> None:
+    assert FAILED | {"stable", "off course", "refused"} == set(LOOKS)
+    assert len({look.colour for look in LOOKS.values()}) == len(LOOKS)
+    assert len({look.letter for look in LOOKS.values()}) == len(LOOKS)
+
+
+def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Sweep) -> None:
+    page = to_html([sweep, sweep])
+
+    assert not re.search(r"(src|href)=[\"']?https?:", page)
+    assert page.count("<svg ") == 2 * len(sweep.panels)
+    assert page.count('class="curve-0 tip"') == 2 * len(_VALUES) * len(_COUNTS)
+    wrong = next(cell for cell in sweep.cells if cell.failed)
+    assert command_of(wrong, sweep) in page.replace("&amp;", "&")
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_the_picture_is_one(sweep: Sweep) -> None:
+    assert to_png([sweep]).startswith(b"\x89PNG")
+
+
+def test_a_cell_a_line(sweep: Sweep) -> None:
+    rows = list(csv.DictReader(io.StringIO(to_csv([sweep]).decode())))
+
+    assert len(rows) == len(sweep.cells)
+    assert {row["silent"] for row in rows} == {"True", "False"}
+    assert [float(row["step_s"]) for row in rows] == [cell.step_s for cell in sweep.cells]
+
+
+def test_a_cell_is_told_with_what_why_and_how_to_see_it_again(sweep: Sweep) -> None:
+    cell = next(c for c in sweep.cells if c.engine == "mujoco" and c.told == "engine")
+
+    lines = dict(told(cell, sweep))
+
+    assert lines["who told"] == "the engine"
+    assert "QACC" in lines["in its words"]
+    assert lines["again"].startswith("mbds-xsim stability stiffness --engines mujoco --methods ")
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    """Call the program in this process, its tasks too."""
+    kept = signal.getsignal(signal.SIGTERM)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def here(tasks: list[Task], **options: Any) -> list[Any]:
+        answers = []
+        for place, task in enumerate(tasks):
+            answers.append(task.function(*task.arguments))
+            options.get("finished", lambda *_: None)(place, answers[-1])
+        return answers
+
+    monkeypatch.setattr(surveys, "run_tasks", here)
+
+    def call(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["mbds-xsim", *words])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    yield call
+    signal.signal(signal.SIGTERM, kept)
+
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+def test_the_studies_are_listed(run: Run) -> None:
+    code, out, _ = run("stability", "--list")
+
+    assert code == 0
+    for name in STUDIES:
+        assert name in out
+
+
+def test_the_command_of_a_cell_runs_it_again(run: Run, sweep: Sweep) -> None:
+    cell = next(c for c in sweep.cells if c.told == "engine")
+    words = command_of(cell, sweep).split()[1:]
+
+    code, out, _ = run(*words, "--json", "-")
+    assert code == 0
+    (panel,) = json.loads(out)["panels"]
+    assert panel["cells"][0][0]["outcome"] == cell.outcome
+    assert panel["cells"][0][0]["reason"] == cell.reason
+    _, out, _ = run(*words)
+    assert cell.reason in " ".join(out.split())
+
+
+def test_a_folder_gets_every_file_of_a_study(run: Run, tmp_path: Path) -> None:
+    code, out, _ = run(
+        "stability", "friction", "--engines", "mujoco", "--methods", "Euler", "--settings",
+        "matched", "--quick", "--out", "maps",
+    )  # fmt: skip
+
+    assert code == 0
+    assert "Largest stable step [ms], by coefficient of friction" in out
+    names = sorted(path.name for path in (tmp_path / "maps").iterdir())
+    assert names == [f"friction.{end}" for end in ("csv", "html", "json", "md", "png")]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("steps",), "study"),
+        (("spin", "--step", "0.03"), "step: got 0.03 s"),
+        (("spin", "--value", "fast"), "--value: got 'fast'"),
+        (("spin", "--methods", "RK5"), "RK5"),
+        (("spin", "--settings", "usual"), "usual"),
+    ],
+)
+def test_wrong_words_are_told_in_one_line(run: Run, words: tuple[str, ...], told: str) -> None:
+    code, _, err = run("stability", *words)
+
+    assert code == 2
+    assert told in err
+    assert err.count("\n") == 1
+
+
+def test_a_value_without_a_reference_is_told(
+    sweep: Sweep, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+
+    def failing(tasks: list[Task], **options: Any) -> list[Any]:
+        if tasks and tasks[0].function is surveys._truth:
+            return [Crash("no answer within 1 s") for _ in tasks]
+        return run_tasks(tasks, **options)
+
+    monkeypatch.setattr(surveys, "run_tasks", failing)
+    plan = Plan(STUDIES["stiffness"], ("mujoco",), ("RK4",), values=(1e2,), counts=(10,), workers=0)
+
+    blind = survey(plan)
+
+    assert blind.unknown == {"100": "no answer within 1 s"}
+    assert blind.cells[0].error is None
+    assert blind.cells[0].key not in {cell.key for cell in sweep.cells}
