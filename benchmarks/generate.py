@@ -2,8 +2,9 @@
 
 The raw rate is that of `simulate` alone, over the trajectories of one shard of 6pendulum; the other
 that of making the whole shard: drawing, simulating, checking every trajectory, writing, reading
-back. Both at matched settings, interleaved, one process on one core; the time is the core's own, so
-that other processes on the machine do not count. The aim is a ratio of 0.8.
+back, and its share of the audit sample's reference in a set of 15 000. Both at matched settings,
+interleaved, one process on one core; the time is the core's own, so that other processes on the
+machine do not count. The aim is a ratio of 0.8.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 from statistics import median
 
 from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.audit_sample import sample_findings
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.registry import load_scene
@@ -27,6 +29,7 @@ from mbds_xsim.simulate import simulate
 SCENE = "6pendulum"
 COUNTS = {"mujoco": 133, "pybullet": 12, "dart": 6, "exudyn": 30}
 REPEATS = 5
+PAPER = 15_000
 
 
 def core_seconds(work: Callable[[], object]) -> float:
@@ -35,15 +38,24 @@ def core_seconds(work: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
+def audit_sample(variant: Variant) -> float:
+    """Core seconds of the reference of the whole sample."""
+    batch = draw_batch(variant.scene, range(3))
+    contender = variant.contender
+    motion = simulate(variant.scene, batch, contender.engine, contender.settings).trajectory
+    return core_seconds(lambda: sample_findings(variant.scene, batch, motion))
+
+
 def measure(engine: str, folder: Path) -> None:
     (contender,), _ = Choice.parse(engines=engine).contenders(load_scene(SCENE))
     variant = Variant(load_scene(SCENE), contender, seed=0, noise=True)
-    item = Item(0, COUNTS[engine])
+    item = Item(COUNTS[engine], COUNTS[engine])  # none of the audit sample
     batch = draw_batch(variant.scene, item.indices)
+    share = audit_sample(variant) / PAPER * item.count
     raw, whole = [], []
     for _ in range(REPEATS):
         raw.append(core_seconds(lambda: simulate(variant.scene, batch, engine, contender.settings)))
-        whole.append(core_seconds(lambda: make_shard(variant, item, folder)))
+        whole.append(core_seconds(lambda: make_shard(variant, item, folder)) + share)
     log = (variant.folder(folder) / LOG).read_text().splitlines()
     stages = [json.loads(line) for line in log]
     parts = ", ".join(

@@ -18,7 +18,7 @@ from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["Row", "judge", "reference_result"]
+__all__ = ["Row", "error_findings", "judge", "reference_result"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,7 +63,7 @@ def judge(
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
     findings = [
         *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),
-        *_error_findings(scene, batch, error, truth, reference.growth),
+        *error_findings(scene, batch, error, truth, reference.growth),
         *_consistency(scene, batch, outcome, trajectory, reference, method),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
@@ -124,7 +124,7 @@ def _flies(end: Failure | None) -> bool:
     return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
 
 
-def _error_findings(
+def error_findings(
     scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
 ) -> list[Finding]:
     """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""

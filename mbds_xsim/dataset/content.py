@@ -36,6 +36,7 @@ CONTENT = "content_sha256"
 SUM = "sha256"
 """Attribute of a dataset: checksum of its type, shape and values."""
 _ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
+_GROWTH = 2**22  # bytes by which a file in memory grows
 
 
 def encode(datasets: Datasets, attributes: Attributes) -> bytes:
@@ -56,6 +57,7 @@ class NewFile:
             "w",
             driver="core",
             backing_store=False,
+            block_size=_GROWTH,
             libver=("v110", "v110"),
             alignment_threshold=_ALIGNMENT,
             alignment_interval=_ALIGNMENT,

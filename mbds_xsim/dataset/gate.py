@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.choice import Contender
+from mbds_xsim.dataset.audit_sample import sample_findings, sampled
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY
 from mbds_xsim.engine import Method
 from mbds_xsim.registry import load_adapter
@@ -27,8 +28,8 @@ _BODY_FRAMES = 50_000
 
 # Holding displacements against velocities costs more than all other checks together, and what it
 # finds, frames that belong to another time, is in all of a trajectory.
-_SPARSE = 16
-_MANY = 64  # steps; of shorter trajectories all frames are looked at
+_SPARSE = 32
+_MANY = 128  # steps; of shorter trajectories all frames are looked at
 
 _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
 
@@ -120,6 +121,9 @@ def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Makin
             steps_compared=_steps_compared(scene, group),
         )
         verdict.add(rows, findings)
+    rows = sampled(batch.index)
+    if len(rows):
+        verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()]))
     return verdict
 
 
@@ -130,7 +134,7 @@ def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArr
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
-    """Every 16th step, another one in each group: together they take in all frames."""
+    """Every 32nd step, others in each group: together they take in all frames."""
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.choice import Contender
+from mbds_xsim.dataset.audit_sample import AUDIT_SAMPLE
 from mbds_xsim.dataset.layout import FORMAT, SUFFIX, VERSION
 from mbds_xsim.engine import Method
 from mbds_xsim.registry import load_adapter, package_version
@@ -22,9 +23,6 @@ __all__ = ["Item", "Variant", "folder_name"]
 _SHARD_BYTES = 2**24  # of body states; a worker holds some ten times as much
 _MOST = 300
 _STATE_BYTES = 13 * 8  # of a body in a frame
-
-AUDIT_EVERY = 5000
-AUDIT_COUNT = 3  # one of each interval
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class Variant:
             "options": json.dumps(dict(settings.options), sort_keys=True),
             "contact_time_s": adapter.contact_scales(settings).time,
             "velocity_lag_s": method.velocity_lag * settings.step,
-            "audit_sample": f"index mod {AUDIT_EVERY} < {AUDIT_COUNT}",
+            "audit_sample": AUDIT_SAMPLE,
             "numpy_version": package_version("numpy"),
             "mbds_xsim_version": package_version("mbds-xsim"),
         }
