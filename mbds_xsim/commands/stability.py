@@ -72,9 +72,10 @@ def stability(
     from mbds_xsim.report.stability_terminal import print_cells, print_list, print_sweep
     from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.study.stability.contenders import profiles_of
+    from mbds_xsim.study.stability.plan import Plan
     from mbds_xsim.study.stability.rows import to_json
     from mbds_xsim.study.stability.studies import STUDIES, study_named
-    from mbds_xsim.study.stability.survey import Plan, survey
+    from mbds_xsim.study.stability.survey import survey
 
     console = console_for(json)
     if listed:

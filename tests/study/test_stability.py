@@ -15,12 +15,13 @@ from mbds_xsim import reference, registry
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Failure, Trajectory
-from mbds_xsim.study.stability import survey as surveys
+from mbds_xsim.study.stability import cell as cells
 from mbds_xsim.study.stability.cell import run_cell
 from mbds_xsim.study.stability.definition import FRAME, Study
+from mbds_xsim.study.stability.plan import Plan
 from mbds_xsim.study.stability.rows import Cell, Sweep
 from mbds_xsim.study.stability.studies import STUDIES, study_named
-from mbds_xsim.study.stability.survey import Plan, survey
+from mbds_xsim.study.stability.survey import survey
 from mbds_xsim.study.stability.verdict import judge, who_told
 
 
@@ -213,7 +214,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(monkeypatch: pytest.Monke
         calls.append(arguments[2:4])
         return run_cell(*arguments)
 
-    monkeypatch.setattr(surveys, "run_cell", counted)
+    monkeypatch.setattr(cells, "run_cell", counted)
     how: dict[str, Any] = {"values": (1e2, 1e3), "counts": (5, 10, 20)}
     with pytest.raises(KeyboardInterrupt):
         _sweep(_BLIND, "mujoco", "RK4", **how)
@@ -272,17 +273,17 @@ def faulty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("faulty")
 def test_a_crash_and_a_hang_are_results_with_their_reason() -> None:
-    how: dict[str, Any] = {"values": (1e2,), "counts": (10,), "workers": 2}
+    how: dict[str, Any] = {"values": (1e2,), "counts": (10, 20), "workers": 2}
 
     crashed = _sweep(_BLIND, "aborting", "RK4", **how).cells[0]
-    hung = _sweep(_BLIND, "hanging", "RK4", limit=2.0, **how).cells[0]
+    hung = _sweep(_BLIND, "hanging", "RK4", limit=2.0, **how).cells[1]
 
     assert (crashed.outcome, crashed.told, crashed.silent) == ("crashed", "process", False)
     assert "SIGABRT" in crashed.reason
     assert (hung.outcome, hung.told) == ("timed out", "process")
     assert hung.reason == "no answer within 2 s"
     again = _sweep(_BLIND, "aborting", "RK4", **how)
-    assert again.measured == 1  # a crash may have come from outside
+    assert again.measured == 2  # a crash may have come from outside
 
 
 def test_limits_are_the_longest_step_with_all_shorter_ones_stable() -> None:

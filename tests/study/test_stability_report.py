@@ -21,10 +21,12 @@ from mbds_xsim.report.stability_figures import LOOKS
 from mbds_xsim.report.stability_markdown import to_markdown
 from mbds_xsim.report.stability_page import to_html, to_png
 from mbds_xsim.report.stability_summary import breaking, command_of, conclusion, limit, told
+from mbds_xsim.study.stability import measuring
 from mbds_xsim.study.stability import survey as surveys
+from mbds_xsim.study.stability.plan import Plan
 from mbds_xsim.study.stability.rows import FAILED, Sweep
 from mbds_xsim.study.stability.studies import STUDIES
-from mbds_xsim.study.stability.survey import Plan, survey
+from mbds_xsim.study.stability.survey import survey
 
 _COUNTS = (2, 10, 50)
 _VALUES = (1e2, 1e4)
@@ -120,7 +122,8 @@ def run(
             options.get("finished", lambda *_: None)(place, answers[-1])
         return answers
 
-    monkeypatch.setattr(surveys, "run_tasks", here)
+    for module in (surveys, measuring):
+        monkeypatch.setattr(module, "run_tasks", here)
 
     def call(*words: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["mbds-xsim", *words])

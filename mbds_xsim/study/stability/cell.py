@@ -1,8 +1,9 @@
-"""One cell of a map: a run in a process of its own."""
+"""The cells of one row of a map: one scene, one method, several steps."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mbds_xsim import registry
@@ -11,7 +12,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.stability.verdict import Verdict, judge
 
-__all__ = ["Judged", "run_cell"]
+__all__ = ["Judged", "run_cell", "run_cells"]
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,28 @@ class Judged:
 
     verdict: Verdict
     wall_s: float
+
+
+def run_cells(
+    scene: Scene,
+    batch: Batch,
+    engine: str,
+    settings: Sequence[Settings],
+    truth: Trajectory | None,
+    patience: float,
+) -> list[Judged]:
+    """Run cells one after the other in this process, as many as are begun within a time [s].
+
+    Raises:
+        InputError: The engine cannot do the scene or some settings are not allowed.
+    """
+    begin = time.perf_counter()
+    done: list[Judged] = []
+    for one in settings:
+        if done and time.perf_counter() - begin > patience:
+            break
+        done.append(run_cell(scene, batch, engine, one, truth))
+    return done
 
 
 def run_cell(

@@ -1,0 +1,86 @@
+"""What of a study is carried out, and the runs that it comes to."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbds_xsim.engine import Profile, Settings
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.study.identity import row_key
+from mbds_xsim.study.stability.contenders import Contender
+from mbds_xsim.study.stability.definition import COUNTS, Study, Value
+
+__all__ = ["LIMIT", "Case", "Job", "Plan"]
+
+LIMIT = 30.0
+"""Longest that a cell may take [s]."""
+
+_JUDGE = ("verdict.py", "cell.py")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What of a study is carried out, and how."""
+
+    study: Study
+    engines: tuple[str, ...]
+    methods: tuple[str, ...] = ()
+    """All of an engine's where none is named."""
+    profiles: tuple[Profile, ...] = ("matched", "native")
+    values: tuple[Value, ...] = ()
+    """The study's where none is given."""
+    counts: tuple[int, ...] = COUNTS
+    """Steps a frame, the fewest first."""
+    limit: float = LIMIT
+    """Longest that a cell may take [s]."""
+    workers: int | None = None
+    """Processes at a time; all cores when None, none but this one for 0."""
+    fresh: bool = False
+    """Whether cells that were measured earlier are measured again."""
+    cache: bool = True
+    """Whether reference solutions are kept."""
+    command: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """The scene at one value."""
+
+    value: Value
+    scene: Scene
+    batch: Batch
+    truth: Trajectory | None
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One cell to be run."""
+
+    case: Case
+    contender: Contender
+    count: int
+    """Steps a frame."""
+    key: str
+    """Hash of all that decides the figures."""
+
+    @staticmethod
+    def of(case: Case, contender: Contender, count: int) -> Job:
+        """Make a job, with its key."""
+        settings = contender.settings(case.scene, count)
+        digest = hashlib.sha256(_judge_source())
+        digest.update(row_key(case.scene, case.batch, contender.engine, settings).encode())
+        digest.update(repr((case.truth is None, case.batch.steps)).encode())
+        return Job(case, contender, count, digest.hexdigest())
+
+    @property
+    def settings(self) -> Settings:
+        """How the engine steps."""
+        return self.contender.settings(self.case.scene, self.count)
+
+
+def _judge_source() -> bytes:
+    here = Path(__file__).parent
+    return b"".join((here / name).read_bytes() for name in _JUDGE)
