@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,11 +56,17 @@ class Push:
     """
     reach: Mask
     """Spheres that may touch in a step, shape (trajectory, step, sphere of the group)."""
-    resting: Mask
-    """Frames around which the ground carries the weight steadily, shape (trajectory, frame)."""
+    steady: Mask
+    """Steps in which the ground carries the weight, and nothing that may touch moves up or down;
+    shape (trajectory, step)."""
     supported: Mask
     """Steps with no impact that counts: the ground gives no more than twice what gravity takes, and
     spheres that may touch are slower than gravity would make them; shape (trajectory, step)."""
+
+    @functools.cached_property
+    def resting(self) -> Mask:
+        """Frames around which the ground carries the weight steadily, (trajectory, frame)."""
+        return around(self.steady)
 
 
 def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
@@ -118,7 +125,7 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
         impulse=impulse,
         blur=abs(record.lag) * change,
         reach=reach,
-        resting=around(steady),
+        steady=steady,
         supported=supported,
     )
 

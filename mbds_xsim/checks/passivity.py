@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks.energy import energy_of, input_work
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, around, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.impacts import impacts_of, untouched
 
 __all__ = ["energy_rise", "passivity", "risen", "settled", "stored"]
@@ -71,7 +71,7 @@ def law_gain(record: Record, push: Push) -> Array:
     slip = np.linalg.norm(spheres_of(record.mechanism, record.bodies).slip, axis=-1)
     slip = slip[:, :, push.spheres]
     fastest = np.where(push.reach, np.maximum(slip[:, 1:], slip[:, :-1]), 0.0).max(axis=2)
-    unclear = push.reach.any(axis=2) & ~push.supported
+    unclear = push.reach.any(axis=2) & ~push.steady
     most = 0.5 * ground.friction * np.maximum(push.impulse[..., 2], 0.0) * fastest
     gain[unclear] = most[unclear]
     hits = impacts_of(record, push)
@@ -115,9 +115,9 @@ def settled(record: Record, push: Push) -> Mask:
     """Frames at which a group's contacts store no more than `stored`, (trajectory, frame).
 
     Those in flight, those around which the ground only carries, and the start: what overlaps
-    there was put there.
+    there was put there. A slow impact, too, stores the energy it arrives with.
     """
-    found = untouched(record, push) | around(push.supported)
+    found = untouched(record, push) | push.resting
     found[:, 0] = True
     return np.asarray(found)
 
