@@ -24,7 +24,14 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Outcome", "ProgressSink", "ReferenceOutcome", "run_campaign"]
+__all__ = [
+    "Outcome",
+    "ProgressSink",
+    "ReferenceOutcome",
+    "other_steps",
+    "run_campaign",
+    "run_references",
+]
 
 Array = NDArray[np.float64]
 
@@ -143,6 +150,20 @@ def run_campaign(
     return outcomes, _joined(references)
 
 
+def run_references(
+    scene: Scene, batch: Batch, *, cache: bool, workers: int | None
+) -> ReferenceOutcome:
+    """Solve the reference of every trajectory, or take it from the cache.
+
+    Raises:
+        InputError: The reference could not be had; without it nothing can be judged.
+    """
+    parts = [
+        Task(_reference, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
+    ]
+    return _joined(run_tasks(parts, workers=workers))
+
+
 def _engine_work(
     scene: Scene, batch: Batch, outcome: Outcome
 ) -> list[tuple[str, Task, Callable[[Any], None]]]:
@@ -154,15 +175,15 @@ def _engine_work(
         outcome.rows.append(rows)
         work.append((label, Task(simulate, arguments, _TIMEOUT), outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
-    for step in _other_steps(scene, contender.settings):
+    for step in other_steps(scene, contender.settings):
         settings = Settings(contender.settings.method, step, contender.settings.options)
         task = Task(simulate, (scene, batch[outcome.sample], contender.engine, settings), _TIMEOUT)
         work.append((f"{label} consistency", task, _store_step(outcome, step)))
     return work
 
 
-def _other_steps(scene: Scene, settings: Settings) -> list[float]:
-    """Steps for the consistency check: longer ones where they divide the frame, else shorter."""
+def other_steps(scene: Scene, settings: Settings) -> list[float]:
+    """Give the consistency check's steps: longer ones where they divide the frame, else shorter."""
     count = settings.substeps(scene.clock.frame)
     longer = all(count % factor == 0 for factor in _REFINEMENT)
     return [

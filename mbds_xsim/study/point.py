@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import registry
 from mbds_xsim.checks import Finding, agreement, audit
-from mbds_xsim.engine import ModelSize, Run, Settings
+from mbds_xsim.engine import Adapter, ModelSize, Run, Settings
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
@@ -87,8 +87,7 @@ def measure(scene: Scene, start: Batch, engine: str, settings: Settings, truth: 
         size = run.size
     duration = scene.clock.frame * start.steps
     failure = trajectory.failures[0]
-    method = adapter.methods[settings.method]
-    found = {} if failure else _by_name(audit(scene, start, trajectory, method, step=settings.step))
+    found = {} if failure else _findings(scene, start, trajectory, adapter, settings)
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth.trajectory)
     weighted = agreement.growth_weighted(*_known(error, truth))[0]
     frame = round(horizon_of(truth.trajectory) / scene.clock.frame)
@@ -144,8 +143,19 @@ def _over_budget(scene: Scene, truth: Truth, error: Array, weighted: float) -> I
         yield "error growth-weighted"
 
 
-def _by_name(findings: list[Finding]) -> dict[str, Finding]:
-    return {finding.check: finding for finding in findings}
+def _findings(
+    scene: Scene, start: Batch, trajectory: Trajectory, adapter: Adapter, settings: Settings
+) -> dict[str, Finding]:
+    """Run all checks."""
+    found = audit(
+        scene,
+        start,
+        trajectory,
+        adapter.methods[settings.method],
+        step=settings.step,
+        contact_time=adapter.contact_scales(settings).time,
+    )
+    return {finding.check: finding for finding in found}
 
 
 def _figure(findings: dict[str, Finding], check: str) -> float | None:
