@@ -27,6 +27,8 @@ class Simulation:
     """Loading the model [s]."""
     rollout_s: float
     """Simulating the whole batch [s]."""
+    cpu_s: float
+    """Processor time of that [s]."""
 
 
 def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
@@ -41,9 +43,9 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
     with adapter.open(scene, settings) as run:
         loaded = time.perf_counter()
         readback = run.readback(batch)
-        start = time.perf_counter()
+        start, spent = time.perf_counter(), time.process_time()
         trajectory = run.rollout(batch)
-        end = time.perf_counter()
+        end, spent = time.perf_counter(), time.process_time() - spent
         _check_shape(engine, trajectory, batch)
         return Simulation(
             engine=engine,
@@ -54,6 +56,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
             size=run.size,
             setup_s=loaded - begin,
             rollout_s=end - start,
+            cpu_s=spent,
         )
 
 

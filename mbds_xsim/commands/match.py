@@ -1,0 +1,106 @@
+"""`mbds-xsim match`: the cheapest settings that are good enough."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    scene_named,
+    write_json,
+)
+from mbds_xsim.errors import InputError
+
+__all__ = ["match"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim match 3ladder  ·  "
+    "mbds-xsim match my.toml --out my-settings.toml --engines mujoco"
+)
+def match(
+    scenes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
+    ],
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    trajectories: Annotated[
+        int, typer.Option(help="Starts of each interval to search with.", min=1, max=1000)
+    ] = 2,
+    held_out: Annotated[
+        int, typer.Option(help="Starts of each interval to verify with.", min=1, max=1000)
+    ] = 20,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the search; the next one verifies.", min=0)
+    ] = 0,
+    limit: Annotated[float, typer.Option(help="Longest rollout of a start [s].", min=0.1)] = 30.0,
+    options: Annotated[
+        bool, typer.Option("--options", help="Vary the engines' own options, too.")
+    ] = False,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write here, not where validate finds them."),
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Search the cheapest settings of each engine that keep all budgets of a scene."""
+    from mbds_xsim.choice import Choice
+    from mbds_xsim.isolate import core_count
+    from mbds_xsim.registry import scene_names
+    from mbds_xsim.report.match_terminal import print_match
+    from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.study import match as study
+    from mbds_xsim.study.matched_file import matched_toml, stored_path
+    from mbds_xsim.write import write_whole
+
+    console = console_for(json)
+    choice = Choice.parse(engines=engines)
+    if out is not None and len(scenes) > 1:
+        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
+        raise InputError(msg)
+    for name in scenes if out is None else []:
+        if name not in scene_names():
+            msg = f"{name} has no place among the built-in scenes; say where to write with --out"
+            raise InputError(msg)
+    targets = [out] if out is not None else [stored_path(name) for name in scenes]
+    for target in targets:
+        check_targets(json=json, out=target)
+    found = []
+    for name, target in zip(scenes, targets, strict=True):
+        scene = scene_named(name)
+        with StudyBar(console, workers or core_count(), scene.name) as meter:
+            result = study.match(
+                scene,
+                choice=choice,
+                trajectories=trajectories,
+                held_out=held_out,
+                seed=seed,
+                limit=limit,
+                options=options,
+                workers=workers,
+                cache=cache,
+                meter=meter,
+                command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            )
+        print_match(result, console)
+        before = target.read_text("utf-8") if target.is_file() else ""
+        write_whole(target, matched_toml(result, before).encode())
+        console.print(f"written: {target}", highlight=False)
+        found.append(result)
+    write_json(encoded(found[0] if len(found) == 1 else found), json)
+    met = all(engine.meets_budget for result in found for engine in result.engines)
+    raise typer.Exit(0 if met else 1)

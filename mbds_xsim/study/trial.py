@@ -1,0 +1,135 @@
+"""One trial of a search: some starts at one setting, judged as `validate` judges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.campaign import Outcome, ReferenceOutcome, other_steps
+from mbds_xsim.choice import Contender
+from mbds_xsim.engine import Settings
+from mbds_xsim.isolate import Crash
+from mbds_xsim.judge import judge
+from mbds_xsim.result import EngineResult
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch
+
+__all__ = ["Trial", "failed_trial", "joined", "part_of", "run_trial"]
+
+
+_WARM_UP = 2  # frames
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a setting did."""
+
+    reasons: tuple[str, ...]
+    """One line for each thing that failed; none: it passed."""
+    excess: float
+    """Largest figure over its budget; infinite where a trajectory or the process was lost."""
+    cpu_s: float
+    """Processor time per simulated second."""
+    wall_s: float
+    """Wall time per simulated second."""
+    error_1s_m: float | None = None
+    error_weighted_m: float | None = None
+    gap_m: float | None = None
+    energy: float | None = None
+    trajectories: int = 0
+
+    @property
+    def passed(self) -> bool:
+        """Whether all budgets are kept."""
+        return not self.reasons
+
+
+def run_trial(
+    scene: Scene,
+    batch: Batch,
+    engine: str,
+    settings: Settings,
+    reference: ReferenceOutcome,
+    sample: int,
+) -> Trial:
+    """Simulate a batch in this process and judge it.
+
+    Args:
+        scene: What to simulate.
+        batch: Starts and inputs.
+        engine: Name of the adapter.
+        settings: How to step.
+        reference: Solution of the batch.
+        sample: Trajectories that run at other steps too, for the check of consistency.
+    """
+    simulate(scene, batch[:1].truncated(_WARM_UP), engine, settings)
+    outcome = Outcome(Contender(engine, "matched", settings), rows=[list(range(len(batch)))])
+    simulation = simulate(scene, batch, engine, settings)
+    outcome.parts.append(simulation)
+    outcome.sample = list(range(min(sample, len(batch))))
+    # Where a trajectory is lost, nothing that finer steps tell can mend it.
+    lost = any(failure is not None for failure in simulation.trajectory.failures)
+    for step in other_steps(scene, settings) if outcome.sample and not lost else []:
+        finer = Settings(settings.method, step, settings.options)
+        outcome.other_steps[step] = simulate(scene, batch[outcome.sample], engine, finer).trajectory
+    result = judge(scene, batch, outcome, reference).result
+    simulated = len(batch) * scene.clock.duration
+    return Trial(
+        reasons=result.reasons,
+        excess=math.inf if lost else _excess(result),
+        cpu_s=simulation.cpu_s / simulated,
+        wall_s=simulation.rollout_s / simulated,
+        error_1s_m=result.error_1s_m,
+        error_weighted_m=result.error_weighted_m,
+        gap_m=result.constraint_gap_m,
+        energy=result.energy_balance,
+        trajectories=len(batch),
+    )
+
+
+def failed_trial(crash: Crash) -> Trial:
+    """Give the trial of a process that left no answer."""
+    return Trial((crash.reason,), math.inf, math.inf, math.inf)
+
+
+def joined(parts: Sequence[Trial]) -> Trial:
+    """Put the parts of one setting's trajectories together: worst figures, mean times."""
+    count = sum(part.trajectories for part in parts)
+    weights = [part.trajectories / count if count else 1.0 for part in parts]
+
+    def worst(name: str) -> float | None:
+        values = [getattr(part, name) for part in parts]
+        return max((value for value in values if value is not None), default=None)
+
+    return Trial(
+        reasons=tuple(reason for part in parts for reason in part.reasons),
+        excess=max(part.excess for part in parts),
+        cpu_s=float(np.dot(weights, [part.cpu_s for part in parts])),
+        wall_s=float(np.dot(weights, [part.wall_s for part in parts])),
+        error_1s_m=worst("error_1s_m"),
+        error_weighted_m=worst("error_weighted_m"),
+        gap_m=worst("gap_m"),
+        energy=worst("energy"),
+        trajectories=count,
+    )
+
+
+def part_of(reference: ReferenceOutcome, rows: list[int]) -> ReferenceOutcome:
+    """Take some of the trajectories of a reference."""
+    return ReferenceOutcome(
+        reference.trajectory[rows],
+        reference.growth[rows],
+        reference.rtol,
+        reference.cached,
+        reference.wall_s,
+    )
+
+
+def _excess(result: EngineResult) -> float:
+    judged = [f for f in result.findings if f.budget]
+    ratios = [f.figure / f.budget if f.budget else 0.0 for f in judged]
+    return max((r if math.isfinite(r) else math.inf for r in ratios), default=0.0)

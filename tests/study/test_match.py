@@ -1,0 +1,177 @@
+"""The search for matched settings: the fewest steps, verified, written so that they are used."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mbds_xsim import cli, registry
+from mbds_xsim.campaign import run_references
+from mbds_xsim.choice import Choice
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Budget, Clock, Scene
+from mbds_xsim.study import bisect
+from mbds_xsim.study.bisect import COUNTS, Search
+from mbds_xsim.study.match import Found, Match, match
+from mbds_xsim.study.matched_file import matched_toml
+from mbds_xsim.study.trial import run_trial
+
+
+class _Silent:
+    def forecast(self, left_s: float) -> None:
+        pass
+
+    def advance(self, what: str) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A smooth scene, cut short."""
+    return msgspec.structs.replace(registry.load_scene("2pendulum"), clock=Clock(0.02, 30))
+
+
+def _match(scene: Scene, engines: str = "mujoco,exudyn") -> Match:
+    return match(
+        scene,
+        choice=Choice.parse(engines=engines),
+        trajectories=1,
+        held_out=1,
+        workers=0,
+        meter=_Silent(),
+        command="mbds-xsim match",
+    )
+
+
+@given(st.integers(0, len(COUNTS)))
+def test_the_fewest_steps_are_found_in_few_trials(threshold: int) -> None:
+    search, trials = Search(), 0
+
+    while (count := search.next) is not None:
+        search.tell(count, COUNTS.index(count) >= threshold)
+        trials += 1
+
+    assert search.found == (COUNTS[threshold] if threshold < len(COUNTS) else None)
+    assert trials <= 13
+
+
+def test_what_fails_later_gives_way_to_the_next_shorter_step() -> None:
+    search = Search(counts=(1, 2, 3))
+    search.tell(1, True)
+
+    search.refuse(1)
+    assert (search.next, search.found) == (None, 2)
+    search.refuse(2)
+    search.refuse(3)
+    assert search.found is None
+
+
+def test_settings_found_hold_and_fewer_steps_do_not(scene: Scene) -> None:
+    found = _match(scene)
+
+    assert [engine.engine for engine in found.engines] == ["mujoco", "exudyn"]
+    for engine in found.engines:
+        assert engine.meets_budget, engine.reasons
+        place = COUNTS.index(engine.steps_per_frame)
+        assert _passes(scene, engine, engine.steps_per_frame)
+        assert place == 0 or not _passes(scene, engine, COUNTS[place - 1])
+    assert found.engines[0].method == "RK4"
+    assert found.engines[0].steps_per_frame <= 4
+
+
+def _passes(scene: Scene, found: Found, count: int) -> bool:
+    """Whether a number of steps is enough on the starts of the search and on the held-out ones."""
+    settings = Settings(found.method, scene.clock.frame / count, found.options)
+    batches = [draw_batch(scene, range(3), seed=seed) for seed in (0, 1)]
+    return all(
+        run_trial(
+            scene,
+            batch,
+            found.engine,
+            settings,
+            run_references(scene, batch, cache=True, workers=0),
+            3,
+        ).passed
+        for batch in batches
+    )
+
+
+def test_where_no_step_is_good_enough_the_best_is_told(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bisect.Search, "__init__", _few_counts)
+    strict = msgspec.structs.replace(scene, budget=Budget(error_1s=1e-15, error=1e-15))
+
+    (found,) = _match(strict, "mujoco").engines
+
+    assert not found.meets_budget
+    assert "error" in found.reasons[0]
+    assert (found.method, found.steps_per_frame) == ("RK4", 4)
+    assert found.cost_ratio is None
+    table = tomllib.loads(matched_toml(_match(strict, "mujoco")))["mujoco"]
+    assert table["found"]["meets_budget"] is False
+    assert table["found"]["reason"] == found.reasons[0]
+
+
+def _few_counts(search: Search) -> None:
+    search.counts, search.failed, search.passed, search.closed = (1, 4), -1, None, False
+
+
+def test_the_file_is_what_settings_are_read_from(scene: Scene) -> None:
+    found = _match(scene, "mujoco")
+    before = '[dart]\nmethod = "semi-implicit-euler"\nsteps_per_frame = 20\n'
+
+    tables = tomllib.loads(matched_toml(found, before))
+
+    assert tables["dart"] == {"method": "semi-implicit-euler", "steps_per_frame": 20}
+    mujoco = tables["mujoco"]
+    assert mujoco["method"] == found.engines[0].method
+    assert mujoco["steps_per_frame"] == found.engines[0].steps_per_frame
+    assert mujoco["found"]["trajectories"] == 3
+    assert mujoco["found"]["version"] == registry.load_adapter("mujoco").version()
+    with pytest.raises(InputError, match="--out"):
+        matched_toml(found, "[dart")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["teapot"], "teapot has no place among the built-in scenes"),
+        (["teapot", "--out", "a.toml"], "no scene is called 'teapot'"),
+        (["7pendulum"], "say where to write with --out"),
+        (["5pendulum", "6pendulum", "--out", "a.toml"], "got 2 scenes for one file"),
+        (["5pendulum", "--engines", "ode", "--out", "a.toml"], "no engine is called 'ode'"),
+        (["5pendulum", "--out", "."], "--out: cannot write ."),
+        (["5pendulum", "--held-out", "0"], "--held-out"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "match", *words])
+
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+
+    err = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.glob("*.toml"))
