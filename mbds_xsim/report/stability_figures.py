@@ -13,7 +13,7 @@ from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.study.stability.definition import text_of
 from mbds_xsim.study.stability.rows import Cell, Outcome, Sweep
 
-__all__ = ["LOOKS", "Look", "draw_legend", "draw_panel", "size_of", "tips"]
+__all__ = ["LIGHT_LOOKS", "LOOKS", "Look", "draw_legend", "draw_panel", "size_of", "tips"]
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,15 @@ LOOKS: dict[Outcome, Look] = {
     "comes apart": Look("#cc79a7", "A", "joints come apart"),
     "sinks in": Look("#a5772b", "S", "spheres sink into the ground"),
     "stuck": Look("#e69f00", "F", "hardly moves"),
-    "ends early": Look("#9a4b4b", "X", "ends early, nothing seen before"),
+    "clamped": Look("#f0e442", "K", "cut to what the engine allows"),
+    "blows up": Look("#8c2d2d", "X", "blows up between two frames"),
+    "gives up": Look("#5b5ea6", "N", "the engine gives up to solve a step"),
+    "ends early": Look("#9c8f8f", "?", "ends early for another reason"),
     "crashed": Look("#333333", "C", "the process crashes"),
     "timed out": Look("#77727f", "T", "no answer in time"),
     "refused": Look("#e4e4e4", "–", "cannot be represented"),
 }
-_LIGHT = {"stable", "off course", "loses energy", "comes apart", "stuck", "refused"}
+LIGHT_LOOKS = {"stable", "off course", "loses energy", "comes apart", "stuck", "clamped", "refused"}
 _HATCH = "////"
 _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
@@ -106,7 +109,7 @@ def _draw_cell(axes: Any, cell: Cell, column: int, row: int, gid: str) -> None:
     from matplotlib.patches import Rectangle
 
     look = LOOKS[cell.outcome]
-    ink = "#1a1a1a" if cell.outcome in _LIGHT else "#ffffff"
+    ink = "#1a1a1a" if cell.outcome in LIGHT_LOOKS else "#ffffff"
     box = Rectangle((column - 0.47, row - 0.45), 0.94, 0.9, facecolor=look.colour, linewidth=0)
     box.set_gid(gid)
     axes.add_patch(box)

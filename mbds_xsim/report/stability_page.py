@@ -11,6 +11,7 @@ from markupsafe import Markup
 from mbds_xsim.report import palette, quantity, themed
 from mbds_xsim.report import stability_summary as summary
 from mbds_xsim.report.stability_figures import (
+    LIGHT_LOOKS,
     LOOKS,
     draw_legend,
     draw_panel,
@@ -43,6 +44,7 @@ def to_html(sweeps: list[Sweep]) -> str:
         sweeps=[_view(sweep) for sweep in sweeps],
         names=", ".join(sweep.study for sweep in sweeps),
         looks=LOOKS,
+        dark_looks=set(LOOKS) - LIGHT_LOOKS,
         light=palette.LIGHT,
         dark=palette.DARK,
     )

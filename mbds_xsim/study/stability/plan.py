@@ -18,7 +18,7 @@ __all__ = ["LIMIT", "Case", "Job", "Plan"]
 LIMIT = 30.0
 """Longest that a cell may take [s]."""
 
-_JUDGE = ("verdict.py", "cell.py")
+_JUDGE = ("verdict.py", "words.py", "cell.py")
 
 
 @dataclass(frozen=True)

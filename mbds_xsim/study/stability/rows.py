@@ -15,13 +15,13 @@ SCHEMA = "mbds-xsim/stability/1"
 Options = dict[str, float | int | bool | str]
 Outcome = Literal[
     "stable", "off course", "gains energy", "loses energy", "comes apart", "sinks in", "stuck",
-    "ends early", "crashed", "timed out", "refused",
+    "clamped", "blows up", "gives up", "ends early", "crashed", "timed out", "refused",
 ]  # fmt: skip
 """What became of a run, or what broke first in it; `verdict` defines them."""
 FAILED = frozenset(
     {
-        "gains energy", "loses energy", "comes apart", "sinks in", "stuck", "ends early",
-        "crashed", "timed out",
+        "gains energy", "loses energy", "comes apart", "sinks in", "stuck", "clamped", "blows up",
+        "gives up", "ends early", "crashed", "timed out",
     }
 )  # fmt: skip
 """Outcomes that are not stable. A motion that is off course is stable, and wrong."""

@@ -6,7 +6,7 @@ A run is *stable* if it comes to its end, its numbers are finite, and at every f
   that above what impacts explain),
 - no joint is open by more than 1 % of the scene's length, or 0.01 rad between its axes,
 - no contact sphere is in the ground by more than 1 % of that length,
-- its particles have gone at least a tenth of the way they should have gone.
+- and at the end its particles have gone at least a tenth of the way they should have gone.
 
 A stable run is *off course* if its RMS particle error passes 10 % of the scene's length.
 
@@ -17,7 +17,6 @@ any of these before is told as that.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,10 +30,11 @@ from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.checks.passivity import passivity
 from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.stability.rows import Outcome, Told
+from mbds_xsim.study.stability.words import meaning, who_told
 
-__all__ = ["CRITERIA", "Verdict", "judge", "who_told"]
+__all__ = ["CRITERIA", "Verdict", "judge"]
 
 Array = NDArray[np.float64]
 
@@ -49,12 +49,6 @@ CRITERIA = (
     f" (contact: no such rise), joints closed to {_OPEN:.0%} of the scene's length or {_OPEN:g} rad"
     f", spheres no deeper in the ground than {_SUNK:.0%} of it, a tenth of the way gone that is "
     f"due. Off course: stable, with an RMS particle error above {_OFF:.0%} of the length"
-)
-
-# How the words of engines begin that adapters hand on; every other reason is an adapter's own.
-_ENGINES_WORDS = re.compile(
-    r"DART: |WARNING|Nan, Inf or huge value|Inertia matrix is too close to singular|"
-    r"Newton's method stopped|the linear solver failed|\w*(Error|Exception)\b"
 )
 
 
@@ -102,7 +96,7 @@ def judge(
         "sinks in": sunk > _SUNK,
         "gains energy": energy > _ENERGY,
         "loses energy": energy < -_ENERGY,
-        "stuck": way < _FROZEN,
+        "stuck": _to_the_end(way, way < _FROZEN),
     }
     failure = trajectory.failures[0]
     first: dict[Outcome, int] = {
@@ -112,7 +106,8 @@ def judge(
     if first:
         outcome = min(first, key=lambda what: first[what])
     elif failure is not None or not record.finite.all():
-        outcome, first = "ends early", {"ends early": int(record.finite[0].sum())}
+        outcome = meaning(failure)
+        first = {outcome: int(record.finite[0].sum())}
     elif (error > _OFF).any():
         outcome, first = "off course", {"off course": int((error > _OFF).argmax())}
     time = trajectory.time
@@ -128,13 +123,6 @@ def judge(
         way=float(way[-1]) if np.isfinite(way[-1]) else None,
         error=_extreme(error),
     )
-
-
-def who_told(failure: Failure | None) -> Told:
-    """Tell whether a failure is in an engine's own words or those of its adapter's watch."""
-    if failure is None:
-        return "nobody"
-    return "engine" if _ENGINES_WORDS.match(failure.reason) else "adapter"
 
 
 def _energy(record: Record, truth: Record | None) -> Array:
@@ -176,6 +164,12 @@ def _gone(record: Record) -> Array:
     markers = agreement.markers_of(record.mechanism, record.trajectory)[0]
     steps = np.linalg.norm(np.diff(markers, axis=0), axis=-1).mean(axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _to_the_end(known: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Keep what is seen from some frame to the last one that is known."""
+    kept = np.logical_and.accumulate((seen | np.isnan(known))[::-1])[::-1]
+    return np.asarray(kept & seen)
 
 
 def _error(record: Record, truth: Record | None) -> Array:
