@@ -5,6 +5,7 @@ PYTHONPATH=tests python benchmarks/planted_faults.py > docs/faults.md
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,12 +25,13 @@ settings or the inputs that reach the adapter, in the adapter itself, or in what
 the scene is validated in all four engines. A fault counts as caught where that engine fails and
 the three others pass. This is judged on the motion alone, with the comparison of the native model
 with the scene (read-back) switched off. The table shows the checks that fail in every engine that
-has the fault, how often the vote of the engines and the reference names that engine, and how often
-reading the model back tells the fault too.
+has the fault (where they differ, one or another of them), how often the vote of the engines and the
+reference names that engine, and how often reading the model back tells the fault too.
 
 Without a fault all engines pass. `tests/faults` repeats the table in every test run. The scenes
-are built-in ones, cut short and some started in another way (`tests/faults/scenes.py`): {clocks}
-recorded frames.
+are built-in ones, cut short and some started in another way (`tests/faults/scenes.py`). Recorded
+frames are
+{clocks}.
 """
 
 _SMALLEST = """
@@ -78,8 +80,8 @@ class _Try:
 def page() -> Iterator[str]:
     """Give the page, line by line."""
     tries = {fault: [_try(fault, engine) for engine in fault.engines] for fault in FAULTS}
-    clocks = ", ".join(f"{name} {frames}" for name, frames in SCENES.items())
-    yield _HEAD.format(clocks=clocks)
+    clocks = ", ".join(f"{frames} of {name}" for name, frames in SCENES.items())
+    yield _HEAD.format(clocks=textwrap.fill(clocks, 100))
     yield from _count(tries)
     yield ""
     yield "| fault | scene | caught in | by | odd one out | read back |"
@@ -122,11 +124,18 @@ def _row(fault: Fault, results: list[_Try]) -> str:
     engines = ", ".join(one.engine for one in caught) or "none"
     if caught and len(caught) < len(results):
         engines += f" ({len(caught)} of {len(results)})"
-    always = frozenset.intersection(*(one.failed for one in caught)) if caught else frozenset()
     return (
-        f"| {fault.name} | {fault.scene} | {engines} | {', '.join(sorted(always)) or '–'} "
+        f"| {fault.name} | {fault.scene} | {engines} | {_checks(fault, caught)} "
         f"| {_share([one.odd for one in results])} | {_share([one.told for one in results])} |"
     )
+
+
+def _checks(fault: Fault, caught: list[_Try]) -> str:
+    """Give the checks that fail in every engine; where there is none, those it is for."""
+    if not caught:
+        return "–"
+    always = frozenset.intersection(*(one.failed for one in caught))
+    return ", ".join(sorted(always)) or " or ".join(fault.checks)
 
 
 def _share(marks: list[bool]) -> str:

@@ -85,7 +85,7 @@ def _cut_spins(scene: Scene, _: Batch, __: float, motion: Trajectory) -> Traject
 def _kicked(batch: Batch) -> Batch:
     """Push the ball up for a frame, so that it hops."""
     force = batch.force.copy()
-    force[:, _KICK, 0, 2] += _LIFT
+    force[:, _KICK : _KICK + 1, 0, 2] += _LIFT
     return dataclasses.replace(batch, force=force)
 
 
