@@ -63,6 +63,7 @@ def generate(
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)
     variants, left_out = _variants(request)
+    out = request.out.absolute()  # workers stand elsewhere
     with locked(request.out):
         for variant in variants:
             check_paired(variant, request.out)
@@ -71,13 +72,9 @@ def generate(
         missing = sum(item.count for _, item in todo)
         total = request.trajectories * len(variants)
         progress.begin(total, total - missing)
-        with watched([variant.folder(request.out) for variant in variants], progress):
-            make(
-                todo,
-                request.out,
-                workers=core_count() if workers is None else workers,
-                carry_out=carry_out,
-            )
+        with watched([variant.folder(out) for variant in variants], progress):
+            processes = core_count() if workers is None else workers
+            make(todo, out, workers=processes, carry_out=carry_out)
         counts = tuple(join(variants, request.trajectories, request.out))
     return Generated(counts, left_out, missing, time.perf_counter() - begin)
 

@@ -19,7 +19,7 @@ from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.split import split_of
 from mbds_xsim.dataset.variant import Variant
 
-__all__ = ["JOINT", "VariantCount", "join"]
+__all__ = ["JOINT", "VariantCount", "join", "valid_numbers"]
 
 JOINT = f"joint{SUFFIX}"
 """Name of the file that says which trajectories are valid in all variants of a scene."""
@@ -141,18 +141,22 @@ def _causes(folder: Path, names: Sequence[str]) -> Counter[str]:
     return found
 
 
+def valid_numbers(path: Path) -> NDArray[np.bool_]:
+    """Tell of each number that was drawn whether a joined file has its trajectory."""
+    with h5py.File(path, "r") as file:
+        return np.isin(np.arange(file.attrs["count"]), file["index"][()])
+
+
 def _join_scene(folder: Path) -> None:
     """Write which trajectories are published in all variants that a folder holds."""
-    masks = {}
-    for path in sorted(folder.glob(f"*{SUFFIX}")):
-        if path.name != JOINT:
-            with h5py.File(path, "r") as file:
-                masks[path.stem] = np.isin(np.arange(file.attrs["count"]), file["index"][()])
-                shared = {key: file.attrs[key] for key in SHARED}
-    common = min(len(mask) for mask in masks.values())
-    valid = np.stack([mask[:common] for mask in masks.values()])
+    paths = [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
+    masks = [valid_numbers(path) for path in paths]
+    with h5py.File(paths[0], "r") as file:
+        shared = {key: file.attrs[key] for key in SHARED}
+    common = min(map(len, masks))
+    valid = np.stack([mask[:common] for mask in masks])
     datasets = {
-        "variant": np.array(list(masks)),
+        "variant": np.array([path.stem for path in paths]),
         "valid": valid,
         "valid_in_all": np.asarray(valid.all(axis=0)),
     }

@@ -23,6 +23,7 @@ from mbds_xsim.scene import Scene
 
 __all__ = ["Dataset", "Series", "load_dataset"]
 
+_AT_ONCE = ("index", "split", "reason")
 _OPEN = 256  # files that are mapped at a time
 
 
@@ -63,7 +64,7 @@ class Dataset:
     rows: tuple[int, ...]
     """How many each has."""
     small: dict[str, NDArray[Any]]
-    """Datasets that do not grow with the frames: index, interval, split, graph, checks."""
+    """Index, split, and datasets that belong to no trajectory: time, graph, names of checks."""
 
     def __len__(self) -> int:
         return len(self.index)
@@ -76,7 +77,7 @@ class Dataset:
         )
 
     def __getitem__(self, name: str) -> NDArray[Any] | Series:
-        """Give a dataset by its path in the file; one with frames as a `Series`."""
+        """Give a dataset by its path in the file; one of trajectories as a `Series`."""
         if name in self.small:
             return self.small[name]
         return Series(self.files, self.rows, name)
@@ -143,7 +144,7 @@ class Dataset:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A dataset with frames, over all shards, mapped from the files' bytes."""
+    """A dataset of trajectories, over all shards, mapped from the files' bytes."""
 
     files: tuple[Path, ...]
     rows: tuple[int, ...]
@@ -191,8 +192,9 @@ class Series:
 
 
 def _small_names(file: Any) -> Iterator[str]:
+    """What is read at once: nothing from the shards of a joined file."""
     for name, field in known_names().items():
-        if name in file and not {"frame", "step"} & set(field.axes[1:]):
+        if name in file and (name in _AT_ONCE or not field.per_trajectory):
             yield name
 
 

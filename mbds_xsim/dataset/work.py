@@ -52,8 +52,9 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
         tasks = [_task(variant, run, crashes, out) for variant, run in runs]
         answers = carry_out(tasks, workers=workers, finished=_refuse)
         for (variant, run), answer in zip(runs, answers, strict=True):
-            if isinstance(answer, Crash):
-                culprit = variant, next(item for item in run if _missing(variant, item, out))
+            left = [item for item in run if _missing(variant, item, out)]
+            if left:
+                culprit = variant, left[0]
                 tries[culprit] += 1
                 if tries[culprit] == _TRIES:
                     crashes[culprit] = _crashes(*culprit, workers, carry_out)
@@ -102,8 +103,9 @@ def _missing(variant: Variant, item: Item, out: Path) -> bool:
     return not (variant.folder(out) / item.file_name).exists()
 
 
-def _despair(variant: Variant, item: Item, answer: Crash) -> str:
+def _despair(variant: Variant, item: Item, answer: Any) -> str:
+    reason = answer.reason if isinstance(answer, Crash) else "its file is not where it was put"
     return (
         f"{variant.scene.name} {variant.name}: the trajectories {item.first} to "
-        f"{item.indices[-1]} cannot be made: {answer.reason}"
+        f"{item.indices[-1]} cannot be made: {reason}"
     )

@@ -68,7 +68,7 @@ class GeneratingBar:
 def print_counts(generated: Generated, console: Console) -> None:
     """Print what was published and what was rejected, and why."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
-    table.add_column("file")
+    table.add_column("file", overflow="fold")
     for column in ("drawn", "published", "rejected", "MB"):
         table.add_column(column, justify="right")
     table.add_column("rejected by")

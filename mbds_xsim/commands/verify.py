@@ -1,0 +1,45 @@
+"""`mbds-xsim verify`: check data again, from its own contents alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    progress_on,
+    write_json,
+)
+
+__all__ = ["verify"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5"
+)
+def verify(
+    path: Annotated[
+        Path, typer.Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
+    ],
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
+    from mbds_xsim.dataset.verify import verify as run
+    from mbds_xsim.report.verifying import print_verified
+
+    console = console_for(json)
+    check_targets(json=json)
+    with progress_on(console) as progress:
+        verified = run(path, workers=workers, progress=progress)
+    print_verified(verified, console)
+    write_json(encoded(verified), json)
+    raise typer.Exit(0 if verified.sound else 1)

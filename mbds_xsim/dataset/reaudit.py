@@ -1,0 +1,236 @@
+"""Check a file of trajectories again, from its own contents alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.content import check_content
+from mbds_xsim.dataset.gate import Verdict, judge_rows
+from mbds_xsim.dataset.held import Held
+from mbds_xsim.dataset.layout import CHECKS, FIELDS, Field
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.errors import EngineMissing, InputError, UnknownName
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.simulate import simulate
+
+__all__ = ["FileReport", "reaudit"]
+
+_OPTIONAL = ("input/known_force",)
+_SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
+_SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
+_ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
+_SAME_MOTION = 1e-6  # of the scene's length; rounding that chaos has amplified
+
+
+@dataclass(frozen=True)
+class FileReport:
+    """What became of one file."""
+
+    file: str
+    kind: str
+    trajectories: int
+    problems: tuple[str, ...] = ()
+    """What is wrong; nothing: it holds what it says."""
+    notes: tuple[str, ...] = ()
+    """What else there is to know."""
+
+
+def reaudit(path: Path, resimulated: int) -> FileReport:
+    """Check layout, checksums, numbers, draws, points and every check; make some again.
+
+    Args:
+        path: A shard, or a file of rejected trajectories.
+        resimulated: How many trajectories are simulated again, if the engine is here.
+    """
+    try:
+        wrong = check_content(path)
+        if wrong is not None:
+            return FileReport(str(path), "unknown", 0, (f"checksum: {wrong}",))
+        held = Held.read(path)
+        problems = tuple(_layout(held))
+        if problems:
+            return FileReport(str(path), held.attributes["kind"], 0, problems)
+        problems = (*_numbers(held), *_draws(held), *_points(held), *_checks(held))
+        more, notes = _again(held, resimulated)
+    except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
+        return FileReport(str(path), "unknown", 0, (f"cannot be read: {error}",))
+    return FileReport(str(path), held.attributes["kind"], len(held), (*problems, *more), notes)
+
+
+def _layout(held: Held) -> Iterator[str]:
+    """Which datasets there must be, of which type and shape."""
+    sizes = _sizes(held)
+    with h5py.File(held.path, "r") as file:
+        for field in _fields(held.attributes["kind"]):
+            if field.name not in file:
+                if field.name not in _OPTIONAL:
+                    yield f"layout: dataset {field.name} is missing"
+                continue
+            dataset = file[field.name]
+            wanted = tuple(sizes.get(axis, size) for axis, size in _axes(field, dataset.shape))
+            if len(dataset.shape) != len(field.axes) or dataset.shape != wanted:
+                yield f"layout: {field.name} has the shape {dataset.shape}, not {wanted}"
+            is_text = h5py.check_string_dtype(dataset.dtype) is not None
+            if is_text != (field.dtype == "text") or not (
+                is_text or dataset.dtype == np.dtype(field.dtype)
+            ):
+                yield f"layout: {field.name} has the type {dataset.dtype}, not {field.dtype}"
+
+
+def _fields(kind: str) -> list[Field]:
+    return [field for field in FIELDS if kind in field.kinds]
+
+
+def _axes(field: Field, shape: tuple[int, ...]) -> list[tuple[str, int]]:
+    return list(zip(field.axes, shape, strict=False))
+
+
+def _sizes(held: Held) -> dict[str, int]:
+    """Lengths of the axes that the scene decides."""
+    scene = held.scene
+    points = Points.of(scene)
+    return {
+        "trajectory": len(held),
+        "frame": scene.clock.steps + 1,
+        "step": scene.clock.steps,
+        "body": len(scene.bodies),
+        "point": len(points.body),
+        "axis": len(points.axes),
+        "hinge": len(Mechanism.of(scene).hinges),
+        "edge": len(scene.edges),
+        "static": len(scene.anchors),
+        "xyz": 3,
+        "wxyz": 4,
+        "two": 2,
+    }
+
+
+def _numbers(held: Held) -> Iterator[str]:
+    """The numbering of the trajectories, and what repeats what the scene says."""
+    told, index = held.attributes, held.arrays["index"]
+    first, count = told["first"], told["count"]
+    if len(index) and (
+        index[0] < first or index[-1] >= first + count or (np.diff(index) < 1).any()
+    ):
+        yield f"index: not ascending from {first} to {first + count - 1}"
+    if not np.array_equal(held.arrays["interval"], index % 3):
+        yield "interval: not index mod 3"
+    own = "published" if told["kind"] == "shard" else "rejected"
+    if told[own] != len(index) or told["published"] + told["rejected"] != count:
+        yield f"counts: {own} is {told[own]} with {len(index)} trajectories of {count} here"
+    clock = held.scene.clock
+    if (told["steps"], told["frame_s"]) != (clock.steps, clock.frame):
+        yield "clock: steps and frame_s are not the scene's"
+    time = clock.frame * np.arange(clock.steps + 1)
+    if not np.allclose(held.arrays["time"], time, rtol=1e-12, atol=0):
+        yield "time: not that of the scene's frames"
+
+
+def _draws(held: Held) -> Iterator[str]:
+    """Starts and inputs must be those of seed and index: so engines are paired."""
+    told = held.attributes
+    drawn = draw_batch(
+        held.scene, held.arrays["index"].tolist(), seed=told["seed"], noise=bool(told["noise"])
+    )
+    for key in drawn.__dataclass_fields__:
+        wanted, got = getattr(drawn, key), getattr(held.batch, key)
+        if len(held) and not _close(got, wanted, _SAME_DRAW):
+            yield f"pairing: {key} is not what seed {told['seed']} and index give"
+    if "input/known_force" in held.arrays and len(held):
+        known = draw_batch(
+            held.scene, held.arrays["index"].tolist(), seed=told["seed"], noise=False
+        )
+        if not _close(held.arrays["input/known_force"], known.force, _SAME_DRAW):
+            yield "pairing: known_force is not what seed and index give"
+
+
+def _close(got: NDArray[np.float64], wanted: NDArray[np.float64], relative: float) -> bool:
+    scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
+    return bool((np.abs(got - wanted) <= relative * scale).all())
+
+
+def _points(held: Held) -> Iterator[str]:
+    """Positions and velocities of the particles follow from the bodies' states."""
+    points = Points.of(held.scene)
+    for name, wanted in zip(("position", "velocity"), points.motion(held.trajectory), strict=True):
+        got = held.arrays[name]
+        off = np.abs(got - wanted) > _ROUNDED * np.abs(wanted) + 1e-14
+        if off.any() or not np.array_equal(np.isnan(got), np.isnan(wanted)):
+            row = int(np.flatnonzero((off | (np.isnan(got) != np.isnan(wanted))).any((1, 2, 3)))[0])
+            yield f"{name}: not that of the bodies, first of trajectory {held.batch.index[row]}"
+    for name, values in points.graph().items():
+        if not np.array_equal(held.arrays[name], values):
+            yield f"{name}: not that of the scene"
+
+
+def _checks(held: Held) -> Iterator[str]:
+    """Every check must find what it found, and the verdict be what it was."""
+    if held.arrays["check/name"].tolist() != list(CHECKS):
+        yield "checks: another version's; install the version that the file names"
+        return
+    if not len(held):
+        return
+    verdict = judge_rows(held.scene, held.batch, held.trajectory, held.making)
+    yield from _figures(held, verdict)
+    passed = verdict.published(certified=held.attributes["certification"] == "certified")
+    if held.attributes["kind"] == "shard":
+        for row in np.flatnonzero(~passed):
+            yield f"published trajectory {held.batch.index[row]} fails: {verdict.reason(int(row))}"
+    else:
+        misbuilt = np.array([text.startswith("read-back") for text in held.arrays["reason"]])
+        for row in np.flatnonzero(passed & ~misbuilt):
+            yield f"rejected trajectory {held.batch.index[row]} passes every check"
+
+
+def _figures(held: Held, verdict: Verdict) -> Iterator[str]:
+    for key in ("figure", "allowed"):
+        stored, found = held.arrays[f"check/{key}"], getattr(verdict, key)
+        scale = np.fmax(np.abs(stored), np.where(np.isfinite(found), np.abs(found), 0.0))
+        scale = np.fmax(scale, np.where(np.isfinite(verdict.allowed), verdict.allowed, 0.0))
+        same = (stored == found) | (np.abs(stored - found) <= _SAME_FIGURE * scale)
+        # A check may not apply to any of the trajectories left, and so to none.
+        same |= np.isnan(stored) | np.isnan(found)
+        for row, column in np.argwhere(~same)[:3]:
+            yield (
+                f"checks: {list(CHECKS)[column]} of trajectory {held.batch.index[row]} is stored "
+                f"as {key} {stored[row, column]:.9g} and found as {found[row, column]:.9g}"
+            )
+
+
+def _again(held: Held, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Simulate some of the trajectories again, where the engine is here in the same version.
+
+    Returns:
+        What is wrong, and what else there is to know.
+    """
+    told = held.attributes
+    rows = np.unique(np.linspace(0, len(held) - 1, min(count, len(held))).astype(int)).tolist()
+    here = _version(told["engine"])
+    if not rows or told["kind"] != "shard":
+        return (), ()
+    if here != told["engine_version"]:
+        note = f"not simulated again: {told['engine']} {told['engine_version']} is not here"
+        return (), (note + (f", but {here}" if here else ""),)
+    made = simulate(held.scene, held.batch[rows], told["engine"], held.settings).trajectory
+    stored = held.trajectory[rows]
+    off = float(np.abs(made.position - stored.position).max())
+    if off == 0.0 and np.array_equal(made.orientation, stored.orientation):
+        return (), (f"{len(rows)} simulated again: the same bits",)
+    if off <= _SAME_MOTION * held.scene.length:
+        return (), (f"{len(rows)} simulated again: within {off:.1g} m, rounding",)
+    return (f"simulated again: trajectories differ by up to {off:.2g} m",), ()
+
+
+def _version(engine: str) -> str | None:
+    try:
+        return load_adapter(engine).version()
+    except (EngineMissing, UnknownName):
+        return None

@@ -1,0 +1,138 @@
+"""Check a file or a folder of data again, as someone must who got it from somebody else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.dataset.layout import SUFFIX
+from mbds_xsim.dataset.plan import attributes_of
+from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.reaudit import FileReport, reaudit
+from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+
+__all__ = ["Verified", "verify"]
+
+_TIMEOUT = 3600.0  # [s]
+_AGAIN = 3  # trajectories of a shard that are simulated again
+_SHARDS_AGAIN = 3  # shards of a variant of which some are
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What became of everything that was looked at."""
+
+    path: str
+    files: tuple[FileReport, ...]
+    about: tuple[dict[str, Any], ...]
+    """What is to be known of each variant."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether everything holds what it says."""
+        return not any(report.problems for report in self.files)
+
+
+def verify(path: Path, *, workers: int | None = None, progress: ProgressSink) -> Verified:
+    """Check everything again that a file, with its shards, or a folder holds.
+
+    Raises:
+        InputError: There is nothing to check.
+    """
+    files = _files(path)
+    kinds = {file: _kind(file) for file in files}
+    shards = [file for file, kind in kinds.items() if kind == "shard"]
+    again = _resimulated(shards)
+    tasks = [_task(file, kinds[file], again) for file in files]
+    progress.begin(len(tasks))
+    answers = run_tasks(
+        tasks, workers=workers, finished=lambda place, _: progress.advance(files[place].name)
+    )
+    reports = [
+        FileReport(str(file), kinds[file], 0, (f"cannot be read: {answer.reason}",))
+        if isinstance(answer, Crash)
+        else answer
+        for file, answer in zip(files, answers, strict=True)
+    ]
+    joined = [file for file, kind in kinds.items() if kind == "joined"]
+    loose = _loose(shards, joined) if path.is_dir() else set()
+    reports = [_with_loose(report, loose) for report in reports]
+    return Verified(str(path), tuple(reports), tuple(_about(file) for file in joined or shards[:1]))
+
+
+def _files(path: Path) -> list[Path]:
+    """Give the files to look at: all of a folder, or one and what it joins."""
+    if path.is_dir():
+        found = sorted(path.rglob(f"*{SUFFIX}"))
+        if not found:
+            msg = f"{path} holds no {SUFFIX} file; name a folder that mbds-xsim generate has made"
+            raise InputError(msg)
+        return found
+    if not path.exists():
+        msg = f"{path}: there is no such file"
+        raise InputError(msg)
+    if _kind(path) != "joined":
+        return [path]
+    try:
+        return [path, *load_dataset(path).files]
+    except InputError:
+        return [path]  # which will be told in its report
+
+
+def _kind(path: Path) -> str:
+    try:
+        return str(attributes_of(path).get("kind"))
+    except InputError:
+        return "unknown"
+
+
+def _resimulated(shards: list[Path]) -> set[Path]:
+    """Of each variant the first shard, the last, and one between."""
+    found = set()
+    for folder in {shard.parent for shard in shards}:
+        own = [shard for shard in shards if shard.parent == folder]
+        found |= {own[k * (len(own) - 1) // (_SHARDS_AGAIN - 1)] for k in range(_SHARDS_AGAIN)}
+    return found
+
+
+def _task(file: Path, kind: str, again: set[Path]) -> Task:
+    others: dict[str, Callable[[Path], FileReport]] = {
+        "joined": recheck_joined,
+        "joint": recheck_joint,
+    }
+    path = file.resolve()
+    if kind in others:
+        return Task(others[kind], (path,), _TIMEOUT)
+    return Task(reaudit, (path, _AGAIN if file in again else 0), _TIMEOUT)
+
+
+def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
+    """Shards that no joined file names, as an interrupted run leaves them."""
+    named: set[Path] = set()
+    for file in joined:
+        try:
+            named |= {part.resolve() for part in load_dataset(file).files}
+        except InputError:
+            continue
+    return {str(shard.resolve()) for shard in shards if shard.resolve() not in named}
+
+
+def _with_loose(report: FileReport, loose: set[str]) -> FileReport:
+    if report.file not in loose:
+        return report
+    note = "not joined yet: run mbds-xsim generate again to finish the set"
+    return replace(report, notes=(*report.notes, note))
+
+
+def _about(file: Path) -> dict[str, Any]:
+    keys = (
+        "scene_name", "engine", "engine_version", "profile", "certification", "method", "step_s",
+        "seed", "noise", "count", "published", "rejected", "audit_sample", "mbds_xsim_version",
+    )  # fmt: skip
+    told = attributes_of(file)
+    return {"file": str(file), **{key: told.get(key) for key in keys}}

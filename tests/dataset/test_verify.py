@@ -1,0 +1,292 @@
+"""Whatever is changed in a file, by accident or with its checksums made to fit, is found."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from mbds_xsim.dataset.content import CONTENT, encode
+from mbds_xsim.dataset.held import Held
+from mbds_xsim.dataset.layout import CHECKS
+from mbds_xsim.dataset.reaudit import reaudit
+from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
+from mbds_xsim.dataset.verify import Verified, verify
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+
+from .conftest import Make
+
+SHARD = "1pendulum/mujoco-matched/0000000000.h5"
+FILE = "1pendulum/mujoco-matched.h5"
+JOINT = "1pendulum/joint.h5"
+
+Change = Callable[[dict[str, Any], dict[str, Any]], None]
+
+
+class Quiet:
+    def begin(self, total: int) -> None: ...
+    def advance(self, what: str) -> None: ...
+
+
+def _verify(path: Path) -> Verified:
+    return verify(path, workers=0, progress=Quiet())
+
+
+@pytest.fixture(scope="module")
+def few(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight trajectories, not to be changed."""
+    out = tmp_path_factory.mktemp("few")
+    make(out, trajectories=8)
+    return out
+
+
+@pytest.fixture
+def copy(few: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(few, tmp_path / "copy"))
+
+
+def _problems(verified: Verified) -> list[str]:
+    return [problem for report in verified.files for problem in report.problems]
+
+
+def test_a_finished_set_is_sound(few: Path) -> None:
+    verified = _verify(few)
+    assert _problems(verified) == []
+    assert {report.kind: report.trajectories for report in verified.files} == {
+        "shard": 8,
+        "joined": 8,
+        "joint": 8,
+    }
+    notes = [note for report in verified.files for note in report.notes]
+    assert sorted(notes) == ["3 simulated again: the same bits", "train 6, validation 1, test 1"]
+    (about,) = verified.about
+    assert (about["engine"], about["certification"]) == ("mujoco", "certified")
+
+
+def test_a_file_is_looked_at_with_its_shards(few: Path) -> None:
+    assert [report.kind for report in _verify(few / FILE).files] == ["joined", "shard"]
+    assert [report.kind for report in _verify(few / SHARD).files] == ["shard"]
+
+
+def test_rejected_ones_are_checked_too(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from .test_generate import _spoil
+
+    _spoil(3, monkeypatch)
+    make(tmp_path, trajectories=8)
+    monkeypatch.undo()
+    verified = _verify(tmp_path)
+    assert _problems(verified) == []
+    assert [r.trajectories for r in verified.files if r.kind == "rejected"] == [1]
+    shutil.rmtree(tmp_path / "rejected/1pendulum/mujoco-matched")
+    (tmp_path / "rejected/1pendulum/mujoco-matched").mkdir()
+    assert _problems(_verify(tmp_path)) == [
+        "published and rejected trajectories do not make up 0 to 7"
+    ]
+
+
+def _rewrite(path: Path, change: Change) -> None:
+    """Change a shard, and make its checksums fit."""
+    held = Held.read(path)
+    attributes = {key: value for key, value in held.attributes.items() if key != CONTENT}
+    arrays = {name: values.copy() for name, values in held.arrays.items()}
+    change(arrays, attributes)
+    path.write_bytes(encode(arrays, attributes))
+
+
+def _late(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+    del attributes
+    arrays["body/velocity"][2, 1:] = arrays["body/velocity"][2, :-1].copy()
+    arrays["velocity"][2, 1:] = arrays["velocity"][2, :-1].copy()
+
+
+def _set(name: str, place: Any, value: Any) -> Change:
+    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del attributes
+        arrays[name][place] += value
+
+    return change
+
+
+def _tell(key: str, value: Any) -> Change:
+    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del arrays
+        attributes[key] = value
+
+    return change
+
+
+def _drop(name: str) -> Change:
+    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del attributes
+        del arrays[name]
+
+    return change
+
+
+def _shorten(name: str) -> Change:
+    def change(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del attributes
+        arrays[name] = arrays[name][:, :-1]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (_late, "published trajectory 2 fails: "),
+        (_set("body/position", (3, 4), 1e-3), "position: not that of the bodies, first of traj"),
+        (_set("position", (3, 4, 0, 1), 1e-6), "position: not that of the bodies, first of traj"),
+        (_set("velocity", (7, 0, 0, 0), 1e-6), "velocity: not that of the bodies"),
+        (_set("start/velocity", 1, 1e-9), "pairing: velocity is not what seed 0 and index give"),
+        (_set("input/force", (1, 3), 1e-6), "pairing: force is not what seed 0 and index give"),
+        (_set("index", 5, 1), "index: not ascending from 0 to 7"),
+        (_set("interval", 5, 1), "interval: not index mod 3"),
+        (_set("time", 3, 1e-3), "time: not that of the scene's frames"),
+        (_set("check/figure", (2, 2), 1e-3), "checks: gap of trajectory 2 is stored as figure"),
+        (_set("check/allowed", (2, 2), 1e-3), "checks: gap of trajectory 2 is stored as allowed"),
+        (_set("graph/point_body", 0, 1), "graph/point_body: not that of the scene"),
+        (_tell("published", 7), "counts: published is 7 with 8 trajectories of 8 here"),
+        (_tell("seed", 1), "pairing: position is not what seed 1 and index give"),
+        (_tell("steps", 11), "clock: steps and frame_s are not the scene's"),
+        (_tell("method", "Euler"), "simulated again: trajectories differ by up to"),
+        (_tell("scene", "name = 1"), "cannot be read: .*its attribute scene is no scene"),
+        (_drop("start/velocity"), "layout: dataset start/velocity is missing"),
+        (_shorten("velocity"), r"layout: velocity has the shape \(8, 10, 1, 3\), not \(8, 11, 1"),
+    ],
+)
+def test_a_change_with_fitting_checksums_is_found(change: Change, says: str, copy: Path) -> None:
+    import re
+
+    _rewrite(copy / SHARD, change)
+    found = reaudit(copy / SHARD, 3).problems
+    assert any(re.match(says, problem) for problem in found), found
+
+
+def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
+    _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
+    report = reaudit(copy / SHARD, 3)
+    assert report.problems == ()
+    assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not here, but ")
+
+
+def test_a_shard_that_was_exchanged_is_found(copy: Path) -> None:
+    _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
+    problems = recheck_joined(copy / FILE).problems
+    assert f"shard {SHARD.removeprefix('1pendulum/')} is not the one that was joined" in problems
+
+
+def test_a_variant_that_was_taken_away_is_found(copy: Path) -> None:
+    shutil.copy(copy / FILE, copy / "1pendulum/dart-matched.h5")
+    (problem,) = recheck_joint(copy / JOINT).problems
+    assert problem == "is about mujoco-matched; beside it are dart-matched, mujoco-matched"
+
+
+def test_shards_of_an_unfinished_run_are_told(copy: Path) -> None:
+    (copy / FILE).unlink()
+    (copy / JOINT).unlink()
+    (report,) = _verify(copy).files
+    assert report.problems == ()
+    assert "not joined yet: run mbds-xsim generate again to finish the set" in report.notes
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "cannot be read"),
+        (b"text", "cannot be read"),
+    ],
+)
+def test_what_is_no_data_file_is_found(content: bytes, says: str, copy: Path) -> None:
+    (copy / SHARD).write_bytes(content)
+    assert any(problem.startswith(says) for problem in _problems(_verify(copy / SHARD)))
+    assert not _verify(copy).sound
+
+
+def test_nothing_to_check(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no \.h5 file"):
+        _verify(tmp_path)
+    with pytest.raises(InputError, match="there is no such file"):
+        _verify(tmp_path / "nothing.h5")
+
+
+_FOUND, _HARMLESS, _MISSED = 0, 1, 2
+
+
+def _everything(path: Path) -> dict[str, Any]:
+    """All that can be read from a file."""
+    found: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+
+        def visit(name: str, item: Any) -> None:
+            found[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items()}
+            if isinstance(item, h5py.Dataset):
+                found[f"{name} values"] = (str(item.dtype), item.shape, item[()].tobytes())
+
+        visit("/", file)
+        file.visititems(visit)
+    return found
+
+
+def _verdict(path: Path, check: Callable[[Path], Any], whole: dict[str, Any]) -> int:
+    """Judge a damaged file in a copy of this process, which the damage may end."""
+    child = os.fork()
+    if child == 0:
+        try:
+            if check(path).problems:
+                os._exit(_FOUND)
+            os._exit(_HARMLESS if _everything(path) == whole else _MISSED)
+        except BaseException:
+            os._exit(_FOUND)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return code if code in (_HARMLESS, _MISSED) else _FOUND
+
+
+def _flipped(
+    path: Path, check: Callable[[Path], Any], count: int, seed: int
+) -> dict[int, list[int]]:
+    whole, content = _everything(path), path.read_bytes()
+    rng = np.random.default_rng(seed)
+    found: dict[int, list[int]] = {_FOUND: [], _HARMLESS: [], _MISSED: []}
+    for place in rng.integers(len(content), size=count):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        found[_verdict(path, check, whole)].append(int(place))
+    path.write_bytes(content)
+    return found
+
+
+@pytest.mark.parametrize("name", [SHARD, FILE, JOINT])
+def test_flipped_bits_are_found_or_harmless(name: str, copy: Path) -> None:
+    checks: dict[str, Callable[[Path], Any]] = {
+        SHARD: lambda path: reaudit(path, 0),
+        FILE: recheck_joined,
+        JOINT: recheck_joint,
+    }
+    found = _flipped(copy / name, checks[name], 20, 1)
+    assert found[_MISSED] == []
+    assert len(found[_FOUND]) >= 2
+
+
+@pytest.mark.slow
+def test_200_flipped_bits(make: Make, rod: Scene, tmp_path: Path) -> None:
+    """In a file of a common size, where nearly all bytes are numbers."""
+    del rod
+    make(tmp_path, trajectories=300)
+    found = _flipped(tmp_path / SHARD, lambda path: reaudit(path, 0), 200, 2)
+    assert found[_MISSED] == []
+    assert len(found[_FOUND]) >= 180
+
+
+def test_the_table_knows_what_it_is_about(few: Path) -> None:
+    assert Held.read(few / SHARD).arrays["check/name"].tolist() == list(CHECKS)
