@@ -1,8 +1,7 @@
-"""Which shards are still to be made, and who makes which."""
+"""Which shards are still to be made, and whether they may be put where they are to go."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 
-__all__ = ["attributes_of", "check_paired", "pending", "spans"]
+__all__ = ["attributes_of", "check_paired", "pending"]
 
 
 def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
@@ -76,30 +75,6 @@ def attributes_of(path: Path) -> dict[str, Any]:
         )
         raise InputError(msg)
     return found
-
-
-def spans(
-    items: Sequence[tuple[Variant, Item]], workers: int
-) -> Iterator[tuple[Variant, list[Item]]]:
-    """Divide shards into runs of one variant, each for one process, the longest first.
-
-    Starting a process takes as long as some fast shards, and slow ones must not be left to one
-    worker at the end: so runs become shorter as the work does (guided self-scheduling,
-    Polychronopoulos & Kuck 1987, IEEE Trans. Computers C-36, 1425).
-    """
-    groups: dict[Variant, list[Item]] = {}
-    for variant, item in items:
-        groups.setdefault(variant, []).append(item)
-    found = [(variant, run) for variant, group in groups.items() for run in _guided(group, workers)]
-    return iter(sorted(found, key=lambda span: -len(span[1])))
-
-
-def _guided(items: list[Item], workers: int) -> Iterable[list[Item]]:
-    first = 0
-    while first < len(items):
-        size = max(1, (len(items) - first) // (2 * max(workers, 1)))
-        yield items[first : first + size]
-        first += size
 
 
 def _is_complete(variant: Variant, item: Item, folder: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import faulthandler
 import json
 import os
 import time
@@ -18,7 +19,7 @@ from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.gate import Making, Verdict, judge_rows
 from mbds_xsim.dataset.layout import CHECKS, known_names
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.engine import Readback
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.readback import compare
@@ -30,6 +31,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 __all__ = [
     "LOG",
     "Crashes",
+    "claim",
     "make_shard",
     "make_shards",
     "rejected_folder",
@@ -39,14 +41,32 @@ __all__ = [
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
 
+_TIMEOUT = 3600.0  # of a shard [s]
+
 Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
 
 
-def make_shards(variant: Variant, work: Sequence[tuple[Item, Crashes]], out: Path) -> None:
-    """Make several shards, one after the other, in this process."""
+def make_shards(
+    variant: Variant, work: Sequence[tuple[Item, Crashes]], out: Path, claims: Path
+) -> None:
+    """Make those of some shards that no other process has claimed, one after the other."""
     for item, crashes in work:
-        make_shard(variant, item, out, crashes=crashes)
+        if claim(claims, variant, item):
+            # An engine that hangs must not be waited for; this ends the process even then.
+            faulthandler.dump_traceback_later(_TIMEOUT, exit=True)
+            make_shard(variant, item, out, crashes=crashes)
+            faulthandler.cancel_dump_traceback_later()
+
+
+def claim(claims: Path, variant: Variant, item: Item) -> bool:
+    """Take a shard, unless another process was first: who makes the file, makes the shard."""
+    name = f"{folder_name(variant.scene.name)} {variant.name} {item.first}"
+    try:
+        (claims / name).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
 def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | None = None) -> None:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from mbds_xsim.dataset.plan import spans
-from mbds_xsim.dataset.shard import Crashes, make_shards, try_out
+from mbds_xsim.dataset.shard import Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
 
 __all__ = ["Carrier", "make"]
 
-_SHARD_TIMEOUT = 3600.0  # [s]
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
 
@@ -38,8 +39,9 @@ class Carrier(Protocol):
 def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) -> None:
     """Make shards; those that are there when this ends abnormally are complete.
 
-    Where a process ends without an answer its shard is tried again, for it may have been killed
-    from outside. Where it ends again the trajectories that end it are looked for and rejected.
+    Each process makes shards of one variant, the next that no other has claimed. Where one ends
+    without an answer the shard is tried again, for it may have been killed from outside. Where
+    that ends again the trajectories that end it are looked for and rejected.
 
     Raises:
         InputError: One cannot be written, or cannot be made at all.
@@ -48,24 +50,41 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
     tries: Counter[Job] = Counter()
     crashes: dict[Job, Crashes] = {}
     while todo:
-        runs = list(spans(todo, workers))
-        tasks = [_task(variant, run, crashes, out) for variant, run in runs]
-        answers = carry_out(tasks, workers=workers, finished=_refuse)
-        for (variant, run), answer in zip(runs, answers, strict=True):
-            left = [item for item in run if _missing(variant, item, out)]
-            if left:
-                culprit = variant, left[0]
-                tries[culprit] += 1
-                if tries[culprit] == _TRIES:
-                    crashes[culprit] = _crashes(*culprit, workers, carry_out)
-                elif tries[culprit] > _TRIES:
-                    raise InputError(_despair(*culprit, answer))
-        todo = [(variant, item) for variant, item in todo if _missing(variant, item, out)]
+        with _claims(out) as claims:
+            tasks = list(_tasks(todo, crashes, out, claims, workers))
+            answers = carry_out(tasks, workers=workers, finished=_refuse)
+            left = [job for job in todo if _missing(*job, out)]
+            guilty = [job for job in left if not claim(claims, *job)]
+        if left and not guilty and len(left) == len(todo):
+            raise InputError(_despair(*left[0], answers))
+        for job in guilty:
+            tries[job] += 1
+            if tries[job] == _TRIES:
+                crashes[job] = _crashes(*job, workers, carry_out)
+            elif tries[job] > _TRIES:
+                raise InputError(_despair(*job, answers))
+        todo = left
 
 
-def _task(variant: Variant, run: list[Item], crashes: dict[Job, Crashes], out: Path) -> Task:
-    work = [(item, crashes.get((variant, item), {})) for item in run]
-    return Task(make_shards, (variant, work, out), _SHARD_TIMEOUT * len(run))
+@contextmanager
+def _claims(out: Path) -> Iterator[Path]:
+    """Give an empty folder in which processes claim shards."""
+    folder = out / ".claims"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _tasks(
+    jobs: Sequence[Job], crashes: dict[Job, Crashes], out: Path, claims: Path, workers: int
+) -> Iterator[Task]:
+    for variant in dict.fromkeys(variant for variant, _ in jobs):
+        work = [(item, crashes.get((other, item), {})) for other, item in jobs if other is variant]
+        task = Task(make_shards, (variant, work, out, claims), math.inf)
+        yield from [task] * max(1, min(workers, len(work)))
 
 
 def _refuse(_place: int, answer: Any) -> None:
@@ -103,8 +122,9 @@ def _missing(variant: Variant, item: Item, out: Path) -> bool:
     return not (variant.folder(out) / item.file_name).exists()
 
 
-def _despair(variant: Variant, item: Item, answer: Any) -> str:
-    reason = answer.reason if isinstance(answer, Crash) else "its file is not where it was put"
+def _despair(variant: Variant, item: Item, answers: Sequence[Any]) -> str:
+    reasons = [answer.reason for answer in answers if isinstance(answer, Crash)]
+    reason = reasons[0] if reasons else "its file is not where it was put"
     return (
         f"{variant.scene.name} {variant.name}: the trajectories {item.first} to "
         f"{item.indices[-1]} cannot be made: {reason}"
