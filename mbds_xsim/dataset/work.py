@@ -49,13 +49,15 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
     todo = list(jobs)
     tries: Counter[Job] = Counter()
     crashes: dict[Job, Crashes] = {}
+    idle = 0  # rounds in which processes ended before they came to anything
     while todo:
         with _claims(out) as claims:
             tasks = list(_tasks(todo, crashes, out, claims, workers))
             answers = carry_out(tasks, workers=workers, finished=_refuse)
             left = [job for job in todo if _missing(*job, out)]
             guilty = [job for job in left if not claim(claims, *job)]
-        if left and not guilty and len(left) == len(todo):
+        idle = 0 if guilty or len(left) < len(todo) else idle + 1
+        if idle > _TRIES:
             raise InputError(_despair(*left[0], answers))
         for job in guilty:
             tries[job] += 1
