@@ -55,8 +55,8 @@ def size_of(sweep: Sweep) -> tuple[float, float]:
     return (_MARGIN[0] + labels + width, _MARGIN[1] + _CELL[1] * len(sweep.values))
 
 
-def draw_panel(axes: Any, sweep: Sweep, place: int) -> None:
-    """Draw the map of one engine's method."""
+def draw_panel(axes: Any, sweep: Sweep, place: int, *, labelled: bool = True) -> None:
+    """Draw the map of one engine's method; not labelled where another one stands to its left."""
     panel = sweep.panels[place]
     for row, cells in enumerate(panel.cells):
         for column, cell in enumerate(cells):
@@ -67,7 +67,7 @@ def draw_panel(axes: Any, sweep: Sweep, place: int) -> None:
     axes.set_xlim(-0.5, len(steps) - 0.5)
     axes.set_ylim(-0.5, len(sweep.values) - 0.5)
     axes.set_xlabel("step [ms]")
-    axes.set_ylabel(_short(summary.swept(sweep)))
+    axes.set_ylabel(_short(summary.swept(sweep)) if labelled else "")
     axes.set_title(panel.name, fontsize=9, loc="left", color=INK)
     axes.tick_params(length=0)
     axes.grid(visible=False)

@@ -74,7 +74,7 @@ def _draw_study(figure: Any, sweep: Sweep) -> None:
     charts = figure.subplots(math.ceil(len(sweep.panels) / across), across, squeeze=False)
     for place, axes in enumerate(charts.flat):
         if place < len(sweep.panels):
-            draw_panel(axes, sweep, place)
+            draw_panel(axes, sweep, place, labelled=not place % across)
         else:
             axes.set_axis_off()
     draw_legend(figure, sweep, columns=4)

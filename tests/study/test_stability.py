@@ -351,7 +351,7 @@ def test_every_study_makes_a_scene_at_each_of_its_values(study: Study) -> None:
     ("name", "value", "figure"),
     [
         ("mass-ratio", 1e3, lambda s: sum(p.mass for p in s.bodies[-1].particles)),
-        ("spin", 30.0, lambda s: s.bodies[0].angular_velocity[1]),
+        ("spin", 30.0, lambda s: math.hypot(*s.bodies[0].angular_velocity)),
         ("throw", 50.0, lambda s: -float(STUDIES["throw"].batch(s).velocity[0, 0, 2])),
         ("friction", 2.0, lambda s: s.ground.friction),
         ("restitution", 0.5, lambda s: s.ground.restitution),

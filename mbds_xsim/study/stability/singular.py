@@ -23,6 +23,6 @@ STUDY = Study(
     sentence="a parallelogram that starts at, or shortly before, its singular pose",
     quantity="angle before the singular pose",
     unit="rad",
-    values=(1.0, 0.3, 0.03, 1e-3, 1e-6, 0.0),
+    values=(1.0, 0.3, 0.02, 1e-3, 1e-6, 0.0),
     make=_parallelogram,
 )

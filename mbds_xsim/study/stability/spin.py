@@ -1,7 +1,7 @@
-"""Spin of a body in free flight about its middle axis, where it is unstable.
+"""Spin of a body in free flight, about no axis in particular: it tumbles, without chaos.
 
-The rotation's own step limit: energy of an explicit method grows with (ω h), and an engine may cut
-the turn of a step or the rate itself.
+The rotation has a step limit of its own: an explicit method makes energy with ω h, as the
+gyroscopic moment is that of the last step, and an engine may cut the turn of a step or the rate.
 """
 
 from mbds_xsim.scene import Body, Particle, Scene
@@ -9,7 +9,7 @@ from mbds_xsim.study.stability.definition import Study
 
 __all__ = ["STUDY"]
 
-_TIP = 0.01  # of the rate, about the two other axes
+_DIRECTION = (0.6, 0.3, 0.74161984870956629)  # unit
 _ARM = 0.5  # [m]
 _MASSES = (0.5, 1.0, 2.0)  # of the particles on x, y and z [kg]
 
@@ -20,7 +20,7 @@ def _spinning(rate: float) -> Scene:
         Particle((arm * (k == 0), arm * (k == 1), arm * (k == 2)), _MASSES[k], 0.0)
         for k, arm in arms
     )
-    spin = (_TIP * rate, rate, _TIP * rate)
+    spin = (_DIRECTION[0] * rate, _DIRECTION[1] * rate, _DIRECTION[2] * rate)
     return Scene(
         name="spin",
         bodies=(
@@ -33,7 +33,7 @@ def _spinning(rate: float) -> Scene:
 
 STUDY = Study(
     name="spin",
-    sentence="a free body that spins about its middle axis of inertia",
+    sentence="a free body of three different moments of inertia that tumbles",
     quantity="spin",
     unit="rad/s",
     values=(1.0, 10.0, 30.0, 100.0, 300.0, 1000.0),
