@@ -27,7 +27,7 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
 
 SCENE = "6pendulum"
-COUNTS = {"mujoco": 133, "pybullet": 12, "dart": 6, "exudyn": 30}
+COUNTS = {"mujoco": 217, "pybullet": 12, "dart": 6, "exudyn": 30}
 REPEATS = 5
 PAPER = 15_000
 

@@ -20,9 +20,10 @@ from mbds_xsim.scene_file import write_scene
 
 __all__ = ["Item", "Variant", "folder_name"]
 
-_SHARD_BYTES = 2**24  # of body states; a worker holds some ten times as much
+_SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300
-_STATE_BYTES = 13 * 8  # of a body in a frame
+_BODY_BYTES = 13 * 8  # of a body in a frame
+_POINT_BYTES = 2 * 3 * 4
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,9 @@ class Variant:
     @property
     def shard_size(self) -> int:
         """Trajectories of a shard; it follows from the scene alone."""
-        frames = self.scene.clock.steps + 1
-        size = _SHARD_BYTES // (frames * len(self.scene.bodies) * _STATE_BYTES)
+        scene = self.scene
+        frame = len(scene.bodies) * _BODY_BYTES + scene.particle_count * _POINT_BYTES
+        size = _SHARD_BYTES // ((scene.clock.steps + 1) * frame)
         return max(1, min(size, _MOST))
 
     def items(self, trajectories: int) -> Iterator[Item]:
