@@ -144,7 +144,8 @@ def _frictions(record: Record, push: Push, placed: _Wheels) -> tuple[Array, Arra
     heading = np.stack([axle[..., 1], -axle[..., 0]], axis=-1)
     middle = (heading[:, 1:] + heading[:, :-1]) / 2
     level = np.linalg.norm(middle, axis=-1)
-    turned = np.linalg.norm(np.diff(heading, axis=1), axis=-1)
+    # A wheel that lies flat has none: near there it turns by more than can be followed.
+    turned = np.linalg.norm(np.diff(heading, axis=1), axis=-1) / level
     friction = (drive - np.diff(spin, axis=1)) / (radius * level)
     return friction, middle / level[..., None], turned
 
