@@ -100,6 +100,7 @@ def test_the_engine_that_warns_is_told_from_those_that_do_not() -> None:
         ("the linear solver failed: the system is singular", "engine", "gives up"),
         ("SolverError: reduction of step size reached minimum step size", "engine", "gives up"),
         ("DART's contact solver failed and a pyramid took the place of it", "adapter", "gives up"),
+        ("contacts solved to 0.023 m/s only", "adapter", "gives up"),
         ("a body turns by 1.2 rad in a step, the engine cuts that at π/4", "adapter", "clamped"),
         ("hits the ground at 150 m/s: DART cuts rebounds to 100 m/s", "adapter", "clamped"),
         ("blow-up: 1e+06 m/s or rad/s, the engine cuts at 1e+06", "adapter", "blows up"),

@@ -19,7 +19,7 @@ _MEANINGS: tuple[tuple[str, Outcome], ...] = (
     (r"blow-up|speed passes|not finite|not a number|huge value|[Nn]on-finite", "blows up"),
     (r"in the ground", "sinks in"),
     (r"\bcuts\b", "clamped"),
-    (r"Newton|linear solver|SolverError|solver failed", "gives up"),
+    (r"Newton|linear solver|SolverError|solver failed|solved to", "gives up"),
 )
 
 
