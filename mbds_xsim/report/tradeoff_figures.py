@@ -48,29 +48,34 @@ def _length(share: float) -> Callable[[Tradeoff], float]:
     return lambda study: share * study.length_m
 
 
+def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
+    """Give a budget [m]; none where a method is only held to its own limit."""
+    return lambda study: study.budget[budget] * study.length_m if study.own_limit is None else None
+
+
 _COST = "wall time per simulated second [s]"
 
 PANELS: tuple[Panel, ...] = (
     Panel(
-        title=lambda s: f"error at {_horizon(s)} over cost",
+        title=lambda s: f"{_what(s)}, over cost",
         x=lambda p: p.wall_s,
         y=lambda p: p.error_m,
         x_label=_COST,
         y_label="RMS particle error [m]",
         floor=_length(_REFERENCE),
         top=_length(_TOP),
-        budget=lambda s: s.error_budget_m,
+        budget=_accuracy("error_1s"),
         front=True,
     ),
     Panel(
-        title=lambda s: f"error at {_horizon(s)} over step: the order",
+        title=lambda s: f"{_what(s)}, over step",
         x=lambda p: p.step_s,
         y=lambda p: p.error_m,
         x_label="step [s]",
         y_label="RMS particle error [m]",
         floor=_length(_REFERENCE),
         top=_length(_TOP),
-        budget=lambda s: s.error_budget_m,
+        budget=_accuracy("error_1s"),
         is_cost=False,
     ),
     Panel(
@@ -81,7 +86,7 @@ PANELS: tuple[Panel, ...] = (
         y_label="max of error / max(1, G) [m]",
         floor=_length(_REFERENCE),
         top=_length(_TOP),
-        budget=lambda s: s.budget["error"] * s.length_m,
+        budget=_accuracy("error"),
     ),
     Panel(
         title=lambda s: "energy that contact creates" if s.contact else "energy balance",
@@ -258,11 +263,16 @@ def _told(curve: CurveResult, point: Point) -> str:
     )
 
 
-def _horizon(study: Tradeoff) -> str:
-    return f"{study.horizon_s:g} s" if study.reference_ends_s is None else "the first impact"
+def _what(study: Tradeoff) -> str:
+    """Name the charted error and its time."""
+    if study.own_limit is not None:
+        return f"distance to the own run at {study.own_limit} steps a frame"
+    if study.reference_ends_s is not None:
+        return "error at the first impact"
+    return f"error at {study.horizon_s:g} s"
 
 
 def _span(study: Tradeoff) -> str:
-    if study.reference_ends_s is None:
+    if study.reference_ends_s is None or study.own_limit is not None:
         return f"{study.duration_s:g} s"
     return f"the {study.reference_ends_s:.2g} s before the first impact"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -95,7 +96,7 @@ def _panels(study: Tradeoff) -> list[Panel]:
 
 
 def _footnotes(study: Tradeoff) -> list[str]:
-    lines = [summary.what_is_charted(study)]
+    lines = textwrap.wrap(summary.what_is_charted(study), _LONGEST)
     failed = [f"{name}: {steps}: {what}" for name, steps, what in summary.failures(study)]
     lines += failed[:_MOST_LINES]
     if len(failed) > _MOST_LINES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ __all__ = [
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""
 _BUSY = 1.1
+_NUMBER = re.compile(r"[\d.]+(e[+-]?\d+)?")
 _ORDER = "Order of convergence measured; in brackets the one declared for smooth motion"
 _SHOWN_BELOW = (1e-1, 1e-3)
 """Accuracies told beside the budget, over it."""
@@ -99,7 +101,8 @@ def conclusion(study: Tradeoff) -> str:
     return (
         f"cheapest within all budgets: {curve.name} at {quantity.span(point.step_s)}, "
         f"{quantity.span(point.wall_s)} a simulated second ({_speed(point)} real time), "
-        f"error {quantity.length(point.error_m)}"
+        f"{'error' if study.own_limit is None else 'from its own limit'} "
+        f"{quantity.length(point.error_m)}"
     )
 
 
@@ -111,10 +114,13 @@ def what_is_charted(study: Tradeoff) -> str:
             f"RMS distance of the particles to the reference at {study.horizon_s:g} s, the worst "
             f"of {starts} (seed {study.seed})"
         )
-    if not study.horizon_s:
+    if study.own_limit is not None:
         return (
-            "no error can be told: several spheres touch the ground from the start, and what "
-            "follows has no unique solution in rigid contact"
+            f"RMS distance of the particles to the method's own run at {study.own_limit} steps a "
+            f"frame, at {study.horizon_s:g} s, the worst of {starts} (seed {study.seed}): several "
+            "spheres touch the ground from the start, and what follows has no unique solution in "
+            "rigid contact; this shows convergence, not truth, and engines may converge to "
+            "different motions"
         )
     return (
         f"RMS distance of the particles to the reference, the worst of {starts} (seed "
@@ -155,12 +161,16 @@ def machine_told(study: Tradeoff) -> str:
 
 
 def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
-    """List what did not come to an end: curve, steps, what happened."""
+    """List what did not come to an end: curve, steps, what happened.
+
+    Reasons that differ in numbers only are told once, by the first.
+    """
     lines = []
     for curve in study.curves:
         bad = [point for point in curve.points if point.kind != "done"]
-        for (kind, reason), points in itertools.groupby(bad, lambda p: (p.kind, p.reason)):
-            lines.append((curve.name, steps_told(list(points)), f"{kind}: {reason}"))
+        for _, group in itertools.groupby(bad, lambda p: (p.kind, _NUMBER.sub("", p.reason))):
+            points = list(group)
+            lines.append((curve.name, steps_told(points), f"{points[0].kind}: {points[0].reason}"))
     return _merged(lines)
 
 

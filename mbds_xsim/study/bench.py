@@ -14,10 +14,11 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 from mbds_xsim.study.identity import machine, row_key
-from mbds_xsim.study.point import Measured, Truth, horizon_of, measure
+from mbds_xsim.study.point import INSTANT, Measured, horizon_of, measure
 from mbds_xsim.study.rows import Kind, Row
 from mbds_xsim.study.store import Store
 from mbds_xsim.study.sweep import Curve
+from mbds_xsim.study.truths import Place, Truths
 
 __all__ = ["Bench", "Job", "Meter"]
 
@@ -47,6 +48,11 @@ class Job:
     start: int
     """Row of the batch."""
 
+    @property
+    def place(self) -> Place:
+        """What decides the truth it is held against."""
+        return self.curve.engine, self.curve.method, self.start
+
 
 @dataclass
 class Bench:
@@ -54,7 +60,7 @@ class Bench:
 
     scene: Scene
     batch: Batch
-    truths: list[Truth]
+    truths: Truths
     seed: int
     limit: float
     """Longest rollout of one start [s]."""
@@ -82,6 +88,7 @@ class Bench:
             self.measured += 1
             self.meter.advance(jobs[place].curve.name)
 
+        self.truths.prepare([jobs[place].place for place in missing])
         tasks = [self._task(jobs[place]) for place in missing]
         run_tasks(tasks, workers=self.workers, finished=finished)
         return [row for row in found if row is not None]
@@ -90,6 +97,13 @@ class Bench:
         """Give the row of a point that is not worth waiting for."""
         reason = f"predicted {predicted:.0f} s a start, limit {self.limit:g} s"
         return self._bare(Job(curve, count, 0), "", "too slow", reason)
+
+    @property
+    def horizon(self) -> float:
+        """Time of the charted error, the earliest of all starts [s]."""
+        if self.truths.are_limits:
+            return min(INSTANT, self.scene.clock.duration)
+        return min(horizon_of(truth.trajectory) for truth in self.truths.references)
 
     def _key(self, job: Job) -> str:
         settings = job.curve.settings(self.scene, job.count)
@@ -114,7 +128,7 @@ class Bench:
     def _task(self, job: Job) -> Task:
         settings: Settings = job.curve.settings(self.scene, job.count)
         start = self.batch[[job.start]]
-        arguments = (self.scene, start, job.curve.engine, settings, self.truths[job.start])
+        arguments = (self.scene, start, job.curve.engine, settings, self.truths.of(job.place))
         return Task(measure, arguments, _PATIENCE * self.limit + _GRACE)
 
     def _row(self, key: str, job: Job, answer: Measured | Crash) -> Row:
@@ -158,5 +172,5 @@ class Bench:
             limit_s=self.limit,
             kind=kind,
             reason=" ".join(reason.split()),
-            horizon_s=horizon_of(self.truths[job.start].trajectory),
+            horizon_s=self.horizon,
         )

@@ -65,6 +65,8 @@ def _next_count(bench: Bench, curve: Curve, rows: Sequence[Row]) -> int | None:
     if len(rows) == len(curve.counts):
         return None
     count = curve.counts[len(rows)]
+    if count > SPAN and bench.truths.are_limits:
+        return None
     if count > SPAN and rows and not _wants_more(bench, rows[-1]):
         return None
     return count

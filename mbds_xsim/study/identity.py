@@ -20,6 +20,7 @@ from mbds_xsim.state import Batch
 
 __all__ = ["machine", "row_key"]
 
+_MEASURING = ("point.py", "truths.py")
 _CORE = ("engine.py", "state.py", "joint_space.py", "assembly.py", "markers.py", "simulate.py")
 
 
@@ -69,5 +70,6 @@ def _code(engine: str) -> bytes:
     core = Path(mbds_xsim.__file__).parent
     sources = [adapter, *sorted(adapter.parent.glob(f"_{adapter.stem}_*.py"))]
     sources += [core / name for name in _CORE]
-    sources += [*sorted((core / "checks").glob("*.py")), core / "study" / "point.py"]
+    sources += sorted((core / "checks").glob("*.py"))
+    sources += [core / "study" / name for name in _MEASURING]
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).digest()

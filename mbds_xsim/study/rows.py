@@ -131,6 +131,9 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     """Time of the error that is charted; the smallest of all starts [s]."""
     reference_ends_s: float | None
     """Where a contact scene's reference first ends without a unique answer [s]."""
+    own_limit: int | None = None
+    """Where the reference ends at once, each method is held against its own run at so many steps
+    a frame, which shows convergence and no truth; no budget of accuracy is judged."""
     duration_s: float
     length_m: float
     budget: dict[str, float]

@@ -9,11 +9,10 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from mbds_xsim import reference, registry
+from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
-from mbds_xsim.reference import FirstImpact
+from mbds_xsim.isolate import core_count
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
@@ -22,10 +21,10 @@ from mbds_xsim.study.bench import Bench, Meter
 from mbds_xsim.study.curves import curve_results, ratios_of
 from mbds_xsim.study.explore import Found, explore
 from mbds_xsim.study.identity import machine
-from mbds_xsim.study.point import Truth, horizon_of
 from mbds_xsim.study.rows import SCHEMA, Row, Tradeoff
 from mbds_xsim.study.store import Store
 from mbds_xsim.study.sweep import Curve, curves_of
+from mbds_xsim.study.truths import LIMIT_COUNT, Truths, first_impact, references
 
 __all__ = ["LIMIT", "STARTS", "tradeoff", "tradeoff_with_rows"]
 
@@ -34,7 +33,6 @@ LIMIT = 30.0
 """Longest rollout of one start [s]."""
 
 _INTERVAL = "medium"  # low starts are easier, and high ones are chaos before anything can be told
-_TRUTH_TIMEOUT = 3600.0
 
 
 class _Silent:
@@ -104,7 +102,14 @@ def tradeoff_with_rows(
     bench = Bench(
         scene=scene,
         batch=batch,
-        truths=_truths(scene, batch, cache, workers),
+        truths=Truths(
+            scene=scene,
+            batch=batch,
+            references=references(scene, batch, cache=cache, workers=workers),
+            usual={(c.engine, c.method): c for c in curves if not c.variation},
+            limit=limit,
+            workers=workers,
+        ),
         seed=seed,
         limit=limit,
         workers=workers,
@@ -128,7 +133,6 @@ def _study(
 ) -> Tradeoff:
     scene = bench.scene
     results = curve_results(scene, curves, found)
-    horizons = [horizon_of(truth.trajectory) for truth in bench.truths]
     return Tradeoff(
         schema=SCHEMA,
         scene=scene.name,
@@ -136,8 +140,9 @@ def _study(
         command=command,
         seed=bench.seed,
         trajectories=tuple(int(index) for index in bench.batch.index),
-        horizon_s=min(horizons),
-        reference_ends_s=_first_impact(bench.truths),
+        horizon_s=bench.horizon,
+        reference_ends_s=first_impact(bench.truths.references),
+        own_limit=LIMIT_COUNT if bench.truths.are_limits else None,
         duration_s=scene.clock.duration,
         length_m=scene.length,
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
@@ -160,35 +165,6 @@ def _draw(scene: Scene, starts: int, seed: int) -> Batch:
     first = INTERVALS.index(_INTERVAL)
     indices = range(first, first + starts * len(INTERVALS), len(INTERVALS))
     return draw_batch(scene, indices, seed=seed)
-
-
-def _truths(scene: Scene, batch: Batch, cache: bool, workers: int | None) -> list[Truth]:
-    tasks = [Task(_truth, (scene, batch[[k]], cache), _TRUTH_TIMEOUT) for k in range(len(batch))]
-    truths = run_tasks(tasks, workers=workers)
-    for truth in truths:
-        reason = truth.reason if isinstance(truth, Crash) else _failed(truth)
-        if reason:
-            msg = f"the reference solution failed, so no error can be told: {reason}"
-            raise InputError(msg)
-    return truths
-
-
-def _truth(scene: Scene, start: Batch, cache: bool) -> Truth:
-    trajectory = reference.solve(scene, start, cache=cache)
-    growth = reference.sensitivity(scene, start, cache=cache)
-    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
-    return Truth(trajectory, growth)
-
-
-def _failed(truth: Truth) -> str:
-    """Why a reference ended, where no impact explains it."""
-    failure = truth.trajectory.failures[0]
-    return failure.reason if failure and not isinstance(failure, FirstImpact) else ""
-
-
-def _first_impact(truths: list[Truth]) -> float | None:
-    ends = [truth.trajectory.failures[0] for truth in truths]
-    return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
 
 
 def _busy(rows: list[Row]) -> float:

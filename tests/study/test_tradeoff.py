@@ -6,6 +6,7 @@ import functools
 import math
 import statistics
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from mbds_xsim.study.rows import Row, Tradeoff
 from mbds_xsim.study.store import Store
 from mbds_xsim.study.sweep import Curve, curves_of
 from mbds_xsim.study.tradeoff import tradeoff, tradeoff_with_rows
+from mbds_xsim.study.truths import LIMIT_COUNT
 
 _HANG = 2.0  # [s] until a hanging task is ended
 
@@ -163,6 +165,21 @@ def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() ->
     assert study.horizon_s <= study.reference_ends_s < 0.8
     assert study.horizon_s > 0.2
     assert _curve(study, "mujoco RK4").points[0].error_m < 1e-6
+
+
+def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
+    car = registry.load_scene("particlecar")
+    short = msgspec.structs.replace(car, clock=msgspec.structs.replace(car.clock, steps=4))
+
+    study = _study(short, "pybullet")
+
+    assert study.own_limit == LIMIT_COUNT
+    points = _curve(study, "pybullet semi-implicit-euler").points
+    errors = [point.error_m for point in points]
+    assert all(coarse > fine > 0 for coarse, fine in pairwise(errors))
+    assert all("error at 1 s" not in point.broken for point in points)
+    assert max(point.steps_per_frame for point in points) < LIMIT_COUNT
+    assert _study(short, "pybullet").measured == 0
 
 
 def test_a_line_that_was_cut_off_is_passed_over(scene: Scene) -> None:

@@ -133,11 +133,23 @@ def test_a_busy_machine_is_told(study: Tradeoff) -> None:
 
 def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
     impact = msgspec.structs.replace(study, reference_ends_s=0.383, horizon_s=0.38)
-    at_once = msgspec.structs.replace(study, reference_ends_s=0.0, horizon_s=0.0)
+    at_once = msgspec.structs.replace(study, reference_ends_s=0.0, own_limit=200)
 
     assert "at 1 s, the worst of 3 medium starts" in summary.what_is_charted(study)
     assert "before the first impact (0.38 s" in summary.what_is_charted(impact)
-    assert "no unique solution" in summary.what_is_charted(at_once)
+    assert "the method's own run at 200 steps a frame, at 1 s" in summary.what_is_charted(at_once)
+    assert "from its own limit" in summary.conclusion(at_once)
+
+
+def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:
+    reasons = {1: "frame 1: residual 1e-01", 2: "frame 2: residual 1e-02", 4: "a clamp"}
+    bad = [_point(n, None, 0.0, kind="failed", reason=told) for n, told in reasons.items()]
+    failing = msgspec.structs.replace(study, curves=(_curve("dart", "RK4", bad),))
+
+    assert summary.failures(failing) == [
+        ("dart RK4", "20 ms, 10 ms", "failed: frame 1: residual 1e-01"),
+        ("dart RK4", "5.0 ms", "failed: a clamp"),
+    ]
 
 
 def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
