@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import heapq
 import math
 from collections.abc import Sequence
@@ -214,7 +215,7 @@ def match(
         held_out=held_out,
         machine=machine(),
         engines=tuple(
-            _settle(proof, [c for c in candidates if c.curve.engine == name], used[name])
+            _settle(ground, proof, [c for c in candidates if c.curve.engine == name], used[name])
             for name in engines
         ),
         left_out=left_out,
@@ -268,7 +269,12 @@ def _left(ground: _Field, asked: list[tuple[_Candidate, int]]) -> float:
     return 3.0 * sum(2.0 + 2.0 * simulated * c.cost_at(count) for c, count in asked)
 
 
-def _settle(proof: _Field, candidates: list[_Candidate], used: tuple[Settings, Trial]) -> Found:
+def _settle(
+    ground: _Field,
+    proof: _Field,
+    candidates: list[_Candidate],
+    used: tuple[Settings, Trial],
+) -> Found:
     """Verify the cheapest; after a failure the next shorter step, or a method cheaper by now."""
     queue = [(c.cost, place) for place, c in enumerate(candidates) if c.cost < math.inf]
     heapq.heapify(queue)
@@ -280,6 +286,8 @@ def _settle(proof: _Field, candidates: list[_Candidate], used: tuple[Settings, T
         trial = proof.run_spread(candidate.curve, count)
         candidate.proofs[count] = trial
         if trial.passed:
+            if count not in candidate.trials:  # told apart from the settings until now
+                (candidate.trials[count],) = ground.run([(candidate.curve, count)])
             return _found(proof, candidate, count, trial, candidates, used)
         candidate.search.refuse(count)
         if candidate.cost * proof.scene.clock.duration <= proof.limit:
@@ -298,7 +306,9 @@ def _best_effort(
              for n, trial in (c.trials | c.proofs).items()]  # fmt: skip
     _, _, place, count = min(tried)
     candidate = candidates[place]
-    trial = proof.run_spread(candidate.curve, count)
+    trial = candidate.proofs.get(count) or proof.run_spread(candidate.curve, count)
+    if trial.passed:  # not on the starts of the search
+        trial = dataclasses.replace(trial, reasons=candidate.trials[count].reasons)
     return _found(proof, candidate, count, trial, candidates, used)
 
 
