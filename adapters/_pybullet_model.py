@@ -127,9 +127,12 @@ class Model:
 
     def get(self) -> BodyStates:
         """Read the state."""
-        state = self._state()
-        native = rotation.multiply(state[:, [6, 3, 4, 5]], rotation.conjugate(self._principal))
-        return BodyStates(state[:, 0:3], native, state[:, 7:10], state[:, 10:13])
+        return self.states(self._state())
+
+    def states(self, state: Array) -> BodyStates:
+        """Body states of what Bullet tells (…, body, 13): see `_state`."""
+        native = rotation.multiply(state[..., [6, 3, 4, 5]], rotation.conjugate(self._principal))
+        return BodyStates(state[..., 0:3], native, state[..., 7:10], state[..., 10:13])
 
     def _state(self) -> Array:
         """Position, xyzw of the inertial frame, velocity, angular velocity; (body, 13)."""

@@ -1,0 +1,165 @@
+"""What the adapters cost beside their engines.
+
+python -m benchmarks.adapter_overhead [SCENE…] > reports/adapter-overhead.md
+
+Each engine gets the adapter's own native model at matched settings. The adapter's rollout of a
+start and a lean loop by hand (`lean_loops`) take turns on it. The aim is an overhead of 10 %.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from statistics import median, quantiles
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.lean_loops import LEAN, Lean, apart
+from mbds_xsim.engine import Run
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+
+Array = NDArray[np.float64]
+
+SCENES = ("6pendulum", "3ladder", "simplecubli")
+STARTS, REPEATS = 3, (15, 91)
+PATIENCE = 4.0  # seconds of engine time a line may take, if the repeats are enough
+MOST = 0.10
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table; times of the processor [s]."""
+
+    scene: str
+    engine: str
+    adapter: float
+    lean: float
+    ratios: Array
+    """Of the processor's times, one a repeat."""
+    wall: float
+    """Median ratio of wall times."""
+    load: float
+    start: float
+    apart: float
+
+
+def measure(scene: Scene, engine: str) -> Line:
+    """Let the adapter and the lean loop take turns on one native model."""
+    adapter = load_adapter(engine)
+    settings = settings_for(scene, adapter, "matched")
+    load = median(spent(lambda: adapter.open(scene, settings).close())[0] for _ in range(5))
+    batches = [draw_batch(scene, [k]) for k in range(STARTS)]
+    with adapter.open(scene, settings) as run:
+        leans = [LEAN[engine](run, batch) for batch in batches]
+        gaps = [
+            apart(Mechanism.of(scene), run, batch, lean)
+            for batch, lean in zip(batches, leans, strict=True)
+        ]
+        still = batches[0].truncated(0)
+        start = median(spent(lambda: run.rollout(still))[0] for _ in range(15))
+        pair = spent(leans[0].roll)[0] + spent(lambda: run.rollout(batches[0]))[0]
+        low, high = REPEATS
+        times = np.array(
+            [
+                _turn(run, batches[k % STARTS], leans[k % STARTS], first=k // STARTS % 2 == 0)
+                for k in range(min(high, max(low, int(PATIENCE / pair))))
+            ]
+        )
+    ratios = times[:, 0] / times[:, 1]
+    cpu = np.median(times[..., 0], axis=0)
+    return Line(
+        scene=scene.name,
+        engine=engine,
+        adapter=float(cpu[0]),
+        lean=float(cpu[1]),
+        ratios=ratios[:, 0],
+        wall=float(np.median(ratios[:, 1])),
+        load=load,
+        start=start,
+        apart=max(gaps),
+    )
+
+
+def _turn(run: Run, batch: Batch, lean: Lean, *, first: bool) -> list[tuple[float, float]]:
+    """Times of the adapter and of the lean loop, the adapter first or last."""
+    if first:
+        mine = spent(lambda: run.rollout(batch))
+        return [mine, spent(lean.roll)]
+    bare = spent(lean.roll)
+    return [spent(lambda: run.rollout(batch)), bare]
+
+
+def spent(work: Callable[[], object]) -> tuple[float, float]:
+    """Time of the processor, and on the wall [s]."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    work()
+    return time.process_time() - cpu, time.perf_counter() - wall
+
+
+def table(lines: list[Line]) -> Iterator[str]:
+    """Write the lines as Markdown."""
+    yield (
+        "| scene | engine | adapter | lean loop | overhead | of 50 % | of wall time | same to | "
+        + ("load | start |")
+    )
+    yield "| :-- | :-- | --: | --: | --: | --: | --: | --: | --: | --: |"
+    for line in lines:
+        low, middle, high = (value - 1.0 for value in quantiles(line.ratios, n=4))
+        mark = "**" if middle > MOST else ""
+        yield (
+            f"| {line.scene} | {line.engine} | {1e3 * line.adapter:.1f} ms "
+            f"| {1e3 * line.lean:.1f} ms | {mark}{middle:+.1%}{mark} "
+            f"| {low:+.1%} to {high:+.1%} | {line.wall - 1.0:+.1%} | {line.apart:.0e} "
+            f"| {line.load / line.adapter:.1%} | {line.start / line.adapter:.1%} |"
+        )
+
+
+_HEAD = f"""\
+# What the adapters cost beside their engines
+
+<!-- Written by: python -m benchmarks.adapter_overhead > reports/adapter-overhead.md -->
+
+The adapter's rollout of one start over 4 s, which is what `cost` in other reports means, against a
+lean loop by hand on the same native model with the same inputs and steps (see
+`benchmarks/lean_loops.py`), at matched settings. Times are the processor's, medians over at
+least {REPEATS[0]} turns of each on {STARTS} starts, in one process on one thread. An overhead above
+{MOST:.0%} is bold.
+"""
+
+_FOOT = """\
+- Overhead: adapter over lean loop less 1, the median over turns; of 50 %: what the middle half of
+  the turns had; of wall time: the median told by the clock on the wall
+- Same to: largest difference of the two trajectories in positions, quaternions and velocities
+- Load: building the model, once a process; start: what a rollout costs before its first step and
+  after its last, with the state reset and nothing built. Both as a part of the adapter's time"""
+
+
+def main(names: list[str]) -> None:
+    lines = []
+    for name in names or SCENES:
+        for engine in LEAN:
+            lines.append(measure(load_scene(name), engine))
+            print(name, engine, file=sys.stderr)
+    print(_HEAD)
+    print("\n".join(table(lines)), end="\n\n")
+    print(_FOOT)
+    print(f"- Made on {platform.machine()}, {os.cpu_count()} cores, {platform.system()}, {_with()}")
+
+
+def _with() -> str:
+    engines = [f"{name} {load_adapter(name).version()}" for name in LEAN]
+    return ", ".join([f"Python {platform.python_version()}", f"numpy {np.__version__}", *engines])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,56 @@
+"""The loops that the adapters' speed is held against do what the adapters do."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+
+_ROOT = Path(__file__).parents[1]
+_SAME = 1e-12
+
+
+@pytest.fixture
+def loops(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(_ROOT))
+    return importlib.import_module("benchmarks.lean_loops")
+
+
+# The cube comes down before its last frame, so that steps near the ground are among them.
+@pytest.mark.parametrize(
+    ("scene", "frames"), [("6pendulum", 8), ("3ladder", 8), ("simplecubli", 60)]
+)
+def test_the_lean_loop_makes_the_adapters_trajectory(
+    loops: ModuleType, scene: str, frames: int, engine: str
+) -> None:
+    description = load_scene(scene)
+    adapter = load_adapter(engine)
+    batch = draw_batch(description, [1]).truncated(frames)
+    with adapter.open(description, settings_for(description, adapter, "matched")) as run:
+        lean = loops.LEAN[engine](run, batch)
+        assert loops.apart(Mechanism.of(description), run, batch, lean) < _SAME
+
+
+def test_the_lean_loop_applies_the_inputs(loops: ModuleType, engine: str) -> None:
+    description = load_scene("simplecubli")
+    adapter = load_adapter(engine)
+    batch = draw_batch(description, [1]).truncated(5)
+    with adapter.open(description, settings_for(description, adapter, "matched")) as run:
+        lean = loops.LEAN[engine](run, batch)
+        lean.roll()
+        with_inputs = lean.bodies()
+        for inputs in (batch.force, batch.torque):
+            inputs[:] = 0.0
+        lean = loops.LEAN[engine](run, batch)
+        lean.roll()
+        without = lean.bodies()
+    assert np.abs(with_inputs.velocity - without.velocity).max() > 1e-4
+    assert np.abs(with_inputs.angular_velocity - without.angular_velocity).max() > 1e-2
