@@ -18,7 +18,14 @@ from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["Row", "error_findings", "judge", "reference_result"]
+__all__ = [
+    "Row",
+    "error_findings",
+    "failed_lines",
+    "finding_result",
+    "judge",
+    "reference_result",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -175,7 +182,7 @@ def _result(
     by_name = {finding.check: finding for finding in findings}
     failures = tuple(outcome.failures(batch))
     differences = _readback_differences(scene, batch, outcome) if native else []
-    reasons = (*failures, *differences, *_failed(batch, findings))
+    reasons = (*failures, *differences, *failed_lines(batch, findings))
     simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
     size = simulations[0].size if simulations else None
     agreed = None if error is None else _agreed(scene, error, reference.trajectory)
@@ -202,7 +209,7 @@ def _result(
         setup_s=float(np.median([s.setup_s for s in simulations])) if simulations else None,
         coordinates=size.coordinates if size else None,
         constraints=size.constraints if size else None,
-        findings=tuple(_finding_result(batch, finding) for finding in findings),
+        findings=tuple(finding_result(batch, finding) for finding in findings),
         failures=failures,
     )
 
@@ -223,7 +230,7 @@ def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[
     return []
 
 
-def _failed(batch: Batch, findings: list[Finding]) -> list[str]:
+def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
     """One line for each check that failed, the worst trajectory named."""
     lines = []
     for finding in findings:
@@ -238,7 +245,8 @@ def _failed(batch: Batch, findings: list[Finding]) -> list[str]:
     return lines
 
 
-def _finding_result(batch: Batch, finding: Finding) -> FindingResult:
+def finding_result(batch: Batch, finding: Finding) -> FindingResult:
+    """Give a finding as it is written."""
     row = finding.worst
     return FindingResult(
         check=finding.check,

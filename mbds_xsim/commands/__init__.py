@@ -1,6 +1,7 @@
 """The commands, a file each; importing one adds it to the command line."""
 
 from mbds_xsim.commands import (
+    audit,
     contact,
     generate,
     listing,
@@ -11,4 +12,14 @@ from mbds_xsim.commands import (
     verify,
 )
 
-__all__ = ["contact", "generate", "listing", "match", "stability", "tradeoff", "validate", "verify"]
+__all__ = [
+    "audit",
+    "contact",
+    "generate",
+    "listing",
+    "match",
+    "stability",
+    "tradeoff",
+    "validate",
+    "verify",
+]

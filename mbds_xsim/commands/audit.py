@@ -1,0 +1,73 @@
+"""`mbds-xsim audit`: check trajectories from anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    scene_named,
+    write_json,
+)
+
+__all__ = ["audit"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim audit lab.csv --scene 6pendulum  ·  "
+    "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0"
+)
+def audit(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
+    scene: Annotated[
+        str | None,
+        typer.Option(help="A built-in name, a family with a size, or a file; else the file's own."),
+    ] = None,
+    index: Annotated[
+        str | None, typer.Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of those starts.", min=0)] = None,
+    noise: Annotated[
+        bool | None, typer.Option(help="Whether their random forces acted.", show_default=False)
+    ] = None,
+    order: Annotated[
+        int | None, typer.Option(help="Order of the method that made it; else first.", min=1)
+    ] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Its integration step [s]; else the frame.", min=1e-12)
+    ] = None,
+    velocity_lag: Annotated[
+        float | None, typer.Option(help="Velocities belong to frame time + lag [s].")
+    ] = None,
+    contact_time: Annotated[
+        float | None, typer.Option(help="Over which it spreads an impact [s].", min=0.0)
+    ] = None,
+    json: JsonFile = None,
+) -> None:
+    """Check trajectories from anywhere: another engine, a lab, a learned model."""
+    from mbds_xsim.dataset.audit import Told, audit_file
+    from mbds_xsim.dataset.numbers import parse_numbers
+    from mbds_xsim.report.auditing import print_audited
+
+    console = console_for(json)
+    check_targets(json=json)
+    told = Told(
+        index=None if index is None else tuple(parse_numbers(index, "--index")),
+        seed=seed,
+        noise=noise,
+        step_s=step,
+        method_order=order,
+        velocity_lag_s=velocity_lag,
+        contact_time_s=contact_time,
+    )
+    audited = audit_file(file, None if scene is None else scene_named(scene), told)
+    print_audited(audited, console)
+    write_json(encoded(audited), json)
+    raise typer.Exit(0 if audited.verdict == "pass" else 1)

@@ -1,0 +1,371 @@
+"""Check trajectories from anywhere, and say which checks their file does not allow."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import reference
+from mbds_xsim.checks import CHECKS, Finding, Record, audit
+from mbds_xsim.checks.integrity import finite, planarity, start
+from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.overlap import penetration
+from mbds_xsim.dataset.foreign import Foreign, read_foreign
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.recover import recover
+from mbds_xsim.engine import Method
+from mbds_xsim.errors import InputError
+from mbds_xsim.judge import error_findings, failed_lines, finding_result
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.result import FindingResult
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["Audited", "Told", "audit_file"]
+
+Array = NDArray[np.float64]
+
+_OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
+_SMOOTH = ("kinematics", "velocity lag", "energy", "momentum")
+_MOST_COMPARED = 3
+_SAME_INPUT = 1e-9
+_SAME_START = 1e-12
+_FITTED = 1e-10  # what fitting bodies to points adds to rounding, relative
+_MAGNIFIED = 8.0  # rounding of points in what is fitted to them, at most
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the user says; it goes before what the file says."""
+
+    index: tuple[int, ...] | None = None
+    seed: int | None = None
+    noise: bool | None = None
+    step_s: float | None = None
+    method_order: int | None = None
+    velocity_lag_s: float | None = None
+    contact_time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Audited:
+    """What became of the trajectories of a file."""
+
+    file: str
+    scene: str
+    verdict: str
+    """"pass" or "fail", of the checks that ran."""
+    trajectories: int
+    steps: int
+    frame_s: float
+    given: tuple[str, ...]
+    """Arrays that the file has."""
+    taken: tuple[str, ...]
+    """What was taken for what: the start, the inputs, the method, what was derived."""
+    findings: tuple[FindingResult, ...]
+    reasons: tuple[str, ...]
+    """A line for each check that failed."""
+    not_checked: dict[str, str]
+    """Checks that could not run, with the reason."""
+
+
+def audit_file(path: Path, scene: Scene | None, told: Told) -> Audited:
+    """Check a file of trajectories.
+
+    Args:
+        path: npz, HDF5 or CSV; `docs/data-commands.md` lists names and columns.
+        scene: What moves; None: what the file says.
+        told: What else is known.
+
+    Raises:
+        InputError: The file, or what is told of it, cannot be used.
+    """
+    foreign = read_foreign(path, scene)
+    case = _Case.of(foreign, told)
+    findings = case.findings()
+    reasons = tuple(failed_lines(case.batch, findings))
+    return Audited(
+        file=str(path),
+        scene=foreign.scene.name,
+        verdict="fail" if reasons else "pass",
+        trajectories=foreign.count,
+        steps=foreign.steps,
+        frame_s=foreign.scene.clock.frame,
+        given=tuple(foreign.arrays),
+        taken=tuple(case.taken),
+        findings=tuple(finding_result(case.batch, finding) for finding in findings),
+        reasons=reasons,
+        not_checked=case.not_checked,
+    )
+
+
+@dataclass(eq=False)
+class _Case:
+    """A file with its starts and inputs; collects what was taken for granted and left out."""
+
+    foreign: Foreign
+    batch: Batch
+    named: bool
+    """Whether seed and index name the start."""
+    told: Told
+    taken: list[str]
+    not_checked: dict[str, str]
+
+    @staticmethod
+    def of(foreign: Foreign, told: Told) -> _Case:
+        """Settle starts and inputs."""
+        told = _completed(told, foreign)
+        taken: list[str] = []
+        index = _index(foreign, told)
+        if index is None:
+            batch = _unnamed(foreign, taken)
+        else:
+            batch = _drawn(foreign, foreign.asked, index, told)
+            noise = "with" if told.noise is not False else "without"
+            numbers = f"{index[0]}" if len(index) == 1 else f"{index[0]} … {index[-1]}"
+            taken.append(
+                f"start and inputs: those of seed {told.seed}, index {numbers}, {noise} noise"
+            )
+        return _Case(foreign, batch, index is not None, told, taken, {})
+
+    def findings(self) -> list[Finding]:
+        """Run every check that the file allows."""
+        arrays, found = self.foreign.arrays, list[Finding]()
+        points = arrays.get("position")
+        if "body/position" in arrays:
+            states = {key: arrays.get(f"body/{key}") for key in _STATE}
+            blur = {key: self.foreign.rounding.get(f"body/{key}", 0.0) for key in _STATE}
+            found += self._of_bodies(states, max(blur.values()), blur["orientation"])
+            if points is not None:
+                found.append(self._points(points, states))
+        elif points is not None:
+            found += self._of_points(points, arrays.get("velocity"))
+        if self.named:
+            found += [*self._inputs(), *self._errors()]
+        else:
+            reason = "no --index and --seed: which start it is is not told"
+            for name in ("start", "error at 1 s", "error growth-weighted"):
+                self.not_checked[name] = reason
+        return found
+
+    def _of_bodies(
+        self, states: dict[str, Array | None], blur: float, turned: float
+    ) -> list[Finding]:
+        """Run the checks on states of bodies, without velocities those of positions alone."""
+        method, step = self._method()
+        moving = states["velocity"] is not None
+        filled = self._trajectory(states)
+        if moving:
+            found = audit(
+                self.foreign.scene,
+                self.batch,
+                filled,
+                method,
+                step=step,
+                contact_time=self.told.contact_time_s,
+            )
+        else:
+            record = Record(self.foreign.scene, self.batch, filled, method, step)
+            maybe = [check(record) for check in _OF_POSITIONS]
+            found = [finding for finding in maybe if finding is not None]
+            self._leave_out("no velocities")
+        off = {"start": blur, "finite": turned}
+        if turned > _SAME_INPUT or (blur > _SAME_INPUT and self.named):
+            self.taken.append(f"rounding: start and finite may be off by up to {blur:.0e} for it")
+        return [
+            dataclasses.replace(one, uncertainty=one.uncertainty + off.get(one.check, 0.0))
+            for one in found
+            if one.check != "start" or self.named
+        ]
+
+    def _trajectory(self, states: dict[str, Array | None]) -> Trajectory:
+        """Give the core's type; velocities that nothing looks at are those of the start."""
+        whole = {key: values for key, values in states.items() if values is not None}
+        for key in set(_STATE) - set(whole):
+            frames = (len(self.batch), self.foreign.steps + 1, *getattr(self.batch, key).shape[1:])
+            whole[key] = np.broadcast_to(getattr(self.batch, key)[:, None], frames)
+        failures = (None,) * len(self.batch)
+        return Trajectory(self.foreign.arrays["time"], **whole, failures=failures)
+
+    def _of_points(self, position: Array, velocity: Array | None) -> list[Finding]:
+        """Fit rigid bodies to the points, and check these where the points tell all of them."""
+        scene, rounding = self.foreign.scene, self.foreign.rounding
+        fit = recover(scene, position, velocity)
+        names = tuple(body.name for body in scene.bodies)
+        rigid = Finding.of("rigidity", "m", fit.residual, budget=scene.budget.gap, names=names)
+        if fit.undetermined:
+            few = ", ".join(fit.undetermined[:3]) + (" …" if len(fit.undetermined) > 3 else "")
+            reason = f"the particles do not tell how {few} turned; give body states"
+            self._leave_out(reason, *_positional(scene))
+            return [rigid, *self._start_of(position, velocity)]
+        self.taken.append("body states: rigid bodies fitted to the particles by least squares")
+        states = {key: getattr(fit, key) for key in _STATE}
+        coarse = max(rounding.get("position", 0.0), rounding.get("velocity", 0.0))
+        fastest = 1.0 if velocity is None else 1.0 + float(np.abs(velocity).max())
+        blur = _FITTED + _MAGNIFIED * coarse * (1.0 + 1.0 / fit.reach) * fastest
+        return [*self._of_bodies(states, blur, 0.0), rigid]
+
+    def _start_of(self, position: Array, velocity: Array | None) -> list[Finding]:
+        """Hold the particles at frame 0 against the start that is named."""
+        if not self.named:
+            return []
+        batch = self.batch
+        first = {key: getattr(batch, key)[:, None] for key in _STATE}
+        drawn = Trajectory(np.zeros(1), **first, failures=(None,) * len(batch))
+        parts = np.full((*position.shape[:2], 1), np.nan)
+        pairs = zip((position, velocity), Points.of(self.foreign.scene).motion(drawn), strict=True)
+        off = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
+        parts[:, 0, 0] = np.stack([each.max(axis=(1, 2)) for each in off]).max(axis=0)
+        rounding = self.foreign.rounding
+        coarse = max(rounding["position"], rounding.get("velocity", 0.0)) + _FITTED
+        return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=np.float64(coarse))]
+
+    def _points(self, position: Array, states: dict[str, Array | None]) -> Finding:
+        """Hold particles against the bodies that carry them."""
+        points = Points.of(self.foreign.scene)
+        wanted, _ = points.motion(self._trajectory(states))
+        off = np.linalg.norm(position - wanted, axis=-1)
+        scene = self.foreign.scene
+        names = tuple(scene.bodies[body].name for body in points.body)
+        return Finding.of("particles", "m", off, budget=scene.budget.gap, names=names)
+
+    def _leave_out(self, reason: str, *more: str) -> None:
+        touching = tuple(name for name in _CONTACT_CHECKS if self.foreign.scene.contacts)
+        for name in (*more, *_SMOOTH, *touching):
+            self.not_checked[name] = reason
+
+    def _method(self) -> tuple[Method | None, float | None]:
+        """What is known of how it was made."""
+        told = self.told
+        if told.method_order is None and told.velocity_lag_s is None:
+            self.taken.append("method: unknown, so budgets are those of first order")
+            return None, told.step_s
+        step = told.step_s or self.foreign.scene.clock.frame
+        order, lag = told.method_order or 1, (told.velocity_lag_s or 0.0) / step
+        self.taken.append(f"method: of order {order}, velocities {lag:g} steps off the frames")
+        return Method("told", "semi-implicit Euler", order, velocity_lag=lag), step
+
+    def _inputs(self) -> list[Finding]:
+        """Hold inputs of the file against those that seed and index give."""
+        found = []
+        for key in ("force", "torque"):
+            given = self.foreign.arrays.get(f"input/{key}")
+            if given is None or not given.size:
+                continue
+            drawn = getattr(self.batch, key)
+            off = np.abs(given - drawn).reshape(*given.shape[:2], -1).max(axis=2)
+            scale = max(1.0, float(np.abs(drawn).max()))
+            rounding = self.foreign.rounding[f"input/{key}"] / scale
+            last = np.zeros((len(off), 1))
+            parts = np.concatenate([off / scale, last], axis=1)[:, :, None]
+            found.append(
+                Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=np.float64(rounding))
+            )
+        return found
+
+    def _errors(self) -> list[Finding]:
+        """Hold some of the trajectories against the reference, by their points."""
+        rows = list(range(min(len(self.batch), _MOST_COMPARED)))
+        scene, batch = self.foreign.scene, self.batch[rows]
+        points = Points.of(scene)
+        truth = reference.solve(scene, batch)
+        growth = reference.sensitivity(scene, batch)
+        growth[~np.isfinite(truth.position).all(axis=(2, 3))] = np.nan
+        if len(rows) < len(self.batch):
+            self.taken.append(f"reference: compared with the first {len(rows)} trajectories only")
+        apart = self._positions()[rows] - points.motion(truth)[0]
+        error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
+        found = error_findings(scene, batch, error, truth, growth)
+        if all(finding.check != "error at 1 s" for finding in found):
+            self.not_checked["error at 1 s"] = (
+                "needs a frame at 1 s, of a start of the interval low or medium"
+            )
+        return found
+
+    def _positions(self) -> Array:
+        """Give the points, from the bodies where these are given."""
+        arrays = self.foreign.arrays
+        if "body/position" not in arrays:
+            return arrays["position"]
+        states = {key: arrays.get(f"body/{key}") for key in _STATE}
+        return Points.of(self.foreign.scene).motion(self._trajectory(states))[0]
+
+
+_STATE = ("position", "orientation", "velocity", "angular_velocity")
+_CONTACT_CHECKS = tuple(
+    check.__name__.replace("_", " ") for check in CHECKS[CHECKS.index(penetration) + 1 :]
+)
+
+
+def _positional(scene: Scene) -> list[str]:
+    """Checks of positions that apply to a scene, but for those that particles allow, too."""
+    mechanism = Mechanism.of(scene)
+    applies = {
+        "gap": mechanism.joints or mechanism.distances,
+        "angle gap": any(joint.kind != "ball" for joint in mechanism.joints),
+        "planarity": scene.dimension < 3,
+        "penetration": scene.contacts,
+    }
+    return [name for name, does in applies.items() if does]
+
+
+def _completed(told: Told, foreign: Foreign) -> Told:
+    """Add what the file says where the user says nothing."""
+    said = {
+        field.name: foreign.facts.get(field.name)
+        for field in dataclasses.fields(told)
+        if getattr(told, field.name) is None
+    }
+    if told.index is not None and told.seed is None and said["seed"] is None:
+        said["seed"] = 0
+    return dataclasses.replace(told, **said)
+
+
+def _index(foreign: Foreign, told: Told) -> list[int] | None:
+    """Numbers of the starts, where they are named: by the user, or with a seed by the file."""
+    if told.index is None:
+        named = foreign.index is not None and told.seed is not None
+        return foreign.index.tolist() if named and foreign.index is not None else None
+    if len(told.index) != foreign.count:
+        msg = (
+            f"--index: got {len(told.index)} numbers, allowed for {foreign.source} are "
+            f"{foreign.count}, one a trajectory"
+        )
+        raise InputError(msg)
+    return list(told.index)
+
+
+def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], told: Told) -> Batch:
+    """Draw the starts; the file may have fewer frames, but the same ones."""
+    clock, own = scene.clock, foreign.scene.clock
+    if own.frame != clock.frame or own.steps > clock.steps:
+        msg = (
+            f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed for a start "
+            f"that --index names are up to {clock.steps} of {clock.frame:g} s, over which its "
+            "inputs are held; leave --index away, or record at the scene's frames"
+        )
+        raise InputError(msg)
+    batch = draw_batch(scene, index, seed=told.seed or 0, noise=told.noise is not False)
+    return batch.truncated(own.steps)
+
+
+def _unnamed(foreign: Foreign, taken: list[str]) -> Batch:
+    """Give the file's own start, its inputs, or none but those that the scene lists."""
+    scene, count = foreign.scene, foreign.count
+    batch = draw_batch(scene, [0], noise=False, inputs=False)
+    batch = batch[np.zeros(count, dtype=np.int64)]
+    inputs = {}
+    for key in ("force", "torque"):
+        given = foreign.arrays.get(f"input/{key}")
+        inputs[key] = getattr(batch, key) if given is None else given
+        if getattr(batch, key).size:
+            what = "none but what the scene lists" if given is None else "those of the file"
+            taken.append(f"{key}s: {what}")
+    taken.append("start: frame 0 of the file")
+    return dataclasses.replace(batch, index=np.arange(count), **inputs)

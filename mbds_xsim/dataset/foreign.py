@@ -1,0 +1,328 @@
+"""A trajectory from anywhere: npz, HDF5 or CSV in documented names, held against its scene."""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import h5py
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.columns import HELD, TIME, groups, sort_columns
+from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Clock, Scene
+
+__all__ = ["FACTS", "Foreign", "read_foreign"]
+
+Array = NDArray[np.float64]
+
+FACTS: dict[str, Callable[[Any], Any]] = {
+    "seed": int,
+    "noise": lambda text: str(text).lower() in ("true", "1"),
+    "step_s": float,
+    "method_order": int,
+    "velocity_lag_s": float,
+    "contact_time_s": float,
+}
+"""What a file may say beside its numbers: of its start, and of how it was made."""
+
+_SAME_FRAME = 1e-4  # relative; what rounding to float32 makes of frames
+_COMMENT = "#"
+
+
+@dataclass(frozen=True, eq=False)
+class Foreign:
+    """What a file holds, in the shapes of a data set."""
+
+    source: str
+    asked: Scene
+    """As it was given."""
+    scene: Scene
+    """With the clock of the file."""
+    arrays: dict[str, Array]
+    """Those of `time`, `position`, `velocity`, `body/…`, `input/…` that are there."""
+    rounding: dict[str, float]
+    """By how much the numbers of each array may be rounded, in their own unit."""
+    index: NDArray[np.int64] | None
+    """Numbers of the trajectories, if the file tells them."""
+    facts: dict[str, Any]
+    """Those of `FACTS` that are there."""
+
+    @property
+    def count(self) -> int:
+        """How many trajectories."""
+        return next(len(values) for name, values in self.arrays.items() if name != TIME)
+
+    @property
+    def steps(self) -> int:
+        """Recorded steps."""
+        return len(self.arrays[TIME]) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Raw:
+    """What was read, before anything is known of the scene's shapes."""
+
+    arrays: dict[str, NDArray[Any]]
+    rounding: dict[str, float]
+    facts: dict[str, Any]
+
+
+def read_foreign(path: Path, scene: Scene | None) -> Foreign:
+    """Read a file of trajectories.
+
+    Args:
+        path: `.csv`: one trajectory; `.npz`, `.h5` or `.hdf5`: one or more.
+        scene: What moves; None: what the file itself says.
+
+    Raises:
+        InputError: It cannot be read, or is no trajectory of the scene.
+    """
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5}
+    if path.suffix not in readers:
+        msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
+        raise InputError(msg)
+    if not path.is_file():
+        msg = f"{path}: there is no such file"
+        raise InputError(msg)
+    try:
+        raw = readers[path.suffix](path, scene)
+    except (OSError, zipfile.BadZipFile, UnicodeDecodeError, EOFError) as error:
+        msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
+        raise InputError(msg) from error
+    return _checked(raw, scene or _own_scene(raw, path), str(path))
+
+
+def _read_csv(path: Path, scene: Scene | None) -> _Raw:
+    """Rows of columns, and before them facts, as `# seed: 0`."""
+    if scene is None:
+        msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
+        raise InputError(msg)
+    lines = path.read_text("utf-8-sig").splitlines()
+    said = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
+    facts = {key.strip(): text.strip() for key, _, text in said}
+    rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
+    if len(rows) < 3:
+        msg = (
+            f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
+        )
+        raise InputError(msg)
+    names = [name.strip() for name in rows[0]]
+    found = sort_columns(scene, names, str(path))
+    held = {str(name) for group in found if group.name in HELD for name in group.columns.ravel()}
+    values = {name: _column(rows[1:], k, name, path, name in held) for k, name in enumerate(names)}
+    arrays: dict[str, NDArray[Any]] = {TIME: values[TIME][0]}
+    rounding = {TIME: values[TIME][1]}
+    for group in found:
+        columns = [values[name] for name in group.columns.ravel().tolist()]
+        series = np.stack([numbers for numbers, _ in columns], axis=-1)
+        series = series.reshape(len(series), *group.columns.shape)
+        arrays[group.name] = series[:-1] if group.name in HELD else series
+        rounding[group.name] = max(off for _, off in columns)
+    if "input/torque" in arrays:
+        arrays["input/torque"] = arrays["input/torque"][..., 0]
+    if "index" in facts:
+        arrays["index"] = np.array([_fact("index", facts["index"], int, str(path))])
+    return _Raw(arrays, rounding, facts)
+
+
+def _column(
+    rows: list[list[str]], place: int, name: str, path: Path, held: bool
+) -> tuple[Array, float]:
+    """Give the numbers of a column, and half a unit of the last digit that is written."""
+    texts = [row[place].strip() if place < len(row) else "" for row in rows]
+    if held:
+        texts[-1] = "0"
+    try:
+        decimals = [Decimal(text).as_tuple().exponent for text in texts]
+    except ArithmeticError:
+        bad = next(k for k, text in enumerate(texts) if not _is_number(text))
+        msg = f"{path}: frame {bad}, column {name}: got {texts[bad]!r}, allowed is a number"
+        raise InputError(msg) from None
+    last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
+    return np.array([float(text) for text in texts]), 0.5 * 10.0**last
+
+
+def _is_number(text: str) -> bool:
+    try:
+        Decimal(text)
+    except ArithmeticError:
+        return False
+    return True
+
+
+def _read_npz(path: Path, _scene: Scene | None) -> _Raw:
+    with np.load(path, allow_pickle=False) as file:
+        try:
+            values = {name: file[name] for name in file.files}
+        except ValueError as error:
+            msg = f"{path}: holds Python objects; allowed are arrays of numbers"
+            raise InputError(msg) from error
+    facts = {name: values.pop(name).item() for name in list(values) if values[name].ndim == 0}
+    return _named(values, facts, path)
+
+
+def _read_hdf5(path: Path, _scene: Scene | None) -> _Raw:
+    values: dict[str, Any] = {}
+    wanted = {*_ARRAYS, "index"}
+    with h5py.File(path, "r") as file:
+        names: list[str] = []
+        file.visititems(
+            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
+        )
+        for name in names:
+            values[name] = file[name][()] if name in wanted else np.empty(0)
+        facts = {key: _plain(value) for key, value in file.attrs.items()}
+    return _named(values, facts, path)
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _named(values: dict[str, Any], facts: dict[str, Any], path: Path) -> _Raw:
+    """Sort arrays by name; what belongs to a data set but not to its motion is passed over."""
+    strange = [name for name in values if name not in known_names()]
+    if strange or TIME not in values:
+        got = f"an array {strange[0]!r}" if strange else "no array 'time'"
+        msg = f"{path}: got {got}, allowed are {', '.join(_ARRAYS)}"
+        raise InputError(msg)
+    arrays = {name: values[name] for name in (*_ARRAYS, "index") if name in values}
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu":
+            msg = f"{path}: {name}: got values of the type {array.dtype}, allowed are numbers"
+            raise InputError(msg)
+    rounding = {name: _rounding(array) for name, array in arrays.items()}
+    return _Raw(arrays, rounding, facts)
+
+
+def _rounding(values: NDArray[Any]) -> float:
+    if values.dtype.kind != "f":
+        return 0.0
+    return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))
+
+
+_ARRAYS = (
+    TIME,
+    "position",
+    "velocity",
+    "body/position",
+    "body/orientation",
+    "body/velocity",
+    "body/angular_velocity",
+    *HELD,
+)
+
+
+def _own_scene(raw: _Raw, path: Path) -> Scene:
+    if "scene" not in raw.facts:
+        msg = f"{path}: the file does not tell its scene; give it with --scene"
+        raise InputError(msg)
+    try:
+        return msgspec.convert(tomllib.loads(str(raw.facts["scene"])), Scene)
+    except (msgspec.ValidationError, tomllib.TOMLDecodeError) as error:
+        msg = f"{path}: what it says is its scene is none: {error}; give it with --scene"
+        raise InputError(msg) from error
+
+
+def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:
+    """Hold times, shapes and numbers against the scene."""
+    if not {"position", "body/position"} & raw.arrays.keys():
+        msg = f"{source}: got no positions, allowed are position (of particles) or body/position"
+        raise InputError(msg)
+    if ("body/position" in raw.arrays) != ("body/orientation" in raw.arrays):
+        msg = f"{source}: body/position and body/orientation belong together; one is missing"
+        raise InputError(msg)
+    if ("body/velocity" in raw.arrays) != ("body/angular_velocity" in raw.arrays):
+        msg = f"{source}: body/velocity and body/angular_velocity belong together; one is missing"
+        raise InputError(msg)
+    clock = _clock(np.asarray(raw.arrays[TIME], dtype=np.float64), scene, source)
+    frames = np.arange(clock.steps + 1, dtype=np.float64)
+    arrays: dict[str, Array] = {TIME: np.asarray(clock.frame * frames)}
+    arrays |= _shaped(raw.arrays, scene, clock, source)
+    facts = {
+        key: _fact(key, raw.facts[key], kind, source)
+        for key, kind in FACTS.items()
+        if key in raw.facts
+    }
+    index = np.asarray(raw.arrays["index"], dtype=np.int64) if "index" in raw.arrays else None
+    found = msgspec.structs.replace(scene, clock=clock)
+    return Foreign(source, scene, found, arrays, raw.rounding, index, facts)
+
+
+def _clock(time: Array, scene: Scene, source: str) -> Clock:
+    if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all():
+        msg = f"{source}: time: got shape {time.shape}, allowed is one number a frame, 2 or more"
+        raise InputError(msg)
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    off = np.abs(steps - usual)
+    if usual <= 0 or off.max() > _SAME_FRAME * usual:
+        k = int(off.argmax())
+        msg = (
+            f"{source}: time is not uniform: frame {k + 1} comes {steps[k]:.6g} s after the one "
+            f"before, the median is {usual:.6g} s; resample it, or leave frames out"
+        )
+        raise InputError(msg)
+    frame = scene.clock.frame
+    same = abs(usual - frame) <= _SAME_FRAME * frame
+    return Clock(frame=frame if same else usual, steps=len(steps))
+
+
+def _shaped(
+    raw: Mapping[str, NDArray[Any]], scene: Scene, clock: Clock, source: str
+) -> dict[str, Array]:
+    """Give the arrays a first axis of trajectories and hold their shapes against the scene."""
+    found: dict[str, Array] = {}
+    for group in groups(scene):
+        if group.name not in raw:
+            continue
+        values = np.asarray(raw[group.name], dtype=np.float64)
+        held = group.name in HELD
+        own = group.columns.shape[:1] if group.name == "input/torque" else group.columns.shape
+        wanted = (clock.steps + (not held), *own)
+        values = values[None] if values.ndim == len(wanted) else values
+        if values.shape[1:] != wanted:
+            shape = ", ".join(map(str, wanted))
+            msg = (
+                f"{source}: {group.name}: got shape {values.shape}, allowed for {scene.name} is "
+                f"(trajectories, {shape}): {'steps' if held else 'frames'}, then {group.span}"
+            )
+            raise InputError(msg)
+        _refuse_nan(values, group.name, source)
+        found[group.name] = values
+    counts = {len(values) for values in found.values()}
+    if len(counts) > 1:
+        sizes = ", ".join(f"{name} {len(values)}" for name, values in found.items())
+        msg = f"{source}: got arrays of different numbers of trajectories: {sizes}"
+        raise InputError(msg)
+    return found
+
+
+def _refuse_nan(values: Array, name: str, source: str) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, frame = bad[0][:2]
+        value = values[tuple(bad[0])]
+        msg = (
+            f"{source}: {name}: got {value} in trajectory {row}, frame {frame}; "
+            "allowed are finite numbers: cut the trajectory off before"
+        )
+        raise InputError(msg)
+
+
+def _fact(key: str, value: Any, kind: Callable[[Any], Any], source: str) -> Any:
+    try:
+        return kind(value)
+    except (TypeError, ValueError):
+        msg = f"{source}: {key}: got {value!r}, allowed is a number"
+        raise InputError(msg) from None

@@ -1,0 +1,273 @@
+"""`mbds-xsim audit`: trajectories from elsewhere, right ones and planted wrong ones."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.audit import Audited, Told, audit_file
+from mbds_xsim.dataset.columns import groups
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.recover import recover
+from mbds_xsim.errors import InputError
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Trajectory
+
+Arrays = dict[str, NDArray[Any]]
+
+INDEX = (3, 4)
+NAMED = Told(index=INDEX, seed=7)
+STATE = ("position", "orientation", "velocity", "angular_velocity")
+
+
+def _run(scene: Scene) -> tuple[Batch, Trajectory]:
+    contender = Choice.parse(engines="mujoco").contenders(scene)[0][0]
+    batch = draw_batch(scene, INDEX, seed=7)
+    return batch, simulate(scene, batch, "mujoco", contender.settings).trajectory
+
+
+def _arrays(scene: Scene, batch: Batch, motion: Trajectory) -> Arrays:
+    position, velocity = Points.of(scene).motion(motion)
+    found: Arrays = {"time": motion.time, "position": position, "velocity": velocity}
+    found |= {f"body/{key}": getattr(motion, key) for key in STATE}
+    return found | {"input/force": batch.force, "input/torque": batch.torque}
+
+
+@pytest.fixture(scope="module")
+def swing(rod: Scene) -> Arrays:
+    return _arrays(rod, *_run(rod))
+
+
+@pytest.fixture(scope="module")
+def drop() -> tuple[Scene, Arrays]:
+    """A disc of 19 particles in a plane, which tell how it turned."""
+    scene = load_scene("balldrop")
+    return scene, _arrays(scene, *_run(scene))
+
+
+Audit = Callable[..., Audited]
+
+
+@pytest.fixture
+def audited(tmp_path: Path) -> Audit:
+    def run(scene: Scene, arrays: Arrays, told: Told = NAMED) -> Audited:
+        np.savez(tmp_path / "it.npz", **arrays)  # type: ignore[arg-type]
+        return audit_file(tmp_path / "it.npz", scene, told)
+
+    return run
+
+
+def _only(arrays: Arrays, *names: str) -> Arrays:
+    return {name: arrays[name] for name in ("time", *names)}
+
+
+def _checks(found: Audited) -> set[str]:
+    return {finding.check for finding in found.findings}
+
+
+def _failed(found: Audited) -> set[str]:
+    return {finding.check for finding in found.findings if not finding.passed}
+
+
+def test_all_checks_run_on_states_of_bodies(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    found = audited(rod, swing)
+    assert found.reasons == ()
+    assert {"finite", "start", "gap", "kinematics", "energy", "force", "particles"} <= _checks(
+        found
+    )
+    assert "error growth-weighted" in _checks(found)
+    assert set(found.not_checked) == {"error at 1 s"}  # it lasts a fifth of a second
+
+
+def test_float32_is_no_fault(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    coarse = {name: values.astype(np.float32) for name, values in swing.items()}
+    found = audited(rod, coarse)
+    assert found.verdict == "pass"
+    assert any(line.startswith("rounding") for line in found.taken)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault", "sees"),
+    [
+        ("body/position", lambda x: x + 0.001, {"start", "gap"}),
+        ("body/velocity", lambda x: 1.02 * x, {"start", "energy", "momentum"}),
+        ("body/velocity", lambda x: x[:, [0, *range(10)]], {"velocity lag", "energy"}),
+        ("body/orientation", lambda x: 1.001 * x, {"finite"}),
+        ("body/orientation", lambda x: x[..., [1, 2, 3, 0]], {"start", "gap"}),
+        ("input/force", lambda x: 0.5 * x, {"force"}),
+        ("position", lambda x: x[:, ::-1], {"particles"}),
+    ],
+)
+def test_planted_faults_are_found(
+    name: str,
+    fault: Callable[[Any], Any],
+    sees: set[str],
+    rod: Scene,
+    swing: Arrays,
+    audited: Audit,
+) -> None:
+    found = audited(rod, swing | {name: fault(swing[name])})
+    assert sees <= _failed(found)
+
+
+def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    found = audited(rod, swing, Told())
+    assert found.verdict == "pass"
+    assert {"start", "error at 1 s", "error growth-weighted"} == set(found.not_checked)
+    assert "forces: those of the file" in found.taken
+
+
+def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    """Noise that acted but is not in the file must not pass as physics."""
+    states = _only(swing, *(f"body/{key}" for key in STATE))
+    found = audited(rod, states, Told())
+    assert "forces: none but what the scene lists" in found.taken
+    energy = {finding.check: finding.figure for finding in found.findings}["energy"]
+    told = audited(rod, swing, Told())
+    assert energy > 100 * {one.check: one.figure for one in told.findings}["energy"]
+
+
+def test_positions_alone_leave_velocities_unchecked(
+    rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    found = audited(rod, _only(swing, "body/position", "body/orientation"))
+    assert found.verdict == "pass"
+    assert found.not_checked["energy"] == "no velocities"
+    assert {"finite", "start", "gap"} <= _checks(found)
+    assert not {"energy", "kinematics", "momentum"} & _checks(found)
+
+
+def test_particles_of_a_rod_tell_its_length(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    found = audited(rod, _only(swing, "position"))
+    assert found.verdict == "pass"
+    assert {"rigidity", "start", "error growth-weighted"} == _checks(found)
+    assert "do not tell how" in found.not_checked["energy"]
+    longer = audited(rod, _only(swing | {"position": 1.01 * swing["position"]}, "position"))
+    assert {"rigidity", "start"} <= _failed(longer)
+
+
+def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit) -> None:
+    scene, arrays = drop
+    found = audited(scene, _only(arrays, "position", "velocity"))
+    assert found.reasons == ()
+    assert {"start", "energy", "friction", "restitution", "rigidity"} <= _checks(found)
+    assert any("fitted" in line for line in found.taken)
+    fit = recover(scene, arrays["position"], arrays["velocity"])
+    for key in STATE[:1] + STATE[2:]:
+        np.testing.assert_allclose(getattr(fit, key), arrays[f"body/{key}"], atol=1e-9)
+    facing = np.abs(np.sum(fit.orientation * arrays["body/orientation"], axis=-1))
+    np.testing.assert_allclose(facing, 1.0, atol=1e-12)
+
+
+def test_a_learned_models_wobble_is_seen(drop: tuple[Scene, Arrays], audited: Audit) -> None:
+    scene, arrays = drop
+    shake = np.random.default_rng(0).normal(scale=1e-3, size=arrays["position"].shape)
+    found = audited(scene, _only(arrays | {"position": arrays["position"] + shake}, "position"))
+    assert "rigidity" in _failed(found)
+
+
+def test_files_of_each_kind_say_the_same(
+    rod: Scene, swing: Arrays, tmp_path: Path, audited: Audit
+) -> None:
+    one = {name: values if name == "time" else values[0] for name, values in swing.items()}
+    told = Told(index=INDEX[:1], seed=7)
+    wanted = audited(rod, one, told)
+    _write_csv(tmp_path / "it.csv", rod, one)
+    with h5py.File(tmp_path / "it.h5", "w") as file:
+        for name, values in one.items():
+            file[name] = values
+    for name in ("it.csv", "it.h5"):
+        found = audit_file(tmp_path / name, rod, told)
+        assert found.findings == wanted.findings
+
+
+def _write_csv(path: Path, scene: Scene, one: Arrays) -> None:
+    columns, names = [one["time"].tolist()], ["time"]
+    for group in groups(scene):
+        if group.name in one:
+            values = one[group.name].reshape(len(one[group.name]), -1)
+            names += group.columns.ravel().tolist()
+            padded = [*values.T.tolist()]
+            columns += [column + [""] * (len(one["time"]) - len(column)) for column in padded]
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([names, *zip(*columns, strict=True)])
+
+
+def _changed(rows: list[list[str]], line: int, column: int, text: str) -> list[list[str]]:
+    rows[line][column] = text
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rows: _changed(rows, 0, 1, "p0_q"), "got column 'p0_q', allowed for 1pendulum"),
+        (lambda rows: _changed(rows, 0, 1, "p0_y"), "'p0_y' twice"),
+        (lambda rows: [row[1:] for row in rows], "got no column 'time'"),
+        (lambda rows: [row[:1] + row[2:] for row in rows], "p0_x is missing"),
+        (lambda rows: [row[:1] for row in rows], "got no positions"),
+        (lambda rows: _changed(rows, 3, 1, "nan"), "position: got nan in trajectory 0, frame 2"),
+        (lambda rows: _changed(rows, 3, 1, "x"), "frame 2, column p0_x: got 'x'"),
+        (lambda rows: _changed(rows, 3, 0, "0.045"), "time is not uniform: frame"),
+        (lambda rows: rows[:2], "got 1 frames"),
+        (lambda rows: rows[:1] + rows[1::2], "got 5 steps of 0.04 s"),
+        (lambda rows: [*rows, ["0.22", *rows[-1][1:]]], "got 11 steps of 0.02 s"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(
+    change: Callable[[list[list[str]]], list[list[str]]],
+    says: str,
+    rod: Scene,
+    swing: Arrays,
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "it.csv"
+    _write_csv(path, rod, {"time": swing["time"], "position": swing["position"][0]})
+    with path.open(newline="") as file:
+        rows = change(list(csv.reader(file)))
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
+        audit_file(path, rod, Told(index=(3,), seed=7))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"position": np.zeros((1, 11, 2, 3))}, "got shape (1, 11, 2, 3), allowed"),
+        ({"speed": np.zeros(3)}, "got an array 'speed'"),
+        ({"body/position": np.zeros((11, 1, 3))}, "belong together"),
+        ({"velocity": np.zeros((1, 11, 1, 3))}, "different numbers of trajectories"),
+        ({"position": np.array(["a"])}, "allowed are numbers"),
+    ],
+)
+def test_wrong_arrays_are_refused(
+    change: Arrays, says: str, rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    with pytest.raises(InputError) as caught:
+        audited(rod, _only(swing, "position") | change)
+    assert says in str(caught.value)
+
+
+def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -> None:
+    with pytest.raises(InputError, match="--index: got 1 numbers"):
+        audited(rod, swing, Told(index=(3,)))
+
+
+def test_a_data_set_can_be_audited_too(whole: Path) -> None:
+    shard = whole / "1pendulum" / "mujoco-matched" / "0000000600.h5"
+    found = audit_file(shard, None, Told())
+    assert (found.verdict, found.trajectories) == ("pass", 100)
+    assert any("seed 0, index 600 … 699" in line for line in found.taken)
