@@ -3,6 +3,7 @@
 from mbds_xsim.commands import (
     audit,
     contact,
+    diff,
     generate,
     listing,
     match,
@@ -15,6 +16,7 @@ from mbds_xsim.commands import (
 __all__ = [
     "audit",
     "contact",
+    "diff",
     "generate",
     "listing",
     "match",

@@ -1,0 +1,293 @@
+"""What changed from one stored result to another: verdicts, reasons, settings, figures, times."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
+from mbds_xsim.study.view_readers import read_views
+
+__all__ = ["Change", "Comparison", "Diff", "EntryDiff", "FigureChange", "OnlyIn", "compare_files"]
+
+SCHEMA = "mbds-xsim/diff/1"
+RTOL = 1e-6
+"""Relative difference of a figure of physics up to which it is the same."""
+FACTOR = 1.5
+"""Factor between two times up to which they are the same."""
+
+_ROUNDING = 1e-14  # figures that differ by less are the same, whatever their unit
+_NUMBER = re.compile(r"\d[\d.]*(e[+-]?\d+)?( ?[mµn]?[ms]\b)?")
+
+
+class Change(msgspec.Struct, frozen=True):
+    """A word or a setting that is another now; None: there was, or is, none."""
+
+    what: str
+    old: Value
+    new: Value
+
+
+class FigureChange(msgspec.Struct, frozen=True):
+    """A figure that is another now."""
+
+    what: str
+    unit: str
+    old: float | None
+    new: float | None
+    ratio: float | None
+    """New over old; None where one is missing or the old one is 0."""
+
+
+class EntryDiff(msgspec.Struct, frozen=True, kw_only=True):
+    """What changed of one engine, curve, point or cell."""
+
+    name: str
+    old_verdict: str
+    new_verdict: str
+    worse: tuple[str, ...]
+    """One line for each verdict or budget that is worse now."""
+    better: tuple[str, ...]
+    settings: tuple[Change, ...]
+    reasons_new: tuple[str, ...]
+    reasons_gone: tuple[str, ...]
+    """Reasons that differ in numbers only are in neither."""
+    figures: tuple[FigureChange, ...]
+    """Physics."""
+    timings: tuple[FigureChange, ...]
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything but times did."""
+        verdict = self.old_verdict != self.new_verdict
+        reasons = self.reasons_new or self.reasons_gone
+        return bool(verdict or self.worse or self.settings or reasons or self.figures)
+
+
+class OnlyIn(msgspec.Struct, frozen=True):
+    """An entry that one of the files lacks."""
+
+    name: str
+    verdict: str
+    why: str
+    """Reason of an engine's being left out in the other; empty where it was not asked for."""
+
+
+class Diff(msgspec.Struct, frozen=True, kw_only=True):
+    """What changed of one scene."""
+
+    scene: str
+    old_command: str
+    new_command: str
+    sample: tuple[Change, ...]
+    """Starts, seed or budgets: where they differ, figures may differ through them alone."""
+    circumstances: tuple[Change, ...]
+    """Versions and machine."""
+    entries: tuple[EntryDiff, ...]
+    """Those of which anything changed."""
+    unchanged: int
+    only_old: tuple[OnlyIn, ...]
+    only_new: tuple[OnlyIn, ...]
+    worse: tuple[str, ...]
+    """All that is worse, one line each."""
+    better: tuple[str, ...]
+
+
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+    """Two files compared."""
+
+    schema: str
+    compared: str
+    """Schema of both."""
+    old: str
+    new: str
+    rtol: float
+    factor: float
+    verdict: Literal["worse", "changed", "same"]
+    """Times apart: `same` where nothing else changed."""
+    scenes: tuple[Diff, ...]
+    scenes_only_old: tuple[str, ...]
+    scenes_only_new: tuple[str, ...]
+
+
+def compare_files(
+    old: Path, new: Path, *, rtol: float = RTOL, factor: float = FACTOR
+) -> Comparison:
+    """Compare two files that the same command wrote with `--json`.
+
+    Args:
+        old: The earlier one.
+        new: The later one.
+        rtol: Relative difference of a figure of physics, or of the budget it has, up to which it
+            is the same.
+        factor: The same for times.
+
+    Raises:
+        InputError: A file cannot be used, or they are not of the same command and scene.
+    """
+    schema, before = read_views(old)
+    other_schema, after = read_views(new)
+    if schema != other_schema:
+        msg = f"{old} is {schema} and {new} is {other_schema}; give two of the same"
+        raise InputError(msg)
+    both = [name for name in after if name in before]
+    if not both:
+        msg = f"{old} is about {_listed(before)} and {new} about {_listed(after)}; give two of one"
+        raise InputError(msg)
+    scenes = tuple(_diff(before[name], after[name], rtol, factor) for name in both)
+    return Comparison(
+        schema=SCHEMA,
+        compared=schema,
+        old=str(old),
+        new=str(new),
+        rtol=rtol,
+        factor=factor,
+        verdict=_verdict(scenes),
+        scenes=scenes,
+        scenes_only_old=tuple(name for name in before if name not in after),
+        scenes_only_new=tuple(name for name in after if name not in before),
+    )
+
+
+def _listed(views: Mapping[str, View]) -> str:
+    return ", ".join(views)
+
+
+def _verdict(scenes: tuple[Diff, ...]) -> Literal["worse", "changed", "same"]:
+    if any(diff.worse for diff in scenes):
+        return "worse"
+    changed = any(
+        diff.only_old or diff.only_new or any(entry.changed for entry in diff.entries)
+        for diff in scenes
+    )
+    return "changed" if changed else "same"
+
+
+def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
+    for change in _changes(old.identity, new.identity):
+        if change.old is not None and change.new is not None:
+            msg = (
+                f"{new.scene} is not the same scene in both files: {change.what} is {change.old} "
+                f"and {change.new}; give two results of one scene"
+            )
+            raise InputError(msg)
+    pairs = {
+        name: _entry_diff(name, old.entries[name], entry, rtol, factor)
+        for name, entry in new.entries.items()
+        if name in old.entries
+    }
+    only_old = tuple(_only_in(old, new))
+    lost = [one for one in only_old if one.why and _acceptable(old.entries[one.name])]
+    return Diff(
+        scene=new.scene,
+        old_command=old.command,
+        new_command=new.command,
+        sample=tuple(_changes(old.sample, new.sample)),
+        circumstances=tuple(_changes(old.circumstances, new.circumstances)),
+        entries=tuple(pair for pair in pairs.values() if pair.changed or pair.timings),
+        unchanged=sum(not (pair.changed or pair.timings) for pair in pairs.values()),
+        only_old=only_old,
+        only_new=tuple(_only_in(new, old)),
+        worse=(
+            *(f"{pair.name}: {line}" for pair in pairs.values() for line in pair.worse),
+            *(f"{one.name}: was {one.verdict}, is left out now: {one.why}" for one in lost),
+        ),
+        better=tuple(f"{pair.name}: {line}" for pair in pairs.values() for line in pair.better),
+    )
+
+
+def _acceptable(entry: Entry) -> bool:
+    return entry.rank is not None and entry.rank < FAILING
+
+
+def _only_in(view: View, other: View) -> Iterator[OnlyIn]:
+    """Name the entries that the other lacks, a whole without its parts."""
+    for name, entry in view.entries.items():
+        if name in other.entries or (entry.parent and entry.parent not in other.entries):
+            continue
+        reasons = (
+            reason
+            for what, reason in other.left_out.items()
+            if what not in view.left_out and f"{name} ".startswith(f"{what} ")
+        )
+        yield OnlyIn(name, entry.verdict, next(reasons, ""))
+
+
+def _entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
+    return EntryDiff(
+        name=name,
+        old_verdict=old.verdict,
+        new_verdict=new.verdict,
+        worse=tuple(_losses(old, new)),
+        better=tuple(_losses(new, old, "{new} → {old}", "{check} keeps its budget now")),
+        settings=tuple(_changes(old.settings, new.settings)),
+        reasons_new=_without(new.reasons, old.reasons),
+        reasons_gone=_without(old.reasons, new.reasons),
+        figures=tuple(_figure_changes(old.figures, new.figures, rtol)),
+        timings=tuple(_timing_changes(old.timings, new.timings, factor)),
+    )
+
+
+def _losses(
+    old: Entry,
+    new: Entry,
+    verdict: str = "{old} → {new}",
+    budget: str = "{check} no longer keeps its budget",
+) -> Iterator[str]:
+    """Say what the old one had that the new one has not."""
+    if old.rank is not None and new.rank is not None and new.rank > old.rank:
+        yield verdict.format(old=old.verdict, new=new.verdict)
+    for check in sorted(new.broken):
+        if old.keeps(check):
+            yield budget.format(check=check)
+
+
+def _changes(old: Mapping[str, Value], new: Mapping[str, Value]) -> Iterator[Change]:
+    for what in dict.fromkeys((*old, *new)):
+        if old.get(what) != new.get(what):
+            yield Change(what, old.get(what), new.get(what))
+
+
+def _without(reasons: tuple[str, ...], others: tuple[str, ...]) -> tuple[str, ...]:
+    """Keep the reasons that the others do not have with other numbers or at another place."""
+    known = {_kind(reason) for reason in others}
+    return tuple(reason for reason in reasons if _kind(reason) not in known)
+
+
+def _kind(reason: str) -> str:
+    return _NUMBER.sub("#", reason.split(", allowed ")[0])
+
+
+def _figure_changes(
+    old: Mapping[str, Figure], new: Mapping[str, Figure], rtol: float
+) -> Iterator[FigureChange]:
+    for what in dict.fromkeys((*old, *new)):
+        one, other = old.get(what, Figure(None)), new.get(what, Figure(None))
+        if not _same(one.value, other.value, rtol, max(one.scale, other.scale)):
+            unit = other.unit if what in new else one.unit
+            yield FigureChange(what, unit, one.value, other.value, _ratio(one.value, other.value))
+
+
+def _timing_changes(
+    old: Mapping[str, float | None], new: Mapping[str, float | None], factor: float
+) -> Iterator[FigureChange]:
+    for what in dict.fromkeys((*old, *new)):
+        ratio = _ratio(old.get(what), new.get(what))
+        if ratio is not None and not 1.0 / factor <= ratio <= factor:
+            yield FigureChange(what, "s", old.get(what), new.get(what), ratio)
+
+
+def _same(one: float | None, other: float | None, rtol: float, scale: float) -> bool:
+    if one is None or other is None:
+        return one is other
+    return math.isclose(one, other, rel_tol=rtol, abs_tol=max(rtol * scale, _ROUNDING))
+
+
+def _ratio(old: float | None, new: float | None) -> float | None:
+    return None if old is None or new is None or old == 0.0 else new / old

@@ -1,0 +1,485 @@
+"""Two results compared: what is worse, what is only other, and what cannot be compared."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from mbds_xsim import result
+from mbds_xsim.study import match, rows, stored
+from mbds_xsim.study.stability import rows as stability_rows
+from mbds_xsim.study.view_readers import READERS
+
+CommandLine = Callable[..., Any]
+Json = dict[str, Any]
+Edit = Callable[[Json], None]
+
+_KEPT = Path(__file__).parents[2] / "reports" / "3ladder.json"
+
+
+def _validation() -> Json:
+    return json.loads(_KEPT.read_text())
+
+
+def _engine(told: Json, name: str) -> Json:
+    return next(engine for engine in told["engines"] if engine["engine"] == name)
+
+
+def _finding(told: Json, engine: str, check: str) -> Json:
+    return next(f for f in _engine(told, engine)["findings"] if f["check"] == check)
+
+
+def _point(step_s: float, error_m: float, broken: tuple[str, ...] = ()) -> rows.Point:
+    return rows.Point(
+        steps_per_frame=round(0.02 / step_s),
+        step_s=step_s,
+        kind="done",
+        error_m=error_m,
+        wall_s=0.01,
+        broken=broken,
+    )
+
+
+def _tradeoff() -> Json:
+    curves = [
+        rows.CurveResult(
+            engine="mujoco",
+            version="4.0.0",
+            method=method,
+            family="Runge–Kutta",
+            variation="",
+            options={},
+            order=4,
+            measured_order=4.0,
+            points=(_point(0.02, 1e-2, broken=("gap",)), _point(0.01, 1e-4)),
+        )
+        for method in ("RK4", "Euler")
+    ]
+    study = rows.Tradeoff(
+        schema=rows.SCHEMA,
+        scene="pair",
+        description="two bodies",
+        command="mbds-xsim tradeoff pair",
+        seed=0,
+        trajectories=(1, 4),
+        horizon_s=1.0,
+        reference_ends_s=None,
+        duration_s=4.0,
+        length_m=1.0,
+        budget={"error_1s": 1e-3, "error": 1e-2},
+        contact=False,
+        limit_s=30.0,
+        curves=tuple(curves),
+        ratios=(rows.Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 0.1), best=0),),
+        left_out={},
+        versions={"mujoco": "4.0.0"},
+        machine="a machine",
+        workers=1,
+        busy=1.0,
+        measured=2,
+        kept=0,
+        wall_s=1.0,
+    )
+    return json.loads(rows.to_json([study]))
+
+
+def _match() -> Json:
+    found = match.Found(
+        engine="mujoco",
+        version="4.0.0",
+        method="RK4",
+        steps_per_frame=2,
+        step_s=0.01,
+        options={},
+        meets_budget=True,
+        reasons=(),
+        held_out=60,
+        wall_per_simulated_s=0.01,
+        cpu_per_simulated_s=0.01,
+        error_1s_m=1e-4,
+        error_weighted_m=1e-4,
+        constraint_gap_m=1e-6,
+        energy_balance=1e-5,
+        used_method="RK4",
+        used_steps_per_frame=4,
+        cost_ratio=0.5,
+        trials=9,
+    )
+    told = match.Match(
+        schema=match.SCHEMA,
+        scene="pair",
+        command="mbds-xsim match pair",
+        seed=0,
+        held_out_seed=1,
+        trajectories=2,
+        held_out=20,
+        machine="a machine",
+        engines=(found,),
+        left_out={},
+    )
+    return json.loads(msgspec.json.encode(told))
+
+
+def _stability() -> Json:
+    cell = stability_rows.Cell(
+        key="k",
+        study="spin",
+        value=10.0,
+        engine="mujoco",
+        version="4.0.0",
+        method="RK4",
+        family="Runge–Kutta",
+        profile="matched",
+        options={},
+        step_s=0.01,
+        duration_s=1.0,
+        limit_s=30.0,
+        machine="a machine",
+        outcome="stable",
+        told="nobody",
+        energy=1e-4,
+    )
+    sweep = stability_rows.Sweep(
+        schema=stability_rows.SCHEMA,
+        study="spin",
+        sentence="a body",
+        quantity="spin",
+        unit="rad/s",
+        values=(10.0,),
+        steps_s=(0.01,),
+        duration_s=1.0,
+        criteria="stable: finite",
+        panels=(
+            stability_rows.Panel(
+                engine="mujoco",
+                version="4.0.0",
+                method="RK4",
+                family="Runge–Kutta",
+                profile="matched",
+                cells=((cell,),),
+            ),
+        ),
+        left_out={},
+        unknown={},
+        command="mbds-xsim stability spin",
+        versions={"mujoco": "4.0.0"},
+        machine="a machine",
+        workers=1,
+        measured=1,
+        kept=0,
+        wall_s=1.0,
+    )
+    return json.loads(stability_rows.to_json([sweep]))
+
+
+_RESULTS = {
+    "validate": _validation,
+    "tradeoff": _tradeoff,
+    "match": _match,
+    "stability": _stability,
+}
+
+
+@pytest.fixture
+def compare(run: CommandLine, here: Path) -> CommandLine:
+    """Compare a result with an edited copy of it; give what ended and the JSON."""
+
+    def call(told: Json, edit: Edit, *words: str) -> tuple[Any, Json]:
+        other = copy.deepcopy(told)
+        edit(other)
+        (here / "old.json").write_text(json.dumps(told))
+        (here / "new.json").write_text(json.dumps(other))
+        ended = run("diff", "old.json", "new.json", "--json", "diff.json", *words)
+        made = here / "diff.json"
+        return ended, json.loads(made.read_text()) if made.exists() else {}
+
+    return call
+
+
+@pytest.mark.parametrize("kind", _RESULTS)
+def test_a_result_is_the_same_as_itself(compare: CommandLine, kind: str) -> None:
+    ended, told = compare(_RESULTS[kind](), lambda _: None)
+
+    assert (ended.code, told["verdict"]) == (0, "same")
+    (scene,) = told["scenes"]
+    assert scene["entries"] == []
+    assert scene["unchanged"] > 0
+
+
+def test_every_schema_is_tried() -> None:
+    assert {make()["schema"] for make in _RESULTS.values()} == set(READERS)
+
+
+@pytest.mark.parametrize(
+    ("part", "whole"),
+    [
+        (stored.StoredFinding, result.FindingResult),
+        (stored.StoredEngine, result.EngineResult),
+        (stored.StoredValidation, result.Validation),
+        (stored.StoredFound, match.Found),
+        (stored.StoredMatch, match.Match),
+    ],
+)
+def test_what_is_read_is_what_is_written(part: type[msgspec.Struct], whole: Any) -> None:
+    assert set(part.__struct_fields__) <= set(whole.__struct_fields__)
+
+
+def _failed(told: Json) -> None:
+    _engine(told, "mujoco")["verdict"] = "fail"
+    _engine(told, "mujoco")["reasons"] = ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
+    _finding(told, "mujoco", "gap")["passed"] = False
+
+
+def test_a_pass_that_fails_is_worse(compare: CommandLine) -> None:
+    ended, told = compare(_validation(), _failed)
+
+    assert ended.code == 1
+    assert told["verdict"] == "worse"
+    assert told["scenes"][0]["worse"] == [
+        "mujoco matched: pass → fail",
+        "mujoco matched: gap no longer keeps its budget",
+    ]
+    (entry,) = told["scenes"][0]["entries"]
+    assert entry["reasons_new"] == ["gap: 0.2 mm, allowed 0.1 mm (rung)"]
+    assert "WORSE" in ended.out
+
+
+def test_a_fail_that_passes_is_better(compare: CommandLine) -> None:
+    bad = _validation()
+    _failed(bad)
+
+    def repaired(told: Json) -> None:
+        told["engines"] = _validation()["engines"]
+
+    ended, told = compare(bad, repaired)
+
+    assert (ended.code, told["verdict"]) == (0, "changed")
+    assert told["scenes"][0]["better"] == [
+        "mujoco matched: fail → pass",
+        "mujoco matched: gap keeps its budget now",
+    ]
+    assert told["scenes"][0]["entries"][0]["reasons_gone"]
+
+
+def test_a_budget_lost_is_worse_where_the_verdict_is_not(compare: CommandLine) -> None:
+    bad = _validation()
+    _failed(bad)
+
+    def another(told: Json) -> None:
+        _finding(told, "mujoco", "energy")["passed"] = False
+
+    ended, told = compare(bad, another)
+
+    assert ended.code == 1
+    assert told["scenes"][0]["worse"] == ["mujoco matched: energy no longer keeps its budget"]
+
+
+@pytest.mark.parametrize(("relative", "shown"), [(3e-6, False), (4e-6, True)])
+def test_figures_of_physics_are_compared_closely(
+    compare: CommandLine, relative: float, shown: bool
+) -> None:
+    def other(told: Json) -> None:
+        _finding(told, "dart", "error at 1 s")["figure"] *= 1 + relative
+        _finding(told, "dart", "start")["figure"] *= 7  # rounding, far below what is allowed
+
+    # The figure is 0.28 of its budget, of which 1e-6 may differ.
+    ended, told = compare(_validation(), other)
+
+    assert ended.code == 0
+    changed = [figure for entry in told["scenes"][0]["entries"] for figure in entry["figures"]]
+    assert [figure["what"] for figure in changed] == (["error at 1 s"] if shown else [])
+    assert told["verdict"] == ("changed" if shown else "same")
+
+
+@pytest.mark.parametrize(("factor", "shown"), [(1.4, False), (1.6, True), (0.5, True)])
+def test_times_are_apart_and_never_worse(compare: CommandLine, factor: float, shown: bool) -> None:
+    def slower(told: Json) -> None:
+        _engine(told, "exudyn")["wall_per_simulated_s"] *= factor
+
+    ended, told = compare(_validation(), slower)
+
+    assert (ended.code, told["verdict"]) == (0, "same")
+    times = [time for entry in told["scenes"][0]["entries"] for time in entry["timings"]]
+    assert [time["ratio"] for time in times] == ([pytest.approx(factor)] if shown else [])
+
+
+def test_figures_that_are_missing_now_are_told(compare: CommandLine) -> None:
+    def gone(told: Json) -> None:
+        _finding(told, "dart", "energy")["figure"] = None
+        _engine(told, "dart")["agreement_time_s"] = 0.5
+
+    _, told = compare(_validation(), gone)
+
+    (entry,) = told["scenes"][0]["entries"]
+    assert [(figure["what"], figure["ratio"]) for figure in entry["figures"]] == [
+        ("energy", None),
+        ("agreement time", None),
+    ]
+
+
+def test_reasons_with_other_numbers_are_the_same_reasons(compare: CommandLine) -> None:
+    bad = _validation()
+    _failed(bad)
+
+    def moved(told: Json) -> None:
+        _engine(told, "mujoco")["reasons"] = ["gap: 340 µm, allowed 0.1 mm (side)"]
+
+    _, told = compare(bad, moved)
+
+    assert told["scenes"][0]["entries"] == []
+
+
+def test_settings_versions_and_starts_are_told(compare: CommandLine) -> None:
+    def other(told: Json) -> None:
+        _engine(told, "mujoco").update(version="5.0.0", step_s=0.01)
+        told["versions"]["mujoco"] = "5.0.0"
+        told["seed"] = 2
+
+    ended, told = compare(_validation(), other)
+
+    (scene,) = told["scenes"]
+    assert [change["what"] for change in scene["entries"][0]["settings"]] == ["version", "step [s]"]
+    assert scene["circumstances"] == [{"what": "mujoco", "old": "4.0.0", "new": "5.0.0"}]
+    assert scene["sample"] == [{"what": "seed", "old": 1, "new": 2}]
+    assert "not the same question: seed 1 → 2" in " ".join(ended.out.split())
+
+
+@pytest.mark.parametrize(("left_out", "code"), [({}, 0), ({"dart": "dart cannot do it"}, 1)])
+def test_an_engine_left_out_is_worse_than_one_not_asked(
+    compare: CommandLine, left_out: dict[str, str], code: int
+) -> None:
+    def without(told: Json) -> None:
+        told["engines"] = [e for e in told["engines"] if e["engine"] != "dart"]
+        told["left_out"] = left_out
+
+    ended, told = compare(_validation(), without)
+
+    assert ended.code == code
+    why = left_out.get("dart", "")
+    assert told["scenes"][0]["only_old"] == [
+        {"name": "dart matched", "verdict": "pass", "why": why}
+    ]
+
+
+def test_a_point_of_a_curve_over_budget_is_worse(compare: CommandLine) -> None:
+    def worse(told: Json) -> None:
+        told["curves"][0]["points"][1].update(broken=["error at 1 s"], error_m=5e-3)
+
+    ended, told = compare(_tradeoff(), worse)
+
+    assert ended.code == 1
+    assert told["scenes"][0]["worse"] == [
+        "mujoco RK4: keeps all budgets → keeps them at no step",
+        "mujoco RK4, 0.01 s: all budgets kept → over budget",
+        "mujoco RK4, 0.01 s: error at 1 s no longer keeps its budget",
+    ]
+
+
+def test_a_point_too_slow_is_not_worse(compare: CommandLine) -> None:
+    def slow(told: Json) -> None:
+        told["curves"][0]["points"][0].update(kind="too slow", broken=[], error_m=None)
+
+    ended, told = compare(_tradeoff(), slow)
+
+    assert (ended.code, told["verdict"]) == (0, "changed")
+
+
+def test_a_curve_that_is_gone_is_one_line(compare: CommandLine) -> None:
+    _, told = compare(_tradeoff(), lambda study: study["curves"].pop())
+
+    assert [one["name"] for one in told["scenes"][0]["only_old"]] == ["mujoco Euler"]
+
+
+def test_matched_settings_that_fail_are_worse(compare: CommandLine) -> None:
+    def worse(told: Json) -> None:
+        told["engines"][0].update(
+            meets_budget=False, reasons=["gap: 1 mm"], cpu_per_simulated_s=None
+        )
+
+    ended, told = compare(_match(), worse)
+
+    assert ended.code == 1
+    assert told["scenes"][0]["worse"] == ["mujoco: keeps all budgets → over budget"]
+
+
+def test_a_cell_that_is_stable_no_more_is_worse(compare: CommandLine) -> None:
+    def worse(told: Json) -> None:
+        told["panels"][0]["cells"][0][0].update(outcome="blows up", broke_s=0.3)
+
+    ended, told = compare(_stability(), worse)
+
+    assert ended.code == 1
+    assert told["scenes"][0]["worse"] == ["mujoco RK4, spin 10.0 rad/s, 0.01 s: stable → blows up"]
+
+
+def test_lists_are_compared_scene_by_scene(run: CommandLine, here: Path) -> None:
+    one, other = _tradeoff(), _tradeoff() | {"scene": "other"}
+    (here / "old.json").write_text(json.dumps([one, other]))
+    (here / "new.json").write_text(json.dumps(other))
+
+    ended = run("diff", "old.json", "new.json")
+
+    assert ended.code == 0
+    assert "scenes only in the old one: pair" in ended.out
+
+
+def test_markdown_has_it_all(compare: CommandLine, here: Path) -> None:
+    compare(_validation(), _failed, "--markdown", "diff.md")
+
+    text = (here / "diff.md").read_text()
+    assert text.startswith("# 3ladder: worse\n")
+    assert "| **mujoco matched** | **verdict** | **pass** | **fail** | **worse** |" in text
+    assert "- **Worse: mujoco matched: gap no longer keeps its budget**" in text
+
+
+_FILES: dict[str, tuple[bytes, str]] = {
+    "missing": (b"", "cannot read new.json: No such file"),
+    "empty": (b" ", "is not JSON, or was cut short"),
+    "truncated": (_KEPT.read_bytes()[:-100], "is not JSON, or was cut short"),
+    "not text": (b"\x89PNG\r\n\x1a\n\xff\xfe", "is not JSON, or was cut short"),
+    "nested without end": (b"[" * 100_000, "is not JSON, or was cut short"),
+    "foreign": (b'{"name": "x"}', "has no schema; compared are mbds-xsim/validate/1"),
+    "a number": (b"3", "has no schema"),
+    "an empty list": (b"[]", "holds an empty list"),
+    "a schema of later": (b'{"schema": "mbds-xsim/validate/2"}', "schema 'mbds-xsim/validate/2'"),
+    "a schema of no text": (b'{"schema": [1]}', "schema [1]"),
+    "hollow": (b'{"schema": "mbds-xsim/validate/1"}', "missing required field `scene`"),
+    "another command's": (json.dumps(_match()).encode(), "give two of the same"),
+}
+
+
+@pytest.mark.parametrize("kind", _FILES)
+def test_bad_files_are_one_line(run: CommandLine, here: Path, kind: str) -> None:
+    content, said = _FILES[kind]
+    if content:
+        (here / "new.json").write_bytes(content)
+
+    ended = run("diff", str(_KEPT), "new.json", "--json", "diff.json")
+
+    assert ended.code == 2
+    assert said in ended.err
+    assert ended.err.count("\n") == 1
+    assert not (here / "diff.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda told: told.update(scene="2ladder"), "is about 3ladder and new.json about 2ladder"),
+        (lambda told: told.update(length_m=2.0), "not the same scene in both files: length [m]"),
+        (lambda told: told["engines"].append(told["engines"][0]), "has 'dart matched' twice"),
+        (lambda told: told["engines"][0].update(step_s="x"), "$.engines[0].step_s"),
+    ],
+)
+def test_other_scenes_are_refused(compare: CommandLine, edit: Edit, said: str) -> None:
+    ended, told = compare(_validation(), edit)
+
+    assert (ended.code, told) == (2, {})
+    assert said in ended.err
+    assert ended.err.count("\n") == 1
