@@ -1,6 +1,7 @@
 """The commands, a file each; importing one adds it to the command line."""
 
 from mbds_xsim.commands import (
+    ablate,
     audit,
     contact,
     diff,
@@ -14,6 +15,7 @@ from mbds_xsim.commands import (
 )
 
 __all__ = [
+    "ablate",
     "audit",
     "contact",
     "diff",

@@ -1,0 +1,79 @@
+"""`mbds-xsim ablate`: no more than a scene needs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    JsonFile,
+    app,
+    check_targets,
+    console_for,
+    encoded,
+    progress_on,
+    scene_named,
+    write_json,
+)
+
+__all__ = ["ablate"]
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim ablate 3ladder  ·  "
+    "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md"
+)
+def ablate(
+    scenes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
+    ],
+    engines: Annotated[
+        str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    ] = None,
+    settings: Annotated[str, typer.Option(help="Of the engines: matched or native.")] = "matched",
+    trajectories: Annotated[
+        int, typer.Option(help="Starts of each interval.", min=1, max=1000)
+    ] = 2,
+    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+    ] = None,
+    json: JsonFile = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
+    ] = None,
+) -> None:
+    """Drop and halve what a scene models; compare with the disagreement between engines."""
+    from mbds_xsim.catalogue import as_profile
+    from mbds_xsim.choice import Choice
+    from mbds_xsim.report.ablate_markdown import to_markdown
+    from mbds_xsim.report.ablate_terminal import print_ablation
+    from mbds_xsim.study.ablate import ablate as study
+    from mbds_xsim.write import write_whole
+
+    console = console_for(json)
+    choice = Choice.parse(engines=engines, profiles=as_profile(settings))
+    check_targets(json=json, markdown=markdown)
+    found = []
+    for scene in [scene_named(name) for name in scenes]:
+        with progress_on(console) as progress:
+            result = study(
+                scene,
+                choice=choice,
+                starts=trajectories,
+                seed=seed,
+                cache=cache,
+                workers=workers,
+                progress=progress,
+                command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            )
+        print_ablation(result, console)
+        found.append(result)
+    if markdown is not None:
+        write_whole(markdown, to_markdown(found).encode())
+    write_json(encoded(found[0] if len(found) == 1 else found), json)
