@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mbds_xsim.report.tradeoff_csv import to_csv
@@ -30,4 +31,10 @@ def write_files(
     if png is not None:
         write_whole(png, to_png(studies))
     if markdown is not None:
-        write_whole(markdown, to_markdown(studies).encode())
+        picture = "" if png is None else _link(markdown, png)
+        write_whole(markdown, to_markdown(studies, picture).encode())
+
+
+def _link(page: Path, picture: Path) -> str:
+    """Name a picture from the folder of a page."""
+    return Path(os.path.relpath(picture, page.parent)).as_posix()

@@ -9,17 +9,26 @@ from mbds_xsim.study.rows import Tradeoff
 __all__ = ["to_markdown"]
 
 
-def to_markdown(studies: list[Tradeoff]) -> str:
-    """Give table, conclusions, failures, and how to make each again."""
-    return "\n".join(line for study in studies for line in _lines(study))
+def to_markdown(studies: list[Tradeoff], picture: str = "") -> str:
+    """Give table, conclusions, failures, and how to make each again.
+
+    Args:
+        studies: A chapter each.
+        picture: Where the charts of them stand, from the page; left out where there are none.
+    """
+    lines = [line for study in studies for line in _lines(study)]
+    scenes = " and ".join(study.scene for study in studies)
+    shown = [f"![Speed against accuracy of {scenes}: charts]({picture})", ""] if picture else []
+    return "\n".join([*lines, *shown])
 
 
 def _lines(study: Tradeoff) -> list[str]:
+    conclusion = summary.conclusion(study)
     versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
     return [
         f"# {study.scene}: speed against accuracy",
         "",
-        f"{study.description}. {summary.conclusion(study).capitalize()}.",
+        f"{study.description}. {conclusion[0].upper()}{conclusion[1:]}.",
         "",
         *_table(study),
         "",

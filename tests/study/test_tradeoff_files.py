@@ -168,6 +168,8 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     text = paths["markdown"].read_text()
     assert "# pair: speed against accuracy" in text
     assert "# other: speed against accuracy" in text
+    assert "Cheapest within all budgets: mujoco RK4 solver = CG at 10 ms" in text
+    assert text.endswith("![Speed against accuracy of pair and other: charts](out.png)\n")
     told = json.loads(to_json([study]))
     assert told["curves"][0]["points"][0]["kind"] == "crashed"
     assert [entry["scene"] for entry in json.loads(to_json([study, other]))] == ["pair", "other"]
