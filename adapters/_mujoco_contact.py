@@ -139,11 +139,13 @@ class Spheres:
     def may_touch(self, model: Any, data: Any, duration: float) -> bool:
         """Whether a sphere can reach the ground within a time [s]."""
         gap = self.gaps(model, data)
+        if gap.min() < 0.0:
+            return True  # whatever the speeds
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         twist = data.cvel[self._bodies]
         arm = data.geom_xpos[self._geoms] - data.subtree_com[self._roots]
-        velocity = twist[:, 3:] + np.cross(twist[:, :3], arm)
+        velocity = twist[:, 3:] + rotation.cross(twist[:, :3], arm)
         speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
         return bool(np.any(gap < _REACH * duration * (speed + self._gravity * duration)))
 

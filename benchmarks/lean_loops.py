@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from unittest.mock import patch
 
 import dartpy
 import exudyn
@@ -43,7 +44,8 @@ def lean_mujoco(run: Any, batch: Batch) -> Lean:
     (start,), (rate,) = run._start(batch)
     force, torque = batch.force[0], batch.torque[0]
     q, u = np.empty((batch.steps, model.nq)), np.empty((batch.steps, model.nv))
-    frame = _mujoco_frame(run, batch)
+    frames, options = _mujoco_steps(run, batch), model.opt
+    usual = options.integrator, options.timestep
 
     def roll() -> None:
         mujoco.mj_resetData(model, data)
@@ -52,60 +54,57 @@ def lean_mujoco(run: Any, batch: Batch) -> Lean:
         for k in range(len(q)):
             push[rows, :3] = force[k]
             drive[:] = torque[k]
-            frame(k)
+            for options.integrator, options.timestep, count, lead in frames[k]:
+                if lead:
+                    mujoco.mj_forward(model, data)
+                    data.qvel += lead * data.qacc
+                else:
+                    mujoco.mj_step(model, data, count)
             q[k], u[k] = position, velocity
+        options.integrator, options.timestep = usual
 
     return Lean(roll, lambda: to_bodies(run._mechanism, run._coordinates.to_links(q, u)))
 
 
-def _mujoco_frame(run: Any, batch: Batch) -> Callable[[int], None]:
-    """The steps of a frame: all in one call, or as recorded where some of them are finer."""
-    model, data, stepper, step = run._model, run._data, run._stepper, mujoco.mj_step
-    if not hasattr(stepper, "_flies"):
-        count = stepper._count
-        return lambda _: step(model, data, count)
-    tape = _taped(run, batch)
-    options, division = model.opt, stepper._division
-    finer, euler, air = stepper._finer, options.integrator, stepper._integrator
+def _mujoco_steps(run: Any, batch: Batch) -> list[list[tuple[int, float, int, float]]]:
+    """What each frame takes in the adapter's rollout.
 
-    def frame(k: int) -> None:
-        for flies, before, after in tape[k]:
-            if flies:
-                options.integrator, options.timestep = air, division * finer
-                step(model, data)
-                options.integrator, options.timestep = euler, finer
-                continue
-            if before:
-                mujoco.mj_forward(model, data)
-                data.qvel -= 0.5 * finer * data.qacc
-            step(model, data, division)
-            if after:
-                mujoco.mj_forward(model, data)
-                data.qvel += 0.5 * finer * data.qacc
+    Of calls of the engine's step: integrator, step [s] and number of steps; of moves of the
+    velocities with the accelerations: the time [s] that they move on by, last.
+    """
+    stepper, step = run._stepper, mujoco.mj_step
+    frame = stepper.frame
+    lead: Any = getattr(stepper, "_lead", None)
+    frames: list[list[tuple[int, float, int, float]]] = []
+    begun = [0.0]
 
-    return frame
+    def taped_frame(*given: Any) -> None:
+        frames.append([])
+        frame(*given)
 
-
-def _taped(run: Any, batch: Batch) -> list[list[tuple[bool, bool, bool]]]:
-    """Whether each step flies, and whether its velocities are moved before and after it."""
-    stepper = run._stepper
-    flies, lead = stepper._flies, stepper._lead
-    tape: list[list[Any]] = []
-
-    def taped_flies(*given: Any) -> bool:
-        tape.append([bool(flies(*given))])
-        return tape[-1][0]
+    def taped_step(model: Any, data: Any, nstep: int = 1) -> None:
+        _drop_undone(data.time)
+        frames[-1].append((model.opt.integrator, model.opt.timestep, nstep, 0.0))
+        begun[0] = data.time
+        step(model, data, nstep)
 
     def taped_lead(model: Any, data: Any, steps: float) -> None:
+        _drop_undone(data.time)
         velocity = data.qvel.copy()
         lead(model, data, steps)
-        tape[-1].append(bool(np.any(velocity != data.qvel)))
+        if np.any(velocity != data.qvel):
+            finer = model.opt.timestep
+            frames[-1].append((model.opt.integrator, finer, 0, steps * finer))
 
-    stepper._flies, stepper._lead = taped_flies, taped_lead
-    run.rollout(batch)
-    del stepper._flies, stepper._lead
-    steps = [(flown, *(moved or (False, False))) for flown, *moved in tape]
-    return [steps[k : k + stepper._count] for k in range(0, len(steps), stepper._count)]
+    def _drop_undone(time: float) -> None:
+        """Forget a step that was taken back: time is where it began."""
+        if frames[-1] and not frames[-1][-1][3] and time <= begun[0]:
+            frames[-1].pop()
+
+    taped = {"frame": taped_frame} | ({"_lead": taped_lead} if lead else {})
+    with patch.multiple(stepper, **taped), patch.object(mujoco, "mj_step", taped_step):
+        run.rollout(batch)
+    return frames
 
 
 def lean_pybullet(run: Any, batch: Batch) -> Lean:
@@ -221,26 +220,20 @@ def _settings_by_frame(run: Any, batch: Batch) -> list[Any]:
     usual, near = names["settings"], names.get("near_ground")
     if near is None:
         return [usual] * batch.steps
-    tape: list[Any] = []
-    step = run._step
+    solve, step = names["step_frame"], run._step
+    frames: list[Any] = []
 
-    def taped() -> None:
-        solve = names["step_frame"]
-        taken: list[Any] = []
-
-        def keep(settings: Any = usual) -> None:
-            taken.append(settings)
-            solve(settings)
-
-        names["step_frame"] = keep
+    def taped_step() -> None:
+        frames.append(usual)
         step()
-        names["step_frame"] = solve
-        tape.append(taken[-1])
 
-    run._step = taped
-    run.rollout(batch)
-    del run._step
-    return tape
+    def taped_solve(settings: Any = usual) -> None:
+        frames[-1] = settings  # an earlier one was taken back
+        solve(settings)
+
+    with patch.object(run, "_step", taped_step), patch.dict(names, step_frame=taped_solve):
+        run.rollout(batch)
+    return frames
 
 
 def _pushed(force: Array) -> list[int]:
