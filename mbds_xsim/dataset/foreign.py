@@ -149,7 +149,14 @@ def _column(
         msg = f"{path}: frame {bad}, column {name}: got {texts[bad]!r}, allowed is a number"
         raise InputError(msg) from None
     last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
-    return np.array([float(text) for text in texts]), 0.5 * 10.0**last
+    numbers = np.array([float(text) for text in texts])
+    return numbers, max(0.5 * 10.0**last, _coarse(numbers))
+
+
+def _coarse(numbers: Array) -> float:
+    """Rounding of numbers that are float32 written as short as they can be; 0 of others."""
+    short = numbers.astype(np.float32)
+    return _rounding(short) if (short.astype(str).astype(np.float64) == numbers).all() else 0.0
 
 
 def _is_number(text: str) -> bool:

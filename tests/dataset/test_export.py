@@ -1,0 +1,130 @@
+"""`mbds-xsim export`: npz and CSV files hold the same numbers, and can be audited."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbds_xsim.dataset.audit import Told, audit_file
+from mbds_xsim.dataset.export import LOST, Form, export
+from mbds_xsim.dataset.foreign import read_foreign
+from mbds_xsim.dataset.held import Held
+from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.numbers import parse_numbers
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene_file import read_scene
+
+MOTION = ("position", "velocity", "body/position", "body/orientation", "body/velocity")
+SET = "1pendulum/mujoco-matched"
+
+
+class Silence:
+    def begin(self, total: int) -> None:
+        pass
+
+    def advance(self, what: str) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def data(whole: Path) -> Dataset:
+    return load_dataset(whole / f"{SET}.h5")
+
+
+def _exported(whole: Path, out: Path, form: Form, numbers: list[int] | None = None) -> Path:
+    export(whole, out, form, numbers=numbers, progress=Silence())
+    return out / SET
+
+
+def test_npz_files_hold_every_trajectory(whole: Path, data: Dataset, tmp_path: Path) -> None:
+    done = export(whole, tmp_path, "npz", progress=Silence())
+    files = sorted((tmp_path / SET).glob("*.npz"))
+    assert (done.files, done.trajectories, len(files)) == (3, len(data), 3)
+    assert done.bytes == sum(file.stat().st_size for file in files)
+    parts = [np.load(file) for file in files]
+    for name in (*MOTION, "input/force", "index"):
+        whole_set = np.concatenate([part[name] for part in parts])
+        np.testing.assert_array_equal(whole_set, np.asarray(data[name]))
+        assert whole_set.dtype == np.asarray(data[name]).dtype
+    split = np.concatenate([part["split"] for part in parts])
+    np.testing.assert_array_equal(split, data.small["split"])
+
+
+def test_what_is_not_carried_is_said(whole: Path, data: Dataset, tmp_path: Path) -> None:
+    """Every dataset of the file is in the export or named as lost, in print and in the README."""
+    folder = _exported(whole, tmp_path, "npz", [0])
+    there = set(np.load(folder / "0000000000.npz").files)
+    lost = " ".join(LOST["npz"])
+    missing = set(Held.read(data.files[0]).arrays) - there
+    assert missing == {name for name in known_names() if name.startswith(("check/", "start/"))}
+    assert all(f"({name.split('/')[0]}/…" in lost for name in missing)
+    readme = (folder / "README.md").read_text()
+    assert all(line in readme for line in LOST["npz"])
+
+
+@pytest.mark.parametrize("form", ["npz", "csv"])
+def test_an_export_can_be_audited(form: Form, whole: Path, data: Dataset, tmp_path: Path) -> None:
+    """With the figures of the data set, and the start and inputs that it names."""
+    folder = _exported(whole, tmp_path, form, [300])
+    scene = read_scene(folder / "scene.toml")
+    assert scene == data.scene
+    found = audit_file(folder / f"0000000300.{form}", scene if form == "csv" else None, Told())
+    assert (found.verdict, found.trajectories) == ("pass", 1)
+    assert "start and inputs: those of seed 0, index 300, with noise" in found.taken
+    row = data.index.tolist().index(300)
+    stored = dict(zip(data["check/name"], np.asarray(data["check/figure"])[row], strict=True))
+    figures = {finding.check: finding.figure for finding in found.findings}
+    for check in ("start", "gap", "energy", "momentum"):
+        assert figures[check] == pytest.approx(stored[check], rel=1e-6), check
+
+
+def test_csv_files_hold_the_same_bits(whole: Path, data: Dataset, tmp_path: Path) -> None:
+    folder = _exported(whole, tmp_path, "csv", [0, 650])
+    assert sorted(path.name for path in folder.glob("*.csv")) == [
+        "0000000000.csv",
+        "0000000650.csv",
+    ]
+    found = read_foreign(folder / "0000000650.csv", data.scene)
+    row = data.index.tolist().index(650)
+    for name in (*MOTION, "body/angular_velocity", "input/force"):
+        stored = np.asarray(data[name][row], dtype=np.float64)
+        read = found.arrays[name][0].astype(np.asarray(data[name]).dtype)
+        np.testing.assert_array_equal(read, stored)
+    assert found.facts["seed"] == 0
+
+
+@pytest.mark.parametrize("form", ["npz", "csv"])
+def test_the_same_export_makes_the_same_bytes(form: Form, whole: Path, tmp_path: Path) -> None:
+    contents = [
+        {
+            path.name: path.read_bytes()
+            for path in _exported(whole, tmp_path / out, form, [5]).iterdir()
+        }
+        for out in ("one", "one", "other")
+    ]
+    assert contents[0] == contents[1] == contents[2]
+
+
+def test_bad_requests_are_one_line(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--indices: got 700, allowed for .* is 0 … 699"):
+        _exported(whole, tmp_path, "npz", [3, 700])
+    with pytest.raises(InputError, match=r"--engines: got 'dart', allowed for .* is mujoco"):
+        export(whole, tmp_path, "npz", engines="dart", progress=Silence())
+    with pytest.raises(InputError, match="holds no data set"):
+        export(tmp_path, tmp_path / "out", "npz", progress=Silence())
+    with pytest.raises(InputError, match="there is no such file or folder"):
+        export(tmp_path / "nothing", tmp_path / "out", "npz", progress=Silence())
+    assert not list(tmp_path.iterdir())
+    _exported(whole, tmp_path, "csv", [3])
+    with pytest.raises(InputError, match=r"holds 0000000003\.csv, which is not of this export"):
+        _exported(whole, tmp_path, "csv", [4])
+
+
+def test_numbers_are_read_as_people_write_them() -> None:
+    assert parse_numbers("7, 0-2,1", "--indices") == [0, 1, 2, 7]
+    for text in ("", "3-1", "a", "1,,2", "-1"):
+        with pytest.raises(InputError, match=r"--indices: got"):
+            parse_numbers(text, "--indices")
