@@ -8,10 +8,10 @@ SCENE ?= 3ladder
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
-STARTS ?= 20
-SCENES = 5pendulum 6pendulum 2ladder 3ladder ballscroll balldrop particlecar simplecubli
-
-.PHONY: validate test lint package reports clean
+# One at a time: the reports take times.
+.NOTPARALLEL:
+.PHONY: validate test lint package clean reports reports-validate reports-contact \
+	reports-tradeoff reports-stability reports-ablation reports-overhead reports-pages readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -35,14 +35,62 @@ $(VENV)/ready: pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@
 
+# Every report again, in hours on a machine that does nothing else. A chapter has its own target;
+# options for a quick look:
+# make reports-tradeoff reports-stability REPORTS=out/reports SCENES=5pendulum \
+#     TRADEOFF="--starts 1 --limit 2" STUDIES=spin STABILITY=--quick
+REPORTS ?= reports
+STARTS ?= 20
+SCENES ?= 5pendulum 6pendulum 2ladder 3ladder ballscroll balldrop particlecar simplecubli
+STUDIES ?= scenes mass-ratio chain-length loops redundancy singular stiffness spin wheels throw \
+	swing friction restitution
+TRADEOFF ?=
+STABILITY ?=
+ABLATION ?=
+files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
+figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
+
+reports: reports-validate reports-contact reports-tradeoff reports-stability reports-ablation \
+	reports-overhead reports-pages readme
+
 # A verdict of fail (exit code 1) is a result too.
-reports: $(VENV)/ready
+reports-validate: $(VENV)/ready
 	for scene in $(SCENES); do \
 		$(BIN)/mbds-xsim validate $$scene --trajectories $(STARTS) --seed 1 \
-			--json reports/$$scene.json --markdown reports/$$scene.md \
-			|| [ $$? -eq 1 ] || exit; \
+			$(call files,$$scene) || [ $$? -eq 1 ] || exit; \
 	done
-	$(BIN)/python benchmarks/contact_limits.py > reports/contact-limits.md
+
+reports-contact: $(VENV)/ready
+	mkdir -p $(REPORTS)
+	$(BIN)/python benchmarks/contact_limits.py > $(REPORTS)/contact-limits.md
+
+# What is interrupted goes on where it stopped; so do the studies of stability.
+reports-tradeoff: $(VENV)/ready
+	for scene in $(SCENES); do \
+		$(BIN)/mbds-xsim tradeoff $$scene $(TRADEOFF) \
+			$(call files,tradeoff/$$scene) $(call figures,tradeoff/$$scene) || exit; \
+	done
+
+reports-stability: $(VENV)/ready
+	for study in $(STUDIES); do \
+		$(BIN)/mbds-xsim stability $$study $(STABILITY) $(call figures,stability/$$study) \
+			--markdown $(REPORTS)/stability/$$study.md || exit; \
+	done
+
+reports-ablation: $(VENV)/ready
+	$(BIN)/mbds-xsim ablate $(SCENES) $(ABLATION) --markdown $(REPORTS)/ablation.md
+
+reports-overhead: $(VENV)/ready
+	mkdir -p $(REPORTS)
+	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
+
+# The page that lists the reports.
+reports-pages: $(VENV)/ready
+	$(BIN)/python benchmarks/reports_page.py $(REPORTS) > $(REPORTS)/README.md
+
+# The table of README, from the trade-offs that are kept here.
+readme: $(VENV)/ready
+	$(BIN)/python benchmarks/choose_table.py reports/tradeoff --into README.md
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

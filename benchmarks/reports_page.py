@@ -1,0 +1,84 @@
+"""The page that lists all stored reports: what each says in a sentence, and how it was made.
+
+python benchmarks/reports_page.py reports > reports/README.md
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+CHAPTERS = (
+    ("Validation", "make reports-validate", "[0-9a-z]*.md"),
+    ("Contact at matched settings", "make reports-contact", "contact-limits.md"),
+    ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
+    ("Where methods fail", "make reports-stability", "stability/*.md"),
+    ("No more than a scene needs", "make reports-ablation", "ablation.md"),
+    ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
+)
+_COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
+_WRITES = re.compile(r" (?:--(?:json|csv|png|markdown)|>) \S+")  # the files stand beside it
+_SENTENCE = re.compile(r".+?\.(?=\s|$)")
+_SHORT = 260  # characters
+_NO_PROSE = ("#", "|", "-", "<", "!")
+_DATA = (".png", ".csv", ".json")
+
+_HEAD = """\
+# Reports
+
+Figures of runs that take longer than a test may. `make reports` makes all of them again, in hours
+on a quiet machine; each chapter has a target of its own. [`mbds-xsim diff`](../docs/diff.md) tells
+what a new result has that a stored one had not.
+"""
+
+
+def main(folder: Path) -> None:
+    print(_HEAD)
+    taken = {folder / "README.md", *(folder / pattern for _, _, pattern in CHAPTERS)}
+    for heading, target, pattern in CHAPTERS:
+        exact = folder / pattern
+        pages = [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - taken)
+        if pages:
+            print("\n".join(chapter(heading, target, pages, folder)), end="\n\n")
+
+
+def chapter(heading: str, target: str, pages: list[Path], folder: Path) -> Iterator[str]:
+    """List the pages of a kind."""
+    yield from (f"## {heading}", "", f"`{target}`", "")
+    yield from ("| report | in short | data | command |", "| :-- | :-- | :-- | :-- |")
+    for page in pages:
+        text = page.read_text("utf-8")
+        found = _COMMAND.search(text)
+        cells = [
+            link(page.stem, page, folder),
+            lead(text).replace("|", "\\|"),
+            ", ".join(link(file.suffix[1:], file, folder) for file in beside(page)),
+            f"`{_WRITES.sub('', found[1])}`" if found else "",
+        ]
+        yield f"| {' | '.join(cells)} |"
+
+
+def link(name: str, file: Path, folder: Path) -> str:
+    return f"[{name}]({file.relative_to(folder).as_posix()})"
+
+
+def beside(page: Path) -> list[Path]:
+    """Files of other kinds with the same name."""
+    return [file for kind in _DATA if (file := page.with_suffix(kind)).is_file()]
+
+
+def lead(text: str) -> str:
+    """Give the first sentence of prose, and the second where both are short."""
+    paragraphs = (part.strip() for part in text.split("\n\n"))
+    prose = (part for part in paragraphs if part and not part.startswith(_NO_PROSE))
+    first = " ".join(next(prose, "").split())
+    sentences = [sentence.strip() for sentence in _SENTENCE.findall(first)]
+    both = " ".join(sentences[:2])
+    told = both if len(both) <= _SHORT else sentences[0]
+    return f"{told[:1].upper()}{told[1:]}"
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,133 @@
+"""README's table: the cheapest way of each engine that keeps all budgets, or why there is none."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.report.choose_table import choose_table
+from mbds_xsim.study.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff, to_json
+
+_SCRIPT = Path(__file__).parents[2] / "benchmarks" / "choose_table.py"
+
+
+def _point(
+    step_s: float, wall_s: float | None, broken: tuple[str, ...] = (), kind: Kind = "done"
+) -> Point:
+    return Point(
+        steps_per_frame=round(0.02 / step_s),
+        step_s=step_s,
+        kind=kind,
+        reason="" if kind == "done" else "gave up",
+        wall_s=wall_s,
+        error_m=None if wall_s is None else step_s / 100,
+        broken=broken,
+    )
+
+
+def _curve(engine: str, method: str, *points: Point, variation: str = "") -> CurveResult:
+    return CurveResult(
+        engine=engine,
+        version="1.0",
+        method=method,
+        family="Runge–Kutta",
+        variation=variation,
+        options={},
+        order=4,
+        measured_order=None,
+        points=points,
+    )
+
+
+def _study(*curves: CurveResult) -> Tradeoff:
+    return Tradeoff(
+        schema=SCHEMA,
+        scene="pair",
+        description="two bodies",
+        command="mbds-xsim tradeoff pair",
+        seed=0,
+        trajectories=(1,),
+        horizon_s=1.0,
+        reference_ends_s=None,
+        duration_s=4.0,
+        length_m=1.0,
+        budget={"error_1s": 1e-3, "error": 1e-2},
+        contact=False,
+        limit_s=30.0,
+        curves=curves,
+        ratios=(),
+        left_out={"pybullet semi-implicit-euler": "pybullet cannot do ball joint"},
+        versions={"mujoco": "4.0.0"},
+        machine="a machine",
+        workers=1,
+        busy=1.0,
+        measured=1,
+        kept=0,
+        wall_s=1.0,
+    )
+
+
+_STUDY = _study(
+    _curve("mujoco", "RK4", _point(0.02, 0.001, ("gap",)), _point(0.01, 0.004), _point(0.005, 0.1)),
+    _curve("mujoco", "Euler", _point(0.01, 0.005)),
+    _curve("mujoco", "RK4", _point(0.02, 0.0001), variation="native"),
+    _curve("dart", "euler", _point(0.002, 0.5), _point(0.001, 1.0)),
+    _curve("exudyn", "alpha", _point(0.02, 0.1, ("gap", "energy")), _point(0.01, 0.2, ("gap",))),
+)
+
+
+def _cells(table: str) -> dict[str, str]:
+    head, _, row, *_ = table.splitlines()
+    pairs = zip(head.split("|")[1:-1], row.split("|")[1:-1], strict=True)
+    return {heading.strip(): cell.strip() for heading, cell in pairs}
+
+
+def test_cells_have_the_cheapest_that_keeps_all_budgets_and_the_best_is_bold() -> None:
+    cells = _cells(choose_table([_STUDY]))
+
+    assert cells == {
+        "scene and budget of its error": "pair<br>≤ 1.0 mm at 1 s",
+        "mujoco": "**RK4, 10 ms**<br>100 µm<br>**4.0 ms**, 250 × real time",
+        "dart": "euler, 2.0 ms<br>20 µm<br>500 ms, 2 × real time",
+        "exudyn": "–",
+        "pybullet": "–",
+    }
+
+
+def test_a_dash_has_its_reason() -> None:
+    table = choose_table([_STUDY])
+
+    assert "- pair, exudyn: nearest is alpha at 10 ms, over budget: gap" in table
+    assert "- pair, pybullet: pybullet cannot do ball joint" in table
+    assert "pair, mujoco" not in table
+
+
+def test_what_did_not_end_says_so() -> None:
+    table = choose_table([_study(_curve("dart", "euler", _point(0.02, None, kind="crashed")))])
+
+    assert _cells(table)["dart"] == "–"
+    assert "- pair, dart: crashed: gave up" in table
+
+
+def test_scenes_without_a_truth_are_not_said_to_be_judged() -> None:
+    limit = msgspec.structs.replace(_STUDY, own_limit=200, reference_ends_s=0.0)
+    impact = msgspec.structs.replace(_STUDY, horizon_s=0.38, reference_ends_s=0.39)
+
+    assert "pair<br>distance to its own limit at 1 s, not judged" in choose_table([limit])
+    assert "pair<br>error at 0.38 s, before the first impact" in choose_table([impact])
+
+
+def test_the_script_puts_it_between_its_marks(tmp_path: Path) -> None:
+    (tmp_path / "pair.json").write_bytes(to_json([_STUDY]))
+    page = tmp_path / "page.md"
+    page.write_text("a\n<!-- choose-table: begin -->\nold\n<!-- choose-table: end -->\nb\n")
+
+    subprocess.run([sys.executable, str(_SCRIPT), tmp_path, "--into", page], check=True)
+
+    assert page.read_text() == (
+        f"a\n<!-- choose-table: begin -->\n{choose_table([_STUDY])}\n"
+        "<!-- choose-table: end -->\nb\n"
+    )

@@ -1,0 +1,40 @@
+"""README and the page of reports say what is stored, and point at what is there."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).parents[1]
+_LINK = re.compile(r"\]\(([^)#]+)")
+_TABLE = re.compile(r"<!-- choose-table: begin -->\n(.*)<!-- choose-table: end -->", re.DOTALL)
+
+
+def _printed(script: str, *words: str) -> str:
+    command = [sys.executable, str(_ROOT / "benchmarks" / script), *words]
+    return subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout
+
+
+def test_the_table_of_readme_is_that_of_the_reports() -> None:
+    (found,) = _TABLE.findall((_ROOT / "README.md").read_text("utf-8"))
+
+    assert found.strip() == _printed("choose_table.py", "reports/tradeoff").strip(), "make readme"
+
+
+def test_the_page_of_reports_lists_what_is_stored() -> None:
+    found = (_ROOT / "reports" / "README.md").read_text("utf-8")
+
+    assert found == _printed("reports_page.py", "reports"), "make reports-pages"
+
+
+@pytest.mark.parametrize("page", ["README.md", "reports/README.md"])
+def test_links_lead_somewhere(page: str) -> None:
+    path = _ROOT / page
+    targets = [t for t in _LINK.findall(path.read_text("utf-8")) if "://" not in t]
+
+    assert targets
+    assert [target for target in targets if not (path.parent / target).exists()] == []
