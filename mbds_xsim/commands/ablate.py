@@ -74,6 +74,6 @@ def ablate(
             )
         print_ablation(result, console)
         found.append(result)
-    if markdown is not None:
-        write_whole(markdown, to_markdown(found).encode())
+        if markdown is not None:
+            write_whole(markdown, to_markdown(found).encode())
     write_json(encoded(found[0] if len(found) == 1 else found), json)

@@ -8,7 +8,16 @@ from dataclasses import dataclass
 from mbds_xsim.report import quantity
 from mbds_xsim.study.ablate_result import Ablation, Row, Size
 
-__all__ = ["COLUMNS", "Column", "conclusion", "floor_line", "judge_line", "model", "size_line"]
+__all__ = [
+    "COLUMNS",
+    "Column",
+    "conclusion",
+    "floor_line",
+    "judge_line",
+    "made",
+    "model",
+    "size_line",
+]
 
 
 @dataclass(frozen=True)
@@ -23,13 +32,14 @@ class Column:
     """Whether a narrow terminal has it too."""
 
 
-def _factor(row: Row) -> str:
+def made(row: Row) -> str:
+    """Say what was done to the effect."""
     return "dropped" if row.factor == 0.0 else f"× {row.factor:g}"
 
 
 COLUMNS = (
     Column("effect", "what the scene models", lambda row: row.effect, text=True),
-    Column("made", "dropped, or how much of it is left", _factor, text=True),
+    Column("made", "dropped, or how much of it is left", made, text=True),
     Column(
         "at 1 s",
         "RMS change of the particles at 1 s, worst of the low and medium starts",
@@ -88,7 +98,9 @@ def judge_line(ablation: Ablation) -> str:
 def floor_line(ablation: Ablation) -> str:
     """Say what a change must exceed, and where that comes from."""
     floor = ablation.floor
-    at_one = _floor(floor.at_1s, floor.disagreement_1s_m, floor.budget_1s_m)
+    at_one = "none"
+    if floor.disagreement_1s_m is not None:
+        at_one = _floor(floor.at_1s, floor.disagreement_1s_m, floor.budget_1s_m)
     overall = _floor(floor.overall, floor.disagreement_m, floor.budget_m)
     return f"{at_one} at 1 s, {overall} overall; engines: {', '.join(ablation.floor_engines)}"
 

@@ -28,7 +28,7 @@ def print_ablation(ablation: Ablation, console: Console) -> None:
     _remark(console, "floor", summary.floor_line(ablation))
     for row in ablation.rows:
         if row.verdict in ("not possible", "not resolvable"):
-            _remark(console, row.effect, row.sentence)
+            _remark(console, f"{row.effect} {summary.made(row)}", row.sentence)
     for engine, reason in ablation.failed.items():
         _remark(console, f"{engine} failed", reason)
     for engine, reason in ablation.left_out.items():

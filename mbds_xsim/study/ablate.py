@@ -79,7 +79,8 @@ def ablate(
     rows = bench.rows(_variants(scene, evidence.batch, seed), workers, cache, meter)
     least = least_size(scene)
     contenders, _ = chosen.contenders(scene)
-    sizes = run_tasks([Task(native_size, (scene, c.engine, c.settings)) for c in contenders])
+    loads = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
+    sizes = run_tasks(loads, workers=workers)
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -232,12 +233,10 @@ class _Bench:
         return [self._row(variant, told.get(id(variant))) for variant in variants]
 
     def _task(self, variant: _Variant, cache: bool) -> Task:
-        frames = int(self.window.judged.sum(axis=1).max())
-        batch = variant.batch.truncated(max(frames - 1, 1))
         if self.judge is None:
             return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
-        arguments = (variant.scene, batch, self.judge)
-        return Task(_simulated, arguments, _TIMEOUT)
+        batch = variant.batch.truncated(max(self.window.frames - 1, 1))
+        return Task(_simulated, (variant.scene, batch, self.judge), _TIMEOUT)
 
     def _row(self, variant: _Variant, answer: Trajectory | Crash | None) -> Row:
         effect, factor = variant.effect, variant.factor

@@ -33,6 +33,8 @@ class Window:
     weight: Array
     """What changes are divided by, max(1, growth); shape (start, frame)."""
     time: Array
+    apart: Array
+    """Largest distance of two engines [m], shape (start, frame)."""
     regular: Mask
     """Starts that are judged at 1 s: all but those of the high interval, shape (start,)."""
     ends: str
@@ -55,6 +57,19 @@ class Window:
             return np.zeros(0)
         return np.asarray(error[self.regular & self.judged[:, frame], frame])
 
+    @property
+    def frames(self) -> int:
+        """Frames that are looked at: all that are judged, and the first second."""
+        second = int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9)))
+        return min(max(int(self.judged.sum(axis=1).max()), second + 1), len(self.time))
+
+    def beyond(self, error: Array) -> float:
+        """Give the errors over the engines' distance at 1 s, whether judged or not: the median."""
+        frame = min(int(np.searchsorted(self.time, _INSTANT * (1 - 1e-9))), len(self.time) - 1)
+        known = np.isfinite(error[:, frame]) & (self.apart[:, frame] > 0)
+        ratio = error[known, frame] / self.apart[known, frame]
+        return float(np.median(ratio)) if ratio.size else 0.0
+
     def weighted(self, error: Array) -> Array:
         """Give the largest weighted error of each start over the judged frames [m], (start,)."""
         return np.asarray(np.nanmax(np.where(self.judged, error / self.weight, 0.0), axis=1))
@@ -71,13 +86,14 @@ def window_of(evidence: Evidence, apart: Array) -> Window:
     calm, ends = growth < agreement.CHAOS, "chaos"
     if not known.all():
         calm &= apart <= _APART * evidence.scene.length
-        ends = "engines disagree by 1 % of the scene's length: contact has no unique solution"
+        ends = "engines part by 1 % of the length in contact"
     judged = np.logical_and.accumulate(calm, axis=1)
     interval = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return Window(
         judged=judged,
         weight=np.maximum(1.0, growth),
         time=evidence.reference.time,
+        apart=apart,
         regular=np.array([name != "high" for name in interval]),
         ends="" if judged.all() else ends,
     )

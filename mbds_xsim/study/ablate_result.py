@@ -11,8 +11,9 @@ __all__ = ["SCHEMA", "Ablation", "Floor", "Row", "Size", "Verdict"]
 SCHEMA = "mbds-xsim/ablate/1"
 
 Verdict = Literal["needed", "not needed", "not resolvable", "not possible"]
-"""The change is above the floor; below it; below it while motions can be compared, which is less
-than 1 s; there is no such scene, start or simulation."""
+"""The change is above the floor, or where engines have parted clearly above their distance; below
+the floor; not to be told, as motions can be compared for less than 1 s; there is no such scene,
+start or simulation."""
 
 
 class Floor(msgspec.Struct, frozen=True):

@@ -13,6 +13,9 @@ __all__ = ["impossible", "row_of"]
 
 Array = NDArray[np.float64]
 
+_CLEARLY = 3.0
+"""A change so many times the engines' distance shows even where these have parted."""
+
 
 def row_of(
     effect: Effect, factor: float, change: Array, window: Window, floor: Floor, lost: str
@@ -35,13 +38,14 @@ def row_of(
     apart = max(
         _over(worst, floor.disagreement_m), _over(worst_one or 0.0, floor.disagreement_1s_m)
     )
-    verdict = _verdict(excess, window)
+    beyond = window.beyond(change)
+    verdict = _verdict(excess, beyond, window)
     return Row(
         effect=effect.name,
         factor=factor,
         left=effect.dropped,
         verdict=verdict,
-        sentence="; ".join(filter(None, (_sentence(verdict, excess, apart, window), lost))),
+        sentence="; ".join(filter(None, (_sentence(verdict, excess, apart, beyond, window), lost))),
         change_1s_m=worst_one,
         change_1s_median_m=float(np.median(at_one)) if at_one.size else None,
         change_m=worst,
@@ -62,23 +66,20 @@ def _over(change: float, disagreement: float | None) -> float:
     return change / disagreement if disagreement else np.inf
 
 
-def _verdict(excess: float, window: Window) -> Verdict:
-    if excess > 1.0:
+def _verdict(excess: float, beyond: float, window: Window) -> Verdict:
+    if excess > 1.0 or (not window.reaches and beyond > _CLEARLY):
         return "needed"
     return "not needed" if window.reaches else "not resolvable"
 
 
-def _sentence(verdict: Verdict, excess: float, apart: float, window: Window) -> str:
-    if verdict == "needed":
+def _sentence(verdict: Verdict, excess: float, apart: float, beyond: float, window: Window) -> str:
+    if excess > 1.0:
         return f"motion changes by {_told(excess)} × the floor"
-    if verdict == "not resolvable":
-        return f"no more than {_told(excess)} of the floor until {window.ends}"
-    if excess == 0.0:
-        return "nothing changes"
-    text = f"{_told(excess)} of the floor"
-    if apart > 1.0:
-        text += f", though {_told(apart)} × what engines differ by"
-    return text
+    share = f"{_told(excess)} of the floor" if excess else "no change"
+    if not window.reaches:
+        past = f"{share} until {window.ends}; {_told(beyond)} × their distance at 1 s"
+        return past if verdict == "needed" else f"{past}, clear is {_CLEARLY:g} ×"
+    return f"{share}, though {_told(apart)} × what engines differ by" if apart > 1.0 else share
 
 
 def _told(ratio: float) -> str:

@@ -1,0 +1,299 @@
+"""What effects are worth: nothing where they provably do nothing, else what theory says."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import cli, registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.isolate import Task, run_tasks
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import Turn
+from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene_file import write_scene
+from mbds_xsim.study.ablate import ablate
+from mbds_xsim.study.ablate_effects import EFFECTS, Effect
+from mbds_xsim.study.ablate_floor import Window
+from mbds_xsim.study.ablate_result import Ablation, Floor, Row
+from mbds_xsim.study.ablate_size import least_size
+from mbds_xsim.study.ablate_verdict import row_of
+
+Array = NDArray[np.float64]
+
+_SECOND = Clock(0.02, 50)
+_GRAVITY = 9.81
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+
+
+def _effect(name: str) -> Effect:
+    return next(effect for effect in EFFECTS if effect.name == name)
+
+
+def _ablate(scene: Scene, engines: str = "mujoco,exudyn") -> Ablation:
+    return ablate(scene, choice=Choice.parse(engines=engines), starts=1, workers=0)
+
+
+def _row(ablation: Ablation, effect: str, factor: float) -> Row:
+    return next(row for row in ablation.rows if (row.effect, row.factor) == (effect, factor))
+
+
+def _compound_pendulum(arm: float, moment: float, angle: float) -> Scene:
+    return Scene(
+        name="compound",
+        bodies=(Body("bob", inertia=Inertia(1.0, (moment,) * 3, com=(0.0, 0.0, -arm))),),
+        joints=(Joint("pivot", "hinge", "world", "bob", (0.0, 0.0, 0.0), (0, 1, 0), start=angle),),
+        length=1.0,
+        clock=_SECOND,
+    )
+
+
+def test_the_inertia_of_a_compound_pendulum_is_worth_what_its_period_says() -> None:
+    arm, moment, angle = 0.5, 0.1, 0.05
+    ablation = _ablate(_compound_pendulum(arm, moment, angle))
+    turned = [
+        angle * math.cos(math.sqrt(_GRAVITY * arm / (own + arm**2))) for own in (moment, moment / 2)
+    ]
+    # Stand-ins for particles: six points at the radius of gyration around the centre of mass.
+    reach = math.sqrt(arm**2 + (2 / 3) * (1.5 * moment))
+    expected = 2 * reach * math.sin(abs(turned[1] - turned[0]) / 2)
+    row = _row(ablation, "rotary inertia", 0.5)
+    assert row.verdict == "needed"
+    # The period of a swing of 0.05 rad is longer by 0.05² / 16.
+    assert row.change_1s_m == pytest.approx(expected, rel=2e-3)
+    assert row.change_1s_median_m == pytest.approx(row.change_1s_m)
+    about = _row(ablation, "inertia about hinges", 0.5)
+    assert about.change_1s_m == pytest.approx(row.change_1s_m, rel=1e-6)
+
+
+def test_spin_inertia_of_rods_that_do_not_spin_is_worth_nothing() -> None:
+    scene = msgspec.structs.replace(registry.load_scene("2pendulum"), clock=_SECOND)
+    ablation = _ablate(scene)
+    for factor in (0.0, 0.5):
+        row = _row(ablation, "spin inertia of rods", factor)
+        assert row.verdict == "not needed"
+        assert row.change_m is not None
+        assert row.change_m < 1e-9
+    own = _row(ablation, "own inertia of particles", 0.0)
+    assert own.change_m is not None
+    assert own.change_m > 1e-4
+    plane = _row(ablation, "third dimension", 0.0)
+    assert plane.verdict == "not possible"
+    assert "joints['joint" in plane.sentence
+    more = {size.engine: (size.more_coordinates, size.more_constraints) for size in ablation.sizes}
+    assert more == {"mujoco": (0, 0), "exudyn": (6, 6)}
+
+
+def test_friction_is_worth_the_way_that_a_ball_slides_on() -> None:
+    scene = msgspec.structs.replace(registry.load_scene("ballscroll"), clock=_SECOND, noise=0.0)
+    ablation = _ablate(scene)
+    assert scene.ground is not None
+    batch, radius = draw_batch(scene, range(3)), scene.contacts[0].radius
+    speed, spin = batch.velocity[:2, 0, 0], batch.angular_velocity[:2, 0, 1]
+    way = {mu: _rolled(speed, radius * spin, mu * scene.ground.friction) for mu in (0.0, 0.5, 1.0)}
+    for factor in (0.0, 0.5):
+        row = _row(ablation, "friction", factor)
+        assert row.verdict == "needed"
+        assert row.change_1s_m == pytest.approx(np.abs(way[factor] - way[1.0]).max(), rel=1e-6)
+        assert _row(ablation, "restitution", factor).change_m == 0.0
+    assert "noise" not in {row.effect for row in ablation.rows}
+
+
+def _rolled(speed: Array, rim: Array, friction: float) -> Array:
+    """Way of a ball in 1 s that slides, then rolls [m]."""
+    if friction == 0.0:
+        return speed
+    brake = friction * _GRAVITY
+    slides = np.minimum(1.0, (speed - rim) * 2 / (7 * brake))
+    rolling = np.where(slides < 1.0, (5 * speed + 2 * rim) / 7, 0.0)
+    return np.asarray(speed * slides - brake * slides**2 / 2 + rolling * (1.0 - slides))
+
+
+def test_a_ladder_that_swings_in_its_plane_needs_no_third_dimension() -> None:
+    ladder = registry.load_scene("1ladder")
+    swings = tuple(draw for draw in ladder.sampling if isinstance(draw, Turn))
+    scene = msgspec.structs.replace(ladder, clock=Clock(0.02, 15), sampling=swings, noise=0.0)
+    ablation = _ablate(scene)
+    plane = _row(ablation, "third dimension", 0.0)
+    assert plane.verdict == "not needed"
+    assert plane.change_m is not None
+    assert plane.change_m < 1e-8
+    assert _row(ablation, "closed loops", 0.0).verdict == "needed"
+    assert ablation.loop_conditions == 3
+
+
+@pytest.mark.slow
+def test_without_a_unique_solution_an_engine_is_the_judge() -> None:
+    scene = msgspec.structs.replace(registry.load_scene("particlecar"), clock=Clock(0.02, 6))
+    ablation = _ablate(scene, "mujoco,dart")
+    assert ablation.judge.startswith(("mujoco", "dart"))
+    assert _row(ablation, "friction", 0.0).verdict == "needed"
+    assert _row(ablation, "speed of wheels", 0.0).verdict == "needed"
+
+
+@pytest.mark.parametrize("name", registry.PAPER_SCENES)
+def test_an_effect_at_full_strength_is_the_scene_itself(name: str) -> None:
+    scene = registry.load_scene(name)
+    full = Mechanism.of(scene)
+    for effect in EFFECTS:
+        same = effect.weaken(scene, 1.0) if effect.factors[-1] == 0.5 else None
+        if same is None:
+            continue
+        mechanism = Mechanism.of(same)
+        np.testing.assert_allclose(mechanism.inertia, full.inertia, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(mechanism.com, full.com, rtol=0, atol=1e-14)
+        np.testing.assert_array_equal(mechanism.mass, full.mass)
+        if effect.starts == "redrawn":
+            again, batch = draw_batch(same, range(3)), draw_batch(scene, range(3))
+            np.testing.assert_array_equal(again.velocity, batch.velocity)
+            np.testing.assert_array_equal(again.force, batch.force)
+
+
+@pytest.mark.parametrize("name", registry.PAPER_SCENES)
+def test_weaker_starts_are_the_same_in_all_but_the_effect(name: str) -> None:
+    scene = registry.load_scene(name)
+    batch = draw_batch(scene, range(3), seed=5)
+    seen = set()
+    for effect in (effect for effect in EFFECTS if effect.starts == "redrawn"):
+        weaker = effect.weaken(scene, 0.5)
+        if weaker is None:
+            continue
+        seen.add(effect.name)
+        half = draw_batch(weaker, range(3), seed=5)
+        np.testing.assert_allclose(half.position, batch.position, rtol=0, atol=1e-12)
+        changed = {
+            key
+            for key in ("velocity", "angular_velocity", "force", "torque")
+            if not np.array_equal(getattr(half, key), getattr(batch, key))
+        }
+        assert changed, effect.name
+        assert changed <= _TOUCHES[effect.name], effect.name
+    assert "noise" in seen
+    quiet = draw_batch(msgspec.structs.replace(scene, noise=0.0), range(3), seed=5)
+    half = draw_batch(msgspec.structs.replace(scene, noise=scene.noise / 2), range(3), seed=5)
+    np.testing.assert_allclose(2 * half.force, quiet.force + batch.force, rtol=0, atol=1e-12)
+
+
+_TOUCHES = {
+    "noise": {"force"},
+    "wind": {"force"},
+    "gusts": {"force"},
+    "drives": {"torque"},
+    "start velocity": {"velocity", "angular_velocity"},
+    "start spin": {"velocity", "angular_velocity"},
+    "speed of wheels": {"velocity", "angular_velocity"},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "freedom", "coordinates", "conditions", "spheres"),
+    [
+        ("6pendulum", 18, 18, 0, 0),
+        ("3ladder", 108, 117, 9, 0),
+        ("particlecar", 10, 10, 0, 4),
+        ("simplecubli", 9, 9, 0, 8),
+        ("balldrop", 3, 3, 0, 1),
+        ("ballscroll", 2, 2, 0, 1),
+    ],
+)
+def test_the_smallest_model(
+    name: str, freedom: int, coordinates: int, conditions: int, spheres: int
+) -> None:
+    least = least_size(registry.load_scene(name))
+    assert (least.degrees_of_freedom, least.coordinates) == (freedom, coordinates)
+    assert (least.conditions, least.spheres) == (conditions, spheres)
+
+
+def _judged(change: float, frames: int, apart: float) -> Row:
+    """Judge a constant change on one start of 1 s that is compared over some frames."""
+    time = np.linspace(0.0, 1.0, 11)
+    window = Window(
+        judged=(np.arange(11) < frames)[None],
+        weight=np.ones((1, 11)),
+        time=time,
+        apart=np.full((1, 11), apart),
+        regular=np.array([True]),
+        ends="" if frames == 11 else "chaos",
+    )
+    floor = Floor(apart if frames == 11 else None, apart, 1e-3, 1e-3)
+    return row_of(_effect("noise"), 0.0, np.full((1, 11), change), window, floor, "")
+
+
+@pytest.mark.parametrize(
+    ("change", "frames", "apart", "verdict"),
+    [
+        (2e-3, 11, 1e-4, "needed"),
+        (5e-4, 11, 1e-4, "not needed"),
+        (2e-3, 11, 3e-3, "not needed"),
+        (5e-4, 5, 3e-4, "not resolvable"),
+        (9.9e-4, 5, 3e-4, "needed"),
+        (2e-3, 5, 1e-3, "needed"),
+        (0.0, 5, 3e-4, "not resolvable"),
+    ],
+)
+def test_the_verdict_follows_the_larger_of_disagreement_and_budget(
+    change: float, frames: int, apart: float, verdict: str
+) -> None:
+    assert _judged(change, frames, apart).verdict == verdict
+
+
+def _in_this_process(tasks: list[Task], **options: Any) -> list[Any]:
+    return run_tasks(tasks, **(options | {"workers": 0}))
+
+
+def _call(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> int:
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "ablate", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def test_the_command_writes_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "p.toml"
+    short = msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(0.02, 10))
+    scene.write_text(write_scene(short), "utf-8")
+    page, data = tmp_path / "a.md", tmp_path / "a.json"
+    for module in ("mbds_xsim.campaign", "mbds_xsim.study.ablate"):
+        monkeypatch.setattr(f"{module}.run_tasks", _in_this_process)
+    words = [str(scene), "--engines", "mujoco,exudyn", "--trajectories", "1"]
+    words += ["--markdown", str(page), "--json", str(data)]
+    assert _call(monkeypatch, words) == 0
+    assert "1pendulum: " in capsys.readouterr().out
+    found = json.loads(data.read_text("utf-8"))
+    assert {row["effect"] for row in found["rows"]} >= {"noise", "start velocity"}
+    assert "| noise | dropped |" in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["teapot"], "'teapot'"),
+        (["2pendulum", "--engines", "ode"], "'ode'"),
+        (["2pendulum", "--settings", "fast"], "'fast'"),
+        (["2pendulum", "--json", "a", "--markdown", "a"], "both name"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: list[str],
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert _call(monkeypatch, words) == 2
+    error = capsys.readouterr().err.strip()
+    assert told in error
+    assert "\n" not in error
