@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from mbds_xsim.joint_space import LinkStates
 from mbds_xsim.mechanism import Mechanism
 
+from ._mujoco_cardan import angles, cross_axes, turned
+
 __all__ = ["Coordinates"]
 
 Array = NDArray[np.float64]
@@ -20,11 +22,15 @@ class Coordinates:
     """Where each link's coordinates lie in qpos and qvel.
 
     MuJoCo's ball joint turns child to parent with its rate in the child's frame, its free joint
-    has a velocity in W and a rate in the body's frame: as in `LinkStates`.
+    has a velocity in W and a rate in the body's frame: as in `LinkStates`. Rods with an axis in
+    `idle` hang on Cardan joints.
     """
 
-    def __init__(self, model: Any, mechanism: Mechanism) -> None:
-        kinds = [link.joint.kind if link.joint is not None else "free" for link in mechanism.links]
+    def __init__(self, model: Any, mechanism: Mechanism, idle: Array) -> None:
+        kinds = [
+            "cardan" if idle[link.body].any() else link.joint.kind if link.joint else "free"
+            for link in mechanism.links
+        ]
         self._link_count = len(kinds)
         self._sizes = (model.nq, model.nv)
         # MuJoCo numbers bodies depth first, the links breadth first: only names tell.
@@ -45,6 +51,16 @@ class Coordinates:
             qpos[self._free, None] + np.arange(7),
             qvel[self._free, None] + np.arange(6),
         )
+        self._cardan = of("cardan")
+        self._cross = cross_axes(idle[[mechanism.links[k].body for k in self._cardan]])
+        self._cardan_at = (
+            qpos[self._cardan, None] + np.arange(2),
+            qvel[self._cardan, None] + np.arange(2),
+        )
+
+    def bend(self, qpos: Array) -> Array:
+        """Largest second angle of all Cardan joints [rad]; a right angle is where they lock."""
+        return np.asarray(np.abs(qpos[..., self._cardan_at[0][:, 1]]).max(axis=-1, initial=0.0))
 
     def from_links(self, links: LinkStates) -> tuple[Array, Array]:
         """Give qpos (…, nq) and qvel (…, nv)."""
@@ -55,6 +71,11 @@ class Coordinates:
         qvel[..., self._scalar_at[1]] = links.rate[..., scalar]
         qpos[..., self._ball_at[0]] = links.rotation[..., ball, :]
         qvel[..., self._ball_at[1]] = links.angular_velocity[..., ball, :]
+        qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]] = angles(
+            links.rotation[..., self._cardan, :],
+            links.angular_velocity[..., self._cardan, :],
+            self._cross,
+        )
         qpos[..., self._free_at[0]] = np.concatenate(
             [links.position[..., free, :], links.rotation[..., free, :]], axis=-1
         )
@@ -77,6 +98,9 @@ class Coordinates:
         )
         links.coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
         links.rate[..., scalar] = qvel[..., self._scalar_at[1]]
+        links.rotation[..., self._cardan, :], links.angular_velocity[..., self._cardan, :] = turned(
+            qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
+        )
         links.rotation[..., ball, :] = qpos[..., self._ball_at[0]]
         links.angular_velocity[..., ball, :] = qvel[..., self._ball_at[1]]
         pose, twist = qpos[..., self._free_at[0]], qvel[..., self._free_at[1]]

@@ -105,6 +105,19 @@ class Trajectory:
             tuple(picked),
         )
 
+    def replaced(self, rows: NDArray[np.int64], other: Trajectory) -> Trajectory:
+        """Put another's trajectories in the place of some, in their order."""
+        arrays = {
+            key: getattr(self, key).copy()
+            for key in ("position", "orientation", "velocity", "angular_velocity")
+        }
+        failures = list(self.failures)
+        for key, values in arrays.items():
+            values[rows] = getattr(other, key)
+        for row, failure in zip(rows, other.failures, strict=True):
+            failures[row] = failure
+        return Trajectory(self.time, **arrays, failures=tuple(failures))
+
     @staticmethod
     def empty(time: Array, trajectory_count: int, body_count: int) -> Trajectory:
         """Make a trajectory of NaN, for a run to fill in."""

@@ -1,0 +1,77 @@
+"""Rods without spin where that says all, with it where a trajectory needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.engine import ModelSize, Readback, Run
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.spin import STILL, spin_about
+from mbds_xsim.state import Batch, Trajectory
+
+__all__ = ["SpinlessRun"]
+
+Array = NDArray[np.float64]
+
+_BENT = 1.0
+"""Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
+
+
+class _Spinless(Protocol):
+    """A run without spin."""
+
+    @property
+    def size(self) -> ModelSize: ...
+
+    def simulate(self, batch: Batch) -> tuple[Trajectory, Array]: ...
+
+    def readback(self, batch: Batch) -> Readback: ...
+
+    def native(self) -> str: ...
+
+    def close(self) -> None: ...
+
+
+class SpinlessRun(Run):
+    """Simulates without spin first, and again with it what spins or bends too far.
+
+    Args:
+        mechanism: Of the scene.
+        idle: Axes of the rods that have no spin, as `mbds_xsim.spin.idle_axes` gives them.
+        spinless: The model without.
+        load: Loads the model with spin.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, idle: Array, spinless: _Spinless, load: Callable[[], Run]
+    ) -> None:
+        self._mechanism, self._idle = mechanism, idle
+        self._spinless, self._load = spinless, load
+        self._whole: Run | None = None
+        self.size = spinless.size
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        motion, bend = self._spinless.simulate(batch)
+        native = self._mechanism.native_rotation(batch.orientation)
+        spin = np.abs(spin_about(self._idle, native, batch.angular_velocity)).max(axis=-1)
+        # Written so that what is not a number is tried again, too.
+        again = np.flatnonzero(~((spin <= STILL) & (bend <= _BENT)))
+        if not len(again):
+            return motion
+        self._whole = self._whole or self._load()
+        return motion.replaced(again, self._whole.rollout(batch[again]))
+
+    def readback(self, batch: Batch) -> Readback:
+        return self._spinless.readback(batch)
+
+    def native(self) -> str:
+        return self._spinless.native()
+
+    def close(self) -> None:
+        self._spinless.close()
+        if self._whole is not None:
+            self._whole.close()

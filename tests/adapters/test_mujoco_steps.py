@@ -1,0 +1,142 @@
+"""MuJoCo's savings: steps where joints turn fast, no spin where nothing turns a rod."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim import readback, reference, rotation
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.spin import idle_axes
+from mbds_xsim.state import Batch, Trajectory
+
+pytest.importorskip("mujoco")
+
+ENGINE = load_adapter("mujoco")
+
+
+def rollout(scene: Scene, batch: Batch, count: int, **options: float | bool | str) -> Trajectory:
+    with ENGINE.open(scene, Settings("RK4", scene.clock.frame / count, options)) as run:
+        return run.rollout(batch)
+
+
+def swinging(speed: float) -> tuple[Scene, Batch, Trajectory]:
+    """A double pendulum whose rods start at a given rate [rad/s], and its exact motion."""
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, [0], noise=False).truncated(25)
+    spin = np.zeros_like(batch.angular_velocity)
+    spin[..., 0] = speed
+    down = np.array([0.0, 0.0, -0.5])
+    place = np.array([[down, 2 * down]])
+    upright = np.broadcast_to(np.array([1.0, 0.0, 0.0, 0.0]), batch.orientation.shape)
+    velocity = np.cross(spin, place)
+    start = Batch(
+        **{
+            **{key: getattr(batch, key) for key in batch.__dataclass_fields__},
+            "position": place,
+            "orientation": upright,
+            "velocity": velocity,
+            "angular_velocity": spin,
+        }
+    )
+    return scene, start, reference.solve(scene, start, cache=False)
+
+
+def error(motion: Trajectory, exact: Trajectory) -> float:
+    return float(np.abs(motion.position - exact.position).max())
+
+
+def test_frames_with_fast_joints_take_more_steps() -> None:
+    scene, batch, exact = swinging(12.0)
+    equal, finer = (rollout(scene, batch, 1, turn=turn) for turn in (0.0, 0.125))
+    assert error(finer, exact) < 0.1 * error(equal, exact)
+
+
+def test_more_steps_where_joints_are_fast_keep_the_order() -> None:
+    scene, batch, exact = swinging(8.0)
+    errors = [error(rollout(scene, batch, count), exact) for count in (1, 2, 4)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 4.0) < 0.4), (orders, errors)
+
+
+def test_slow_frames_take_the_steps_that_were_asked_for() -> None:
+    scene, batch, _ = swinging(0.1)
+    batch = batch.truncated(5)
+    assert np.array_equal(
+        rollout(scene, batch, 4).position, rollout(scene, batch, 4, turn=0.0).position
+    )
+
+
+def test_a_ladder_without_the_spin_of_its_rods_moves_as_the_reference_does() -> None:
+    scene = load_scene("2ladder")
+    batch = draw_batch(scene, [0, 2]).truncated(50)
+    exact = reference.solve(scene, batch, cache=False)
+    whole, slim = (rollout(scene, batch, 4, spin=spin) for spin in (True, False))
+    for key in ("position", "orientation", "velocity", "angular_velocity"):
+        off, usual = (
+            np.abs(getattr(motion, key) - getattr(exact, key)).max() for motion in (slim, whole)
+        )
+        assert off < max(1.2 * usual, 1e-9), key
+
+
+def test_a_model_without_spin_is_smaller_and_stands_for_the_scene() -> None:
+    scene = load_scene("3ladder")
+    batch = draw_batch(scene, [0])
+    sizes = []
+    for spin in (True, False):
+        with ENGINE.open(scene, Settings("RK4", 0.01, {"spin": spin})) as run:
+            sizes.append(run.size.coordinates)
+            told = run.readback(batch)
+            settings = Settings("RK4", 0.01)
+            assert readback.compare(Mechanism.of(scene), batch, settings, told) == []
+    assert sizes == [117, 81]
+
+
+@pytest.mark.parametrize("what", ["spins", "bends"])
+def test_what_spins_or_bends_too_far_is_simulated_with_spin(what: str) -> None:
+    """And the trajectory beside it is not."""
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, [0, 3], noise=False).truncated(10)
+    if what == "spins":
+        axis = batch.position[1, 0] / np.linalg.norm(batch.position[1, 0])
+        batch.angular_velocity[1, 0] += 2.0 * axis
+    else:  # the lower rod lies along the first axis of its Cardan joint, which so locks
+        down = np.array([0.0, 0.0, -0.5])
+        aside = 0.5 * rotation.normal_to(idle_axes(scene)[1])[0]
+        batch.position[1] = [down, down + aside]
+        batch.orientation[1] = [rotation.IDENTITY, rotation.between(down, aside)]
+        batch.velocity[1] = batch.angular_velocity[1] = 0.0
+    whole, slim = (rollout(scene, batch, 4, spin=spin) for spin in (True, False))
+    assert np.array_equal(whole.position[1], slim.position[1])
+    assert not np.array_equal(whole.position[0], slim.position[0])
+    assert np.allclose(whole.position[0], slim.position[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "value"), [("turn", -1.0), ("turn", "far"), ("spin", "no")])
+def test_wrong_values_are_refused(name: str, value: float | str) -> None:
+    scene = load_scene("2pendulum")
+    with pytest.raises(InputError, match=f"{name}: got {value!r}, allowed is"):
+        ENGINE.open(scene, Settings("RK4", 0.01, {name: value}))
+
+
+def test_the_native_text_tells_what_it_leaves_out_and_when_steps_change() -> None:
+    scene = load_scene("2ladder")
+    with ENGINE.open(scene, Settings("RK4", 0.01, {"spin": False})) as run:
+        text = run.native()
+    assert "rad/s" in text
+    assert text.count('type="hinge"') == 2 * 24
+
+
+def test_ladders_leave_spin_out_at_matched() -> None:
+    def leaves_out(scene: Scene) -> bool:
+        return ENGINE.settings(scene, "matched").options.get("spin") is False
+
+    assert leaves_out(load_scene("1ladder"))
+    assert not leaves_out(load_scene("2pendulum"))
+    assert not leaves_out(msgspec.structs.replace(load_scene("balldrop"), name="other"))
