@@ -19,7 +19,7 @@ from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.split import split_of
 from mbds_xsim.dataset.variant import Variant
 
-__all__ = ["JOINT", "VariantCount", "join", "valid_numbers"]
+__all__ = ["JOINT", "VariantCount", "causes", "join", "valid_numbers"]
 
 JOINT = f"joint{SUFFIX}"
 """Name of the file that says which trajectories are valid in all variants of a scene."""
@@ -69,7 +69,7 @@ def _join_variant(variant: Variant, trajectories: int, out: Path) -> VariantCoun
         trajectories=trajectories,
         published=published,
         rejected=trajectories - published,
-        rejected_by=dict(_causes(rejected_folder(variant, out), names).most_common()),
+        rejected_by=dict(causes(rejected_folder(variant, out), names).most_common()),
         bytes=sum(shard.path.stat().st_size for shard in shards),
     )
 
@@ -131,7 +131,7 @@ def _put_virtual(new: NewFile, field: Field, like: Any, shards: Sequence[_Shard]
     new.describe(field, {})
 
 
-def _causes(folder: Path, names: Sequence[str]) -> Counter[str]:
+def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
     """Count rejected trajectories by what failed first."""
     found: Counter[str] = Counter()
     for name in names:

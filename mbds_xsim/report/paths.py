@@ -1,0 +1,147 @@
+"""A picture of a data set: the paths of its points in a trajectory of each interval."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.projection import View
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.write import write_whole
+
+__all__ = ["draw_paths"]
+
+Array = NDArray[np.float64]
+
+_INK = "#1c2733"
+_GREY = "#8a949e"
+_WIDE = 1.8
+
+
+def draw_paths(data: Dataset, path: Path) -> None:
+    """Draw into a PNG file the first trajectory of each interval.
+
+    Paths are seen as `mbds-xsim show --png` sees the scene, with the bodies at the start and at
+    the end; a scene in one dimension as its coordinate over time.
+
+    Raises:
+        InputError: The set is empty, or the file cannot be written.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = [
+        int(found[0])
+        for k in range(len(INTERVALS))
+        if len(found := np.flatnonzero(data.index % len(INTERVALS) == k))
+    ]
+    if not rows:
+        msg = f"--png: {data.path} has no trajectories to draw"
+        raise InputError(msg)
+    with matplotlib.rc_context({"font.size": 9, "text.color": _INK, "axes.edgecolor": _GREY}):
+        size, stacked = _panel_size(data, rows)
+        grid = (len(rows), 1) if stacked else (1, len(rows))
+        figure = Figure(
+            figsize=(size[0] * grid[1] + 0.6, size[1] * grid[0] + 0.6), layout="constrained"
+        )
+        FigureCanvasAgg(figure)
+        panels = figure.subplots(*grid, squeeze=False, sharex=True, sharey=True).ravel()
+        for axes, row in zip(panels, rows, strict=True):
+            _panel(axes, data, row)
+        _name_axes(panels, data, stacked=stacked)
+        told = data.attributes
+        figure.suptitle(
+            f"{told['scene_name']} in {told['engine']} {told['engine_version']}, "
+            f"{told['method']} at {told['step_s']:.4g} s ({told['certification']})"
+            + ("" if told["dimension"] == 1 else ": start grey, end black"),
+            fontsize=10,
+        )
+        stream = io.BytesIO()
+        figure.savefig(
+            stream, format="png", dpi=150, bbox_inches="tight", metadata={"Software": None}
+        )
+    write_whole(path, stream.getvalue())
+
+
+def _panel_size(data: Dataset, rows: list[int]) -> tuple[tuple[float, float], bool]:
+    """Fit the panels to the motion [inches]; wide ones stand above each other."""
+    if data.attributes["dimension"] == 1:
+        return (3.6, 4.0), False
+    view = _view(data)
+    flat = np.concatenate(
+        [view.flat(_lifted(data, np.asarray(data.position[row]))).reshape(-1, 2) for row in rows]
+    )
+    width, height = np.ptp(flat, axis=0) + 1e-9
+    if width > _WIDE * height:
+        return (9.0, max(1.2, 9.0 * float(height / width)) + 0.6), True
+    return (min(4.8, max(2.4, 4.0 * float(width / height))) + 0.3, 4.0), False
+
+
+def _panel(axes: Any, data: Dataset, row: int) -> None:
+    """Draw one trajectory."""
+    index = int(data.index[row])
+    interval = index % len(INTERVALS)
+    axes.set_title(f"trajectory {index}, {INTERVALS[interval]}", fontsize=9)
+    axes.grid(color="#e6eaed", linewidth=0.6)
+    axes.set_axisbelow(True)
+    colour = LIGHT[interval]
+    position = np.asarray(data.position[row], dtype=np.float64)
+    if data.attributes["dimension"] == 1:
+        axes.plot(data["time"], position[..., 0], color=colour, linewidth=1.0)
+        return
+    view = _view(data)
+    flat = view.flat(_lifted(data, position))
+    for point in range(flat.shape[1]):
+        axes.plot(*flat[:, point].T, color=colour, linewidth=0.7, alpha=0.6)
+    for frame, shade, width in ((0, _GREY, 1.0), (-1, _INK, 1.2)):
+        _bones(axes, data, view, flat[frame], shade, width)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _bones(axes: Any, data: Dataset, view: View, flat: Array, colour: str, width: float) -> None:
+    """Draw points and edges of one frame, and what is fixed."""
+    fixed = view.flat(_lifted(data, np.asarray(data["graph/static_node"])))
+    nodes = np.concatenate([flat, fixed])
+    for a, b in np.asarray(data["graph/edge"]):
+        axes.plot(*nodes[[a, b]].T, color=colour, linewidth=width)
+    axes.plot(*flat.T, ".", color=colour, ms=3)
+    axes.plot(*fixed.T, "^", color=_INK, ms=6)
+
+
+def _lifted(data: Dataset, position: Array) -> Array:
+    """Give points three components, 0 where the scene does not move, (…, point, 3)."""
+    whole = np.zeros((*position.shape[:-1], 3))
+    whole[..., Points.of(data.scene).axes] = position
+    return whole
+
+
+def _view(data: Dataset) -> View:
+    """Look as the picture of the scene does."""
+    points = Points.of(data.scene)
+    rest = points.mechanism.com[points.body] + points.offset
+    return View.of(rest, data.scene.dimension)
+
+
+def _name_axes(panels: Any, data: Dataset, *, stacked: bool) -> None:
+    across, up = "time [s]", "x [m]"
+    if data.attributes["dimension"] > 1:
+        across, up = (_direction(axis) for axis in _view(data).axes[:2])
+    for axes in panels[-1:] if stacked else panels:
+        axes.set_xlabel(across)
+    for axes in panels if stacked else panels[:1]:
+        axes.set_ylabel(up)
+
+
+def _direction(axis: Array) -> str:
+    """Name a coordinate, or say that it is none."""
+    found = np.flatnonzero(np.abs(axis) > 1 - 1e-9)
+    return f"{'xyz'[int(found[0])]} [m]" if len(found) else "projected [m]"

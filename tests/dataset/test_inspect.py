@@ -1,0 +1,96 @@
+"""`mbds-xsim inspect`: what it counts, and that its picture shows the motion."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rich.console import Console
+
+from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.summary import summaries
+from mbds_xsim.errors import InputError
+from mbds_xsim.registry import load_scene
+from mbds_xsim.report.inspecting import print_summary
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.paths import draw_paths
+from tests.dataset.conftest import Make
+
+SET = "1pendulum/mujoco-matched"
+
+
+def test_counts_and_figures_are_those_of_the_files(whole: Path) -> None:
+    (found,) = summaries(whole)
+    data = load_dataset(whole / f"{SET}.h5")
+    assert (found.drawn, found.published, found.rejected, found.shards) == (700, 700, 0, 3)
+    for part, counts in found.counts.items():
+        rows = data.rows_of(part)
+        assert sum(counts.values()) == len(rows)
+        assert counts["medium"] == int((data.index[rows] % 3 == 1).sum())
+    energy = next(figure for figure in found.figures if figure.check == "energy")
+    column = list(data["check/name"]).index("energy")
+    figures = np.asarray(data["check/figure"])[:, column]
+    assert (energy.smallest, energy.largest) == (figures.min(), figures.max())
+    assert energy.trajectories == 700
+    assert energy.largest <= (energy.allowed or 0)
+    sampled = next(figure for figure in found.figures if figure.check == "error growth-weighted")
+    assert sampled.trajectories == 3
+    size = sum(path.stat().st_size for path in whole.rglob("*.h5") if path.name != "joint.h5")
+    assert found.bytes == size
+
+
+def test_a_shard_has_no_split(whole: Path) -> None:
+    (found,) = summaries(whole / SET / "0000000300.h5")
+    assert (found.kind, found.drawn, found.shards) == ("shard", 300, 1)
+    assert found.counts == {"all": {"low": 100, "medium": 100, "high": 100}}
+
+
+def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None:
+    """Every trajectory fails a budget of no energy error at all."""
+
+    scene = load_scene("1pendulum")
+    strict = msgspec.structs.replace(scene.budget, energy=1e-15, energy_first_order=1e-15)
+    scene = msgspec.structs.replace(
+        scene, budget=strict, clock=msgspec.structs.replace(scene.clock, steps=10)
+    )
+    make(tmp_path, scene=scene, trajectories=3)
+    (found,) = summaries(tmp_path)
+    assert (found.published, found.rejected) == (0, 3)
+    assert found.rejected_by == {"energy": 3}
+    (aside,) = summaries(tmp_path / "rejected" / SET / "0000000000.h5")
+    assert (aside.kind, aside.rejected_by) == ("rejected", {"energy": 3})
+    with pytest.raises(InputError, match="has no trajectories to draw"):
+        draw_paths(load_dataset(tmp_path / f"{SET}.h5"), tmp_path / "it.png")
+
+
+def test_the_summary_can_be_read(whole: Path) -> None:
+    stream = io.StringIO()
+    print_summary(summaries(whole)[0], Console(file=stream, width=120))
+    text = stream.getvalue()
+    for words in ("1pendulum", "joined, certified", "700 published and 0 rejected of 700", "test"):
+        assert words in text
+
+
+def test_the_picture_shows_the_paths(whole: Path, tmp_path: Path) -> None:
+    """What is coloured in a panel has the colour of its interval."""
+    from matplotlib.colors import to_rgb
+    from matplotlib.image import imread
+
+    target = tmp_path / "it.png"
+    draw_paths(load_dataset(whole / f"{SET}.h5"), target)
+    pixels = imread(target)[..., :3]
+    third = pixels.shape[1] // 3
+    colours = np.array([to_rgb(colour) for colour in LIGHT[:3]])
+    shades = colours - colours.mean(axis=1, keepdims=True)
+    for k in range(3):
+        panel = pixels[:, k * third : (k + 1) * third].reshape(-1, 3)
+        coloured = panel[np.ptp(panel, axis=1) > 0.12]
+        nearest = ((coloured - coloured.mean(axis=1, keepdims=True)) @ shades.T).argmax(axis=1)
+        assert 10 < len(coloured) < 0.1 * len(panel)
+        assert (nearest == k).mean() > 0.9
+    again = tmp_path / "again.png"
+    draw_paths(load_dataset(whole / f"{SET}.h5"), again)
+    assert again.read_bytes() == target.read_bytes()
