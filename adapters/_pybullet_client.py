@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -81,9 +82,7 @@ class Client:
 
     def function(self, name: str) -> Callable[..., Any]:
         """Give one of the engine's functions, for this connection."""
-        function = getattr(pybullet, name)
-        number = self._number
-        return lambda *args, **options: function(*args, physicsClientId=number, **options)
+        return functools.partial(getattr(pybullet, name), physicsClientId=self._number)
 
     def listing(self) -> str:
         """All that was written down, as a script that runs without the toolkit."""

@@ -141,12 +141,14 @@ class Contact:
         """
         self._filter(self._plane, -1, _GROUND, _SPHERE)
 
-    def trouble(self, state: BodyStates) -> str | None:
-        """Say which sphere the ground has failed to hold."""
-        arms = rotation.rotate(state.native[self._body], self._offset)
-        height = state.position[self._body, 2] + arms[:, 2]
-        if height.min() >= 0.0:
-            return None
+    def heights(self, state: BodyStates) -> Array:
+        """Heights of the spheres' centres [m], shape (…, sphere)."""
+        arms = rotation.rotate(state.native[..., self._body, :], self._offset)
+        return np.asarray(state.position[..., self._body, 2] + arms[..., 2])
+
+    def trouble(self, state: BodyStates) -> str:
+        """Say how the ground has failed to hold the lowest sphere."""
+        height = self.heights(state)
         sphere = int(height.argmin())
         return (
             f"contact is lost: sphere {sphere} on {self._names[self._body[sphere]]!r} is "

@@ -21,6 +21,7 @@ class Loads:
     """Applies loads for the next call of the engine's step, which forgets them afterwards."""
 
     def __init__(self, client: Client, model: Model, mechanism: Mechanism) -> None:
+        self._model = model
         self._springs = mechanism.springs
         self._hinges = mechanism.hinges
         self._closures = {joint.index for joint in model.closures}
@@ -42,21 +43,32 @@ class Loads:
         loops = [joint.index in self._closures for joint in self._hinges]
         return bool(self._springs) or bool(torque[..., loops].any())
 
-    def apply(self, force: Array, torque: Array, state: BodyStates) -> None:
-        """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs at this state."""
-        for body in np.flatnonzero(force.any(axis=-1)):
-            self._push(int(body), force[body], state.position[body])
-        for k in np.flatnonzero(torque):
+    def apply(self, force: Array, torque: Array, told: Array) -> None:
+        """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs.
+
+        Args:
+            force: In W on centres of mass [N].
+            torque: About the hinges [N·m].
+            told: What `Model.read` tells of the present state.
+        """
+        for body in np.flatnonzero(force.any(axis=-1)).tolist():
+            self._push(body, force[body], told[body, :3])
+        turning = []
+        for k in np.flatnonzero(torque).tolist():
             joint = self._hinges[k]
             if joint.index in self._closures:
-                self._twist(joint, float(torque[k]), state)
+                turning.append((joint, float(torque[k])))
             else:
                 # A tree joint that points the other way has its axis negated and its bodies
                 # exchanged, which leaves the torque as it is.
                 number, link = self._address(self._driven[joint.index])
                 self._drive(number, link, self._as_torque, force=float(torque[k]))
-        for spring in self._springs:
-            self._pull(spring, state)
+        if turning or self._springs:
+            state = self._model.states(told)
+            for joint, moment in turning:
+                self._twist(joint, moment, state)
+            for spring in self._springs:
+                self._pull(spring, state)
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:

@@ -23,12 +23,14 @@ from ._pybullet_client import Client, Constant
 from ._pybullet_contact import Contact
 from ._pybullet_parts import Part, Place, split
 
-__all__ = ["SPEED_CAP", "Damping", "Model"]
+__all__ = ["RATES", "SPEED_CAP", "Damping", "Model"]
 
 Array = NDArray[np.float64]
 
 SPEED_CAP = 1e6
 """Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
+RATES = slice(7, 13)
+"""Where `Model.read` gives velocity and angular velocity."""
 # Impulse of a constraint in a step [N·s]; Bullet's own cap is 500.
 _IMPULSE_CAP = 1e12
 # Distance of the two points that close a hinge from its anchor, over the longest arm there.
@@ -78,6 +80,10 @@ class Model:
         self._base_pose = client.function("getBasePositionAndOrientation")
         self._base_rate = client.function("getBaseVelocity")
         self._link_states = client.function("getLinkStates")
+        self._readings = [
+            (number, part.base, range(len(part.links)), [link.body for link in part.links])
+            for number, part in zip(self._ids, self.parts, strict=True)
+        ]
         self._moving = [
             [k for k, link in enumerate(part.links) if link.joint and link.joint.kind != "fixed"]
             for part in self.parts
@@ -125,28 +131,28 @@ class Model:
                     number, moving, targetValues=values, targetVelocities=rates,
                 )  # fmt: skip
 
-    def get(self) -> BodyStates:
-        """Read the state."""
-        return self.states(self._state())
-
-    def states(self, state: Array) -> BodyStates:
-        """Body states of what Bullet tells (…, body, 13): see `_state`."""
-        native = rotation.multiply(state[..., [6, 3, 4, 5]], rotation.conjugate(self._principal))
-        return BodyStates(state[..., 0:3], native, state[..., 7:10], state[..., 10:13])
-
-    def _state(self) -> Array:
-        """Position, xyzw of the inertial frame, velocity, angular velocity; (body, 13)."""
-        state = np.empty((self.mechanism.body_count, 13))
-        for number, part in zip(self._ids, self.parts, strict=True):
-            if part.base != WORLD_INDEX:
-                state[part.base] = self._base_state(number)
-            if part.links:
-                links = self._link_states(number, range(len(part.links)), 1, 1)
+    def read(self) -> Array:
+        """What Bullet tells of every body, see `states`; shape (body, 13)."""
+        told = np.empty((self.mechanism.body_count, 13))
+        for number, base, links, bodies in self._readings:
+            if base != WORLD_INDEX:
+                told[base] = self._base_state(number)
+            if bodies:
                 # Field 5, the link frame's rotation, comes back in single precision; 1 does not.
-                state[[link.body for link in part.links]] = [
-                    (*link[0], *link[1], *link[6], *link[7]) for link in links
+                told[bodies] = [
+                    (*link[0], *link[1], *link[6], *link[7])
+                    for link in self._link_states(number, links, 1, 1)
                 ]
-        return state
+        return told
+
+    def states(self, told: Array) -> BodyStates:
+        """Body states of position, xyzw of the inertial frame, velocity and angular velocity.
+
+        Args:
+            told: Of shape (…, body, 13).
+        """
+        native = rotation.multiply(told[..., [6, 3, 4, 5]], rotation.conjugate(self._principal))
+        return BodyStates(told[..., 0:3], native, told[..., 7:10], told[..., 10:13])
 
     def _base_state(self, number: int) -> list[float]:
         position, turn = self._base_pose(number)
@@ -165,13 +171,13 @@ class Model:
         # Native frames are parallel to W at the reference pose, so there the inertial frames'
         # rotations are the principal axes; getDynamicsInfo has them in single precision only.
         self.put(BodyStates(self.mechanism.com, native, still, still))
-        axes = rotation.matrix(self._state()[:, [6, 3, 4, 5]])
+        axes = rotation.matrix(self.read()[:, [6, 3, 4, 5]])
         moments = np.array([self._dynamics(body)[2] for body in range(count)])
         return np.asarray(np.einsum("bij,bj,bkj->bik", axes, moments, axes))
 
     def joint_axis(self) -> Array:
         """Of hinges and sliders in scene order, in W at the present state, shape (joint, 3)."""
-        turn = self._state()[:, [6, 3, 4, 5]]
+        turn = self.read()[:, [6, 3, 4, 5]]
         closed = {joint.index for joint in self.closures}
         carried = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
         axes = []

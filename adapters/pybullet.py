@@ -34,7 +34,7 @@ from mbds_xsim.steps import careful_step, nearest_step
 from ._pybullet_client import Client
 from ._pybullet_contact import CONTACT_LAW, Contact, Law
 from ._pybullet_loads import Loads
-from ._pybullet_model import SPEED_CAP, Damping, Model
+from ._pybullet_model import RATES, SPEED_CAP, Damping, Model
 
 __all__ = ["PyBullet"]
 
@@ -57,6 +57,7 @@ _OPTION_RANGES = {
     "contact_reach": (0.0, math.inf),
     "bounce_threshold": (0.0, math.inf),
 }
+_BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
 _TURN_CAP = math.pi / 4
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
@@ -183,33 +184,43 @@ class _Run(Run):
         return Contact(self._client, self._mechanism, scene.ground, law, self._step)
 
     def rollout(self, batch: Batch) -> Trajectory:
-        time = np.arange(batch.steps + 1, dtype=np.float64) * self._frame
-        out = Trajectory.empty(time, len(batch), self._mechanism.body_count)
+        shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
+        told = np.full(shape, np.nan)
         each_step = self._loads.change_within_frame(batch.torque)
         self._set_stepping(1 if each_step else self._substeps)
-        failures = tuple(self._roll(batch, row, out, each_step) for row in range(len(batch)))
+        for row in range(len(batch)):
+            self._roll(batch, row, told[row], self._substeps if each_step else 1)
+        failures = tuple(self._failure(frames) for frames in told)
+        for frames, failure in zip(told, failures, strict=True):
+            if failure is not None:
+                frames[failure.frame :] = np.nan
+        states = self._model.states(told)
         return Trajectory(
-            time, out.position, out.orientation, out.velocity, out.angular_velocity, failures
+            np.arange(batch.steps + 1, dtype=np.float64) * self._frame,
+            states.position.copy(),
+            self._mechanism.body_orientation(states.native),
+            states.velocity.copy(),
+            states.angular_velocity.copy(),
+            failures,
         )
 
-    def _roll(self, batch: Batch, row: int, out: Trajectory, each_step: bool) -> Failure | None:
-        state = self._start(batch, row)
-        self._record(state, out, row, 0)
-        reason = self._trouble(state)
-        if reason:
-            return Failure(1, reason)
+    def _roll(self, batch: Batch, row: int, told: Array, calls: int) -> None:
+        """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
+        read, apply, advance = self._model.read, self._loads.apply, self._advance
+        self._start(batch, row)
+        here = told[0] = read()
         for k in range(batch.steps):
-            for _ in range(self._substeps if each_step else 1):
-                self._loads.apply(batch.force[row, k], batch.torque[row, k], state)
-                self._advance()
-                state = self._model.get()
-            reason = self._trouble(state)
-            if reason:
-                return Failure(k + 1, reason)
-            self._record(state, out, row, k + 1)
-        return None
+            force, torque = batch.force[row, k], batch.torque[row, k]
+            for _ in range(calls):
+                apply(force, torque, here)
+                advance()
+                here = read()
+            told[k + 1] = here
+            # Written so that NaN counts as bad.
+            if not np.abs(here[:, RATES]).max() <= _BLOW_UP:
+                return
 
-    def _start(self, batch: Batch, row: int) -> BodyStates:
+    def _start(self, batch: Batch, row: int) -> None:
         if self._contact:
             self._contact.forget()
         native = self._mechanism.native_rotation(batch.orientation[row])
@@ -218,29 +229,40 @@ class _Run(Run):
                 batch.position[row], native, batch.velocity[row], batch.angular_velocity[row]
             )
         )
-        return self._model.get()
 
-    def _record(self, state: BodyStates, out: Trajectory, row: int, frame: int) -> None:
-        out.position[row, frame] = state.position
-        out.orientation[row, frame] = self._mechanism.body_orientation(state.native)
-        out.velocity[row, frame] = state.velocity
-        out.angular_velocity[row, frame] = state.angular_velocity
+    def _failure(self, told: Array) -> Failure | None:
+        """Find what first went wrong in a trajectory (frame, body, 13): Bullet never says it."""
+        state = self._model.states(told)
+        fine = np.isfinite(told).all(axis=(1, 2))
+        fine &= np.abs(told[..., RATES]).max(axis=(1, 2)) <= _BLOW_UP
+        fine &= self._turn(state) <= _TURN_CAP
+        if self._contact:
+            fine &= self._contact.heights(state).min(axis=-1) >= 0.0
+        if fine.all():
+            return None
+        first = int(fine.argmin())
+        # Frame 0 is the start, which is given.
+        return Failure(max(1, first), self._trouble(self._model.states(told[first])))
 
-    def _trouble(self, state: BodyStates) -> str | None:
-        """Say what is wrong with a state: Bullet itself never does."""
+    def _turn(self, state: BodyStates) -> Array:
+        """Largest angle [rad] by which a body turns against its carrier in a step, shape (…)."""
+        rate = state.angular_velocity
+        carried = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
+        relative = carried[..., self._turning, :] - carried[..., self._carrier, :]
+        return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
+
+    def _trouble(self, state: BodyStates) -> str:
+        """Say what is wrong with a state."""
         rates = np.concatenate([state.velocity, state.angular_velocity])
         if not (np.isfinite(rates).all() and np.isfinite(state.position).all()):
             return "the state is not finite"
-        if np.abs(rates).max() > 0.5 * SPEED_CAP:
-            return (
-                f"blow-up: {np.abs(rates).max():.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
-            )
-        carried = np.concatenate([state.angular_velocity, np.zeros((1, 3))])
-        relative = carried[self._turning] - carried[self._carrier]
-        turn = self._step * np.linalg.norm(relative, axis=-1).max(initial=0.0)
+        fastest = np.abs(rates).max()
+        if fastest > _BLOW_UP:
+            return f"blow-up: {fastest:.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
+        turn = self._turn(state)
         if turn > _TURN_CAP:
             return f"a body turns by {turn:.3g} rad in a step, the engine cuts that at π/4"
-        return self._contact.trouble(state) if self._contact else None
+        return self._contact.trouble(state) if self._contact else "a rotation is not finite"
 
     def _set_stepping(self, substeps: int) -> None:
         # Loads stay as they are over the sub-steps of one call.
@@ -249,7 +271,8 @@ class _Run(Run):
         )
 
     def readback(self, batch: Batch) -> Readback:
-        state = self._start(batch, 0)
+        self._start(batch, 0)
+        state = self._model.states(self._model.read())
         world = self._client.function("getPhysicsEngineParameters")()
         joint_axis = self._model.joint_axis()
         return Readback(

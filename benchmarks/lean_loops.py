@@ -88,13 +88,13 @@ def _mujoco_steps(run: Any, batch: Batch) -> list[list[tuple[int, float, int, fl
         begun[0] = data.time
         step(model, data, nstep)
 
-    def taped_lead(model: Any, data: Any, steps: float) -> None:
+    def taped_lead(model: Any, data: Any, *rest: Any) -> None:
         _drop_undone(data.time)
         velocity = data.qvel.copy()
-        lead(model, data, steps)
+        lead(model, data, *rest)
         if np.any(velocity != data.qvel):
             finer = model.opt.timestep
-            frames[-1].append((model.opt.integrator, finer, 0, steps * finer))
+            frames[-1].append((model.opt.integrator, finer, 0, rest[-1] * finer))
 
     def _drop_undone(time: float) -> None:
         """Forget a step that was taken back: time is where it began."""
