@@ -142,6 +142,8 @@ class Validation(msgspec.Struct, frozen=True):
     machine: str
     ensembles: tuple[EnsembleResult, ...] = ()
     """Pairs that no longer agree at the end, with 20 trajectories or more."""
+    fingerprint: str = ""
+    """Stands for the scene's physics and starts; empty in results of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from mbds_xsim import registry
 from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
 from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.choice import Choice
+from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
@@ -132,6 +133,7 @@ def validate_with_evidence(
         versions=_versions(results),
         machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
         ensembles=_ensembles(scene, batch, rows, reference),
+        fingerprint=fingerprint(scene),
     )
     return validation, evidence
 

@@ -16,6 +16,7 @@ from mbds_xsim.campaign import ReferenceOutcome, run_references
 from mbds_xsim.choice import Choice
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
+from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
 from mbds_xsim.sampling import draw_batch
@@ -85,6 +86,8 @@ class Match(msgspec.Struct, frozen=True, kw_only=True):
     machine: str
     engines: tuple[Found, ...]
     left_out: dict[str, str]
+    fingerprint: str = ""
+    """Stands for the scene's physics and starts; empty in results of earlier versions."""
 
 
 @dataclass
@@ -219,6 +222,7 @@ def match(
             for name in engines
         ),
         left_out=left_out,
+        fingerprint=fingerprint(scene),
     )
 
 

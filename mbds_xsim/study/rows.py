@@ -153,6 +153,8 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     kept: int
     """Rows that came from an earlier one."""
     wall_s: float
+    fingerprint: str = ""
+    """Stands for the scene's physics and starts; empty in results of earlier versions."""
 
     @property
     def error_budget_m(self) -> float:

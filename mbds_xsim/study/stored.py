@@ -57,6 +57,7 @@ class StoredValidation(msgspec.Struct, frozen=True):
     left_out: dict[str, str]
     versions: dict[str, str]
     machine: str
+    fingerprint: str = ""
 
 
 class StoredFound(msgspec.Struct, frozen=True):
@@ -90,3 +91,4 @@ class StoredMatch(msgspec.Struct, frozen=True):
     machine: str
     engines: tuple[StoredFound, ...]
     left_out: dict[str, str]
+    fingerprint: str = ""

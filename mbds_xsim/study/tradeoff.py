@@ -12,6 +12,7 @@ import numpy as np
 from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.errors import InputError
+from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import core_count
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
@@ -158,6 +159,7 @@ def _study(
         measured=bench.measured,
         kept=bench.kept,
         wall_s=wall_s,
+        fingerprint=fingerprint(scene),
     )
 
 

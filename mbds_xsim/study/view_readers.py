@@ -86,7 +86,7 @@ def _validation(part: object) -> View:
     return View(
         scene=stored.scene,
         command=stored.command,
-        identity={"length [m]": stored.length_m},
+        identity={"length [m]": stored.length_m, "fingerprint": stored.fingerprint or None},
         sample={
             "seed": stored.seed,
             "trajectories": len(stored.trajectories),
@@ -134,7 +134,11 @@ def _tradeoff(part: object) -> View:
     return View(
         scene=study.scene,
         command=study.command,
-        identity={"length [m]": study.length_m, "duration [s]": study.duration_s},
+        identity={
+            "length [m]": study.length_m,
+            "duration [s]": study.duration_s,
+            "fingerprint": study.fingerprint or None,
+        },
         sample={
             "seed": study.seed,
             "starts": len(study.trajectories),
@@ -205,7 +209,7 @@ def _match(part: object) -> View:
     return View(
         scene=stored.scene,
         command=stored.command,
-        identity={},
+        identity={"fingerprint": stored.fingerprint or None},
         sample={
             "seed": stored.seed,
             "seed of the held-out": stored.held_out_seed,

@@ -468,6 +468,17 @@ def test_bad_files_are_one_line(run: CommandLine, here: Path, kind: str) -> None
     assert not (here / "diff.json").exists()
 
 
+def test_a_scene_of_other_physics_is_refused(compare: CommandLine) -> None:
+    told = _match() | {"fingerprint": "a" * 16}
+
+    other, _ = compare(told, lambda new: new.update(fingerprint="b" * 16))
+    unknown, _ = compare(told, lambda new: new.update(fingerprint=""))
+
+    assert other.code == 2
+    assert "pair is not the same scene in both files: fingerprint is aaaa" in other.err
+    assert unknown.code == 0
+
+
 @pytest.mark.parametrize(
     ("edit", "said"),
     [

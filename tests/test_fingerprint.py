@@ -1,0 +1,67 @@
+"""A fingerprint is another where the motion is, and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from mbds_xsim.fingerprint import fingerprint
+from mbds_xsim.registry import load_scene, scene_names
+from mbds_xsim.scene import Budget, Clock, Scene
+from mbds_xsim.scene_file import read_scene, save_scene
+
+replace = msgspec.structs.replace
+
+
+def _heavier(scene: Scene, factor: float) -> Scene:
+    first, *others = scene.bodies
+    particles = tuple(replace(p, mass=p.mass * factor) for p in first.particles)
+    return replace(scene, bodies=(replace(first, particles=particles), *others))
+
+
+def test_scenes_differ() -> None:
+    found = {name: fingerprint(load_scene(name)) for name in scene_names()}
+
+    assert len(set(found.values())) == len(found) > 8
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda s: _heavier(s, 1.0001),
+        lambda s: replace(s, gravity=(0.0, 0.0, -9.8)),
+        lambda s: replace(s, clock=Clock(frame=0.01)),
+        lambda s: replace(s, noise=s.noise + 0.1),
+        lambda s: replace(s, sampling=()),
+        lambda s: replace(s, joints=s.joints[:-1]),
+    ],
+)
+def test_other_physics_or_starts_are_another(other: Callable[[Scene], Scene]) -> None:
+    scene = load_scene("3ladder")
+
+    assert fingerprint(other(scene)) != fingerprint(scene)
+
+
+@pytest.mark.parametrize(
+    "same",
+    [
+        lambda s: replace(s, name="ladder", description="", source="x"),
+        lambda s: replace(s, budget=Budget(gap=1e-3)),
+        lambda s: _heavier(s, 1.0 + 1e-13),
+        lambda s: replace(s, gravity=(-0.0, 1e-17, s.gravity[2])),
+    ],
+)
+def test_names_budgets_and_rounding_are_the_same(same: Callable[[Scene], Scene]) -> None:
+    scene = load_scene("3ladder")
+
+    assert fingerprint(same(scene)) == fingerprint(scene)
+
+
+def test_a_file_of_the_scene_is_the_same(tmp_path: Path) -> None:
+    scene = load_scene("balldrop")
+    save_scene(scene, path := tmp_path / "copy.toml")
+
+    assert fingerprint(read_scene(path)) == fingerprint(scene)
