@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from mbds_xsim.study.stability.studies import STUDIES
+
 _ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"\]\(([^)#]+)")
 _TABLE = re.compile(r"<!-- choose-table: begin -->\n(.*)<!-- choose-table: end -->", re.DOTALL)
@@ -29,6 +31,18 @@ def test_the_page_of_reports_lists_what_is_stored() -> None:
     found = (_ROOT / "reports" / "README.md").read_text("utf-8")
 
     assert found == _printed("reports_page.py", "reports"), "make reports-pages"
+
+
+def test_all_scenes_and_studies_are_reported() -> None:
+    command = ["make", "-n", "reports-tradeoff", "reports-stability"]
+    told = subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout
+    (scenes,) = re.findall(r"for scene in (.+);", told)
+    (studies,) = re.findall(r"for study in (.+);", told)
+
+    assert studies.split() == list(STUDIES)
+    assert {f"{scene}.md" for scene in scenes.split()} == {
+        page.name for page in (_ROOT / "reports").glob("*.md") if page.with_suffix(".json").exists()
+    }
 
 
 @pytest.mark.parametrize("page", ["README.md", "reports/README.md"])
