@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,8 +29,11 @@ class Loads:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._springs = [_Spring(pair, model.bodies) for pair in model.mechanism.springs]
-        self._forces: list[tuple[Any, Array]] = []
-        self._torques: list[tuple[Any, Array]] = []
+        self._pulled = {k for spring in self._springs for k in spring.moving}
+        self.forces: list[tuple[Callable[[Array], None], Array]] = []
+        """What to call first in each step, with which force [N]."""
+        self.others: list[Callable[[], None]] = []
+        """What to call then."""
         loops = {joint.index for joint in model.mechanism.loops}
         hinges = list(enumerate(model.mechanism.hinges))
         carried = {link.joint.index: link.body for link in model.mechanism.links if link.joint}
@@ -42,28 +47,30 @@ class Loads:
     def hold(self, force: Array, torque: Array) -> None:
         """Take the inputs of a frame: forces in W (body, 3) [N], hinge torques (hinge,) [N·m]."""
         bodies = self._model.bodies
-        twist = np.zeros_like(force)
-        for k, hinge in self._looped:
-            twist[hinge.child] += torque[k] * hinge.axis
-            if hinge.parent != WORLD_INDEX:
-                twist[hinge.parent] -= torque[k] * hinge.axis
         for k, joint in self._driven:
             joint.setForce(0, torque[k])
-        pulled = {k for spring in self._springs for k in spring.moving}
-        twisted = np.flatnonzero(twist.any(axis=-1)).tolist()
-        pushed = {*np.flatnonzero(force.any(axis=-1)).tolist(), *twisted, *pulled}
+        twist = self._twist(torque)
+        pushed = {*np.flatnonzero(force.any(axis=-1)).tolist(), *twist, *self._pulled}
         self._model.skeleton.clearExternalForces()
-        self._forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
-        self._torques = [(bodies[k].addExtTorque, twist[k]) for k in twisted]
+        self.forces = [(bodies[k].setExtForce, force[k]) for k in sorted(pushed)]
+        self.others = [partial(bodies[k].addExtTorque, twist[k], True) for k in sorted(twist)]
+        self.others += [spring.pull for spring in self._springs]
+
+    def _twist(self, torque: Array) -> dict[int, Array]:
+        """Torques of the driven loop hinges, by body and in its native frame [N·m]."""
+        twist: dict[int, Array] = {}
+        for k, hinge in self._looped:
+            for body, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
+                if body != WORLD_INDEX and torque[k]:
+                    twist[body] = twist.get(body, 0.0) + sign * torque[k] * hinge.axis
+        return twist
 
     def apply(self) -> None:
         """Set the external forces for the present configuration."""
-        for set_force, force in self._forces:
-            set_force(force)
-        for add_torque, torque in self._torques:
-            add_torque(torque, True)
-        for spring in self._springs:
-            spring.pull()
+        for push, force in self.forces:
+            push(force)
+        for act in self.others:
+            act()
 
 
 class _Spring:

@@ -42,9 +42,13 @@ class SemiImplicitEuler(Stepper):
     calls = "world.step(False)"
 
     def advance(self, step_count: int) -> None:
-        step, apply = self.model.world.step, self.loads.apply
+        step, loads = self.model.world.step, self.loads
         for _ in range(step_count):
-            apply()
+            # As `Loads.apply`, whose call in each step would be felt.
+            for push, force in loads.forces:
+                push(force)
+            for act in loads.others:
+                act()
             step(False)
 
 
