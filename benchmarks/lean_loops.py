@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from mbds_xsim.engine import Run
 from mbds_xsim.joint_space import BodyStates, to_bodies
 from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch
 
 __all__ = ["LEAN", "Lean", "apart"]
@@ -40,10 +41,12 @@ class Lean:
 
 
 def lean_mujoco(run: Any, batch: Batch) -> Lean:
+    run = _in_use(run, batch)
     model, data, rows = run._model, run._data, np.array(run._bodies)
     (start,), (rate,) = run._start(batch)
     force, torque = batch.force[0], batch.torque[0]
-    q, u = np.empty((batch.steps, model.nq)), np.empty((batch.steps, model.nv))
+    q, u = np.empty((batch.steps + 1, model.nq)), np.empty((batch.steps + 1, model.nv))
+    q[0], u[0] = start, rate
     frames, options = _mujoco_steps(run, batch), model.opt
     usual = options.integrator, options.timestep
 
@@ -51,7 +54,7 @@ def lean_mujoco(run: Any, batch: Batch) -> Lean:
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = start, rate
         push, drive, position, velocity = data.xfrc_applied, data.ctrl, data.qpos, data.qvel
-        for k in range(len(q)):
+        for k in range(batch.steps):
             push[rows, :3] = force[k]
             drive[:] = torque[k]
             for options.integrator, options.timestep, count, lead in frames[k]:
@@ -60,10 +63,27 @@ def lean_mujoco(run: Any, batch: Batch) -> Lean:
                     data.qvel += lead * data.qacc
                 else:
                     mujoco.mj_step(model, data, count)
-            q[k], u[k] = position, velocity
+            q[k + 1], u[k + 1] = position, velocity
         options.integrator, options.timestep = usual
 
-    return Lean(roll, lambda: to_bodies(run._mechanism, run._coordinates.to_links(q, u)))
+    def bodies() -> BodyStates:
+        mechanism = run._mechanism
+        made = to_bodies(mechanism, run._coordinates.to_links(q[None], u[None]))
+        if run._idle.any():
+            turned = mechanism.native_rotation(batch.orientation)
+            made = carried(run._idle, turned, made, mechanism.scene.clock.frame)
+        return BodyStates(*(values[0, 1:] for values in vars(made).values()))
+
+    return Lean(roll, bodies)
+
+
+def _in_use(run: Any, batch: Batch) -> Any:
+    """Of a run that has a model without spin beside the whole one, what the start is run with."""
+    if not hasattr(run, "_spinless"):
+        return run
+    run._whole = None
+    run.rollout(batch)
+    return run._whole or run._spinless
 
 
 def _mujoco_steps(run: Any, batch: Batch) -> list[list[tuple[int, float, int, float]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -54,3 +55,16 @@ def test_the_lean_loop_applies_the_inputs(loops: ModuleType, engine: str) -> Non
         without = lean.bodies()
     assert np.abs(with_inputs.velocity - without.velocity).max() > 1e-4
     assert np.abs(with_inputs.angular_velocity - without.angular_velocity).max() > 1e-2
+
+
+@pytest.mark.parametrize("interval", [0, 2])
+def test_the_lean_loop_knows_which_model_is_used(loops: ModuleType, interval: int) -> None:
+    """MuJoCo's model without spin, or the whole one where rods bend too far."""
+    description = load_scene("3ladder")
+    adapter = load_adapter("mujoco")
+    matched = settings_for(description, adapter, "matched")
+    settings = replace(matched, options={**matched.options, "spin": False})
+    batch = draw_batch(description, [interval]).truncated(60)
+    with adapter.open(description, settings) as run:
+        lean = loops.LEAN["mujoco"](run, batch)
+        assert loops.apart(Mechanism.of(description), run, batch, lean) < _SAME
