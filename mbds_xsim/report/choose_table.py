@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
+from mbds_xsim.report.tradeoff_summary import BUSY
 from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
 
@@ -32,8 +33,8 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
         f"| :-- |{' :-- |' * len(engines)}",
         *(_row(study, engines) for study in studies),
         "",
-        *(f"- {line}" for study in studies for line in _reasons(study)),
-        f"- Made on {_listed(study.machine for study in studies)}, with {_versions(studies)}",
+        *(f"- {line}" for study in studies for line in _reasons(study, engines)),
+        f"- Made on {_machines(studies)}, with {_versions(studies)}",
     ]
     return "\n".join(lines)
 
@@ -84,7 +85,7 @@ def _cost(place: Place) -> float:
 def _cell(place: Place, *, best: bool) -> str:
     curve, point = place
     mark = "**" if best else ""
-    name = " ".join(filter(None, (curve.method, curve.variation)))
+    name = f"{curve.method} ({curve.variation})" if curve.variation else curve.method
     speed = quantity.number(1.0 / _cost(place))
     return _BREAK.join(
         [
@@ -95,9 +96,9 @@ def _cell(place: Place, *, best: bool) -> str:
     )
 
 
-def _reasons(study: Tradeoff) -> Iterator[str]:
+def _reasons(study: Tradeoff, engines: Sequence[str]) -> Iterator[str]:
     """Say why an engine has no point that keeps all budgets."""
-    for engine in _engines(study):
+    for engine in engines:
         if _cheapest(study, engine) is None:
             yield f"{study.scene}, {engine}: {_reason(study, engine)}"
 
@@ -111,13 +112,23 @@ def _reason(study: Tradeoff, engine: str) -> str:
     points = [p for c in study.curves if c.engine == engine for p in c.points]
     if points:
         return f"{points[0].kind}: {points[0].reason}"
-    return next(reason for what, reason in study.left_out.items() if what.split()[0] == engine)
+    left_out = (reason for what, reason in study.left_out.items() if what.split()[0] == engine)
+    return next(left_out, "not measured")
 
 
 def _off(place: Place) -> tuple[int, float]:
     """Order points by how many checks are not kept, then by error."""
     point = place[1]
     return len(point.broken), math.inf if point.error_m is None else point.error_m
+
+
+def _machines(studies: Sequence[Tradeoff]) -> str:
+    """Name where times were taken, and whether anything else ran there."""
+    told = _listed(study.machine for study in studies)
+    busy = max(study.busy for study in studies)
+    if busy < BUSY:
+        return told
+    return f"{told}, which was busy: times are up to {quantity.number(busy)} × the processor's"
 
 
 def _versions(studies: Sequence[Tradeoff]) -> str:

@@ -13,6 +13,7 @@ from mbds_xsim.study.rows import CurveResult, Point, Ratio, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
 
 __all__ = [
+    "BUSY",
     "Column",
     "cheapest_within",
     "columns",
@@ -29,7 +30,8 @@ __all__ = [
 
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""
-_BUSY = 1.1
+BUSY = 1.1
+"""Wall time over processor time from which on a machine was busy."""
 _NUMBER = re.compile(r"[\d.]+(e[+-]?\d+)?")
 _ORDER = "Order of convergence measured; in brackets the one declared for smooth motion"
 _SHOWN_BELOW = (1e-1, 1e-3)
@@ -152,7 +154,7 @@ def options_that_pay(study: Tradeoff) -> list[str]:
 def machine_told(study: Tradeoff) -> str:
     """Say where times were taken, and whether anything else ran there."""
     told = f"{study.machine}, {study.workers} processes at a time"
-    if study.busy < _BUSY:
+    if study.busy < BUSY:
         return told
     return (
         f"{told}; it was busy: times are {_digits(study.busy)} × the processor's, in the median, "

@@ -105,6 +105,21 @@ def test_a_dash_has_its_reason() -> None:
     assert "pair, mujoco" not in table
 
 
+def test_an_engine_that_was_not_tried_says_so() -> None:
+    other = msgspec.structs.replace(_study(_curve("mujoco", "RK4", _point(0.01, 0.1))), scene="two")
+
+    assert "- two, dart: not measured" in choose_table([_STUDY, other])
+
+
+def test_options_are_named_and_a_busy_machine_is_told() -> None:
+    option = _curve("mujoco", "RK4", _point(0.02, 0.002), variation="solver = CG")
+    busy = msgspec.structs.replace(_study(*_STUDY.curves, option), busy=2.5)
+
+    assert "**RK4 (solver = CG), 20 ms**" in choose_table([busy])
+    assert "Made on a machine, which was busy: times are up to 2.5 ×" in choose_table([busy])
+    assert "busy" not in choose_table([_STUDY])
+
+
 def test_what_did_not_end_says_so() -> None:
     table = choose_table([_study(_curve("dart", "euler", _point(0.02, None, kind="crashed")))])
 
