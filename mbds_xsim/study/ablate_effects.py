@@ -13,6 +13,7 @@ from typing import Literal
 
 import msgspec
 
+from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Joint, Scene, Vector
 from mbds_xsim.study.ablate_draws import scaled_draws
@@ -42,9 +43,9 @@ class Effect:
 
     Raises SceneError where no such scene can be."""
     factors: tuple[float, ...] = (DROP, HALF)
-    starts: Literal["kept", "redrawn"] = "kept"
-    """Whether starts and inputs stay those of the full scene, or the effect is a part of them,
-    which are then drawn from the same random numbers."""
+    starts: Literal["kept", "redrawn", "in plane"] = "kept"
+    """Whether starts and inputs stay those of the full scene; or the effect is a part of them,
+    which are then drawn from the same random numbers; or only forces along y are weaker."""
 
 
 def _friction(scene: Scene, factor: float) -> Scene | None:
@@ -108,6 +109,11 @@ def _third_dimension(scene: Scene, _: float) -> Scene | None:
     tree = [link.joint for link in Mechanism.of(scene).links]
     if scene.dimension < 3 or any(joint is None or joint.kind != "ball" for joint in tree):
         return None
+    if Mechanism.of(scene).loops:
+        msg = (
+            "hinges about y in closed loops repeat conditions, with which the reference cannot step"
+        )
+        raise SceneError(msg)
     names = {joint.name for joint in tree if joint is not None}
     return _replace(
         scene, joints=tuple(_as_hinge(j) if j.name in names else j for j in scene.joints)
@@ -116,6 +122,11 @@ def _third_dimension(scene: Scene, _: float) -> Scene | None:
 
 def _as_hinge(joint: Joint) -> Joint:
     return _replace(joint, kind="hinge", axis=(0.0, 1.0, 0.0))
+
+
+def _sideways(scene: Scene, _: float) -> Scene | None:
+    blown = any(draw.__struct_config__.tag == "wind" for draw in scene.sampling)
+    return scene if scene.dimension == 3 and (scene.noise or scene.forces or blown) else None
 
 
 def _noise(scene: Scene, factor: float) -> Scene | None:
@@ -177,6 +188,7 @@ EFFECTS = (
     Effect("closed loops", "joints and links that close loops are left out", _loops, (DROP,)),
     Effect("axes in loops", "loops closed by ball joints", _loop_axes, (DROP,)),
     Effect("third dimension", "hinges about y for ball joints", _third_dimension, (DROP,)),
+    Effect("sideways forces", "forces in x and z alone", _sideways, starts="in plane"),
     Effect("wind", "no wind", _drawn(("wind", "mean")), starts="redrawn"),
     Effect("gusts", "a constant wind", _drawn(("wind", "deviation")), starts="redrawn"),
     Effect("drives", "no hinge torques", _drawn(("hinge_torque", "torque")), starts="redrawn"),

@@ -46,17 +46,23 @@ def variants_of(scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int
                 ablated = effect.weaken(scene, factor)
                 if ablated is None:
                     continue
-                starts = (
-                    draw_batch(ablated, batch.index, seed=seed)
-                    if effect.starts == "redrawn"
-                    else _kept(scene, ablated, batch)
-                )
+                starts = _starts(scene, ablated, effect, factor, batch, seed)
             except SceneError as error:
                 reason = str(error).removeprefix("sampling: ").split(", allowed")[0]
                 found.append(Variant(effect, factor, scene, batch, reason))
             else:
                 found.append(Variant(effect, factor, ablated, starts))
     return found
+
+
+def _starts(
+    scene: Scene, ablated: Scene, effect: Effect, factor: float, batch: Batch, seed: int
+) -> Batch:
+    if effect.starts == "redrawn":
+        return draw_batch(ablated, batch.index, seed=seed)
+    if effect.starts == "in plane":
+        return dataclasses.replace(batch, force=batch.force * [1.0, factor, 1.0])
+    return _kept(scene, ablated, batch)
 
 
 def _kept(scene: Scene, ablated: Scene, batch: Batch) -> Batch:

@@ -25,6 +25,7 @@ from mbds_xsim.study.ablate_effects import EFFECTS, Effect
 from mbds_xsim.study.ablate_floor import Window
 from mbds_xsim.study.ablate_result import Ablation, Floor, Row
 from mbds_xsim.study.ablate_size import least_size
+from mbds_xsim.study.ablate_variants import variants_of
 from mbds_xsim.study.ablate_verdict import row_of
 
 Array = NDArray[np.float64]
@@ -121,17 +122,39 @@ def _rolled(speed: Array, rim: Array, friction: float) -> Array:
     return np.asarray(speed * slides - brake * slides**2 / 2 + rolling * (1.0 - slides))
 
 
-def test_a_ladder_that_swings_in_its_plane_needs_no_third_dimension() -> None:
-    ladder = registry.load_scene("1ladder")
-    swings = tuple(draw for draw in ladder.sampling if isinstance(draw, Turn))
-    scene = msgspec.structs.replace(ladder, clock=Clock(0.02, 15), sampling=swings, noise=0.0)
+def test_a_pendulum_that_swings_in_a_plane_needs_no_third_dimension() -> None:
+    pendulum = registry.load_scene("2pendulum")
+    first, second = pendulum.bodies
+    pushed = msgspec.structs.replace(first, angular_velocity=(0.0, 2.0, 0.0))
+    scene = msgspec.structs.replace(
+        pendulum, bodies=(pushed, second), clock=_SECOND, sampling=(), noise=0.0
+    )
     ablation = _ablate(scene)
     plane = _row(ablation, "third dimension", 0.0)
     assert plane.verdict == "not needed"
     assert plane.change_m is not None
     assert plane.change_m < 1e-8
+    assert _row(ablation, "listed velocities", 0.0).verdict == "needed"
+
+
+def test_a_ladder_needs_its_second_rope() -> None:
+    ladder = registry.load_scene("1ladder")
+    swings = tuple(draw for draw in ladder.sampling if isinstance(draw, Turn))
+    scene = msgspec.structs.replace(ladder, clock=Clock(0.02, 15), sampling=swings, noise=0.0)
+    ablation = _ablate(scene)
     assert _row(ablation, "closed loops", 0.0).verdict == "needed"
+    assert _row(ablation, "third dimension", 0.0).verdict == "not possible"
+    assert "sideways forces" not in {row.effect for row in ablation.rows}
     assert ablation.loop_conditions == 3
+
+
+def test_sideways_forces_are_those_along_y() -> None:
+    scene = registry.load_scene("2pendulum")
+    batch = draw_batch(scene, range(3))
+    (dropped, _) = variants_of(scene, [_effect("sideways forces")], batch, 0)
+    assert not dropped.batch.force[..., 1].any()
+    np.testing.assert_array_equal(dropped.batch.force[..., ::2], batch.force[..., ::2])
+    np.testing.assert_array_equal(dropped.batch.position, batch.position)
 
 
 @pytest.mark.slow
