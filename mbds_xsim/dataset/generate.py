@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import durable
+from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.join import VariantCount, join
 from mbds_xsim.dataset.lock import locked
 from mbds_xsim.dataset.plan import check_paired, pending
@@ -76,6 +77,8 @@ def generate(
             processes = core_count() if workers is None else workers
             make(todo, out, workers=processes, carry_out=carry_out)
         counts = tuple(join(variants, request.trajectories, request.out))
+        for folder in dict.fromkeys(variant.folder(request.out).parent for variant in variants):
+            write_card(folder)
     return Generated(counts, left_out, missing, time.perf_counter() - begin)
 
 

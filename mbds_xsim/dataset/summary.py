@@ -17,7 +17,7 @@ from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["Range", "Summary", "summaries", "summary_of"]
+__all__ = ["Range", "Summary", "counts_of", "rejected_beside", "summaries", "summary_of"]
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def summaries(path: Path) -> list[Summary]:
 def summary_of(data: Dataset) -> Summary:
     """Sum up a data set."""
     told, scene = data.attributes, data.scene
-    rejected = _rejected_folder(data)
+    rejected = rejected_beside(data)
     files = {data.path, *data.files, *rejected.glob("*.h5")}
     names = [file.name for file in data.files]
     by = Counter(_first_words(data)) if told["kind"] == "rejected" else causes(rejected, names)
@@ -101,7 +101,7 @@ def summary_of(data: Dataset) -> Summary:
         points=len(data["graph/point_body"]),
         drawn=told["count"],
         rejected_by=dict(by.most_common()),
-        counts=_counts(data),
+        counts=counts_of(data),
         figures=tuple(_ranges(data)),
         shards=len(data.files),
         bytes=sum(file.stat().st_size for file in files),
@@ -109,7 +109,7 @@ def summary_of(data: Dataset) -> Summary:
     )
 
 
-def _rejected_folder(data: Dataset) -> Path:
+def rejected_beside(data: Dataset) -> Path:
     """Where the trajectories lie that a joined file has not; as the layout has it."""
     folder = data.path.absolute().with_suffix("")
     if data.attributes["kind"] != "joined":
@@ -121,7 +121,7 @@ def _first_words(data: Dataset) -> Iterable[str]:
     return (str(reason).split(":")[0] for reason in data.small["reason"])
 
 
-def _counts(data: Dataset) -> dict[str, dict[str, int]]:
+def counts_of(data: Dataset) -> dict[str, dict[str, int]]:
     """Count by split and interval; a shard has no split."""
     interval = data.index % len(INTERVALS)
     split = data.small.get("split")

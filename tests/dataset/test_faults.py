@@ -65,9 +65,10 @@ def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shard, "_log", count(shard._log))
 
 
-_STEPS = 3 * 4 + 2 * 3
-"""Three shards of write, rename, flush, log; two joined files of write, rename, flush."""
-_QUICK = (0, 1, 3, 14)
+_STEPS = 3 * 4 + 4 * 3
+"""Three shards of write, rename, flush, log; two joined files, the card and the metadata of write,
+rename, flush."""
+_QUICK = (0, 1, 3, 14, 19)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,142 @@
+"""What `generate` writes beside the data: a card for people, metadata for machines."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from mbds_xsim.dataset.card import CARD, CROISSANT
+from mbds_xsim.dataset.read import load_dataset
+from tests.dataset.conftest import Make
+
+FEW = 6
+
+
+@pytest.fixture(scope="module")
+def two(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A certified and an uncertified set of the rod."""
+    out = tmp_path_factory.mktemp("two")
+    make(out, settings="matched,native", trajectories=FEW)
+    return out / "1pendulum"
+
+
+@pytest.fixture(scope="module")
+def metadata(two: Path) -> dict[str, Any]:
+    return dict(json.loads((two / CROISSANT).read_text("utf-8")))
+
+
+def _rows(metadata: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    (found,) = (records for records in metadata["recordSet"] if records["@id"] == name)
+    return [{key.split("/")[1]: value for key, value in row.items()} for row in found["data"]]
+
+
+def test_the_card_tells_what_each_file_is(two: Path) -> None:
+    text = (two / CARD).read_text("utf-8")
+    for profile, certified in (("matched", "certified"), ("native", "uncertified")):
+        told = load_dataset(two / f"mujoco-{profile}.h5").attributes
+        row = next(
+            line for line in text.splitlines() if line.startswith(f"| `mujoco-{profile}.h5` | muj")
+        )
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        assert cells[1:] == [
+            f"mujoco {told['engine_version']}",
+            told["method"],
+            f"{told['step_s']:.6g}",
+            certified,
+            *("6", "6", "0"),
+        ]
+    assert "6 of 6 are published in all of them (`joint.h5`)" in text
+    assert str(two) not in text
+
+
+def test_the_commands_of_the_card_exist(two: Path) -> None:
+    from mbds_xsim.cli import app
+
+    there = {command.callback.__name__ for command in app.registered_commands if command.callback}
+    named = re.findall(r"`mbds-xsim (\w+)", (two / CARD).read_text("utf-8"))
+    assert len(named) == 3
+    assert set(named) <= there
+
+
+def test_rejected_ones_are_told(make: Make, tmp_path: Path) -> None:
+    import msgspec
+
+    from mbds_xsim.registry import load_scene
+
+    scene = load_scene("1pendulum")
+    strict = msgspec.structs.replace(scene.budget, energy=1e-15, energy_first_order=1e-15)
+    clock = msgspec.structs.replace(scene.clock, steps=10)
+    make(tmp_path, scene=msgspec.structs.replace(scene, budget=strict, clock=clock), trajectories=3)
+    text = (tmp_path / "1pendulum" / CARD).read_text("utf-8")
+    assert "Rejected from `mujoco-matched.h5` by the check that failed first: energy 3." in text
+    assert "0 of 3 are published in all of them" in text
+
+
+def test_metadata_are_croissant(metadata: dict[str, Any]) -> None:
+    """The rules of http://mlcommons.org/croissant/1.0 that a program can check."""
+    assert metadata["@type"] == "sc:Dataset"
+    assert metadata["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    assert {"name", "description", "distribution", "recordSet"} <= metadata.keys()
+    context = metadata["@context"]
+    assert context["@vocab"] == "https://schema.org/"
+    assert context["cr"] == "http://mlcommons.org/croissant/"
+    nodes = [*metadata["distribution"], *metadata["recordSet"]]
+    nodes += [field for records in metadata["recordSet"] for field in records["field"]]
+    names = [node["@id"] for node in nodes]
+    assert len(set(names)) == len(names)
+    for records in metadata["recordSet"]:
+        assert records["@type"] == "cr:RecordSet"
+        keys = {field["@id"] for field in records["field"]}
+        assert all(key.startswith(records["@id"] + "/") for key in keys)
+        assert all(row.keys() == keys for row in records["data"])
+        kinds = {field["@id"]: field["dataType"] for field in records["field"]}
+        python = {"sc:Text": str, "sc:Integer": int}
+        assert all(
+            type(value) is python[kinds[key]]
+            for row in records["data"]
+            for key, value in row.items()
+        )
+
+
+def test_metadata_list_the_files(two: Path, metadata: dict[str, Any]) -> None:
+    found = set()
+    for node in metadata["distribution"]:
+        if node["@type"] == "cr:FileSet":
+            found |= set(two.glob(node["includes"]))
+            continue
+        content = (two / node["contentUrl"]).read_bytes()
+        assert node["sha256"] == hashlib.sha256(content).hexdigest()
+        assert node["contentSize"] == f"{len(content)} B"
+        found.add(two / node["contentUrl"])
+    assert found == set(two.rglob("*.h5"))
+
+
+def test_metadata_list_arrays_and_counts(two: Path, metadata: dict[str, Any]) -> None:
+    arrays = {row["path"]: row for row in _rows(metadata, "arrays")}
+    with h5py.File(two / "mujoco-matched.h5") as file:
+        names: list[str] = []
+        file.visititems(
+            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
+        )
+        assert set(names) <= arrays.keys()
+        for name in names:
+            assert arrays[name]["axes"] == file[name].attrs["axes"]
+            assert arrays[name]["unit"] == file[name].attrs["unit"]
+    counts = _rows(metadata, "counts")
+    assert sum(row["trajectories"] for row in counts) == 2 * FEW
+    assert {row["split"] for row in counts} == {"train", "validation", "test"}
+
+
+def test_the_same_data_have_the_same_card(make: Make, two: Path, tmp_path: Path) -> None:
+    """Made in two runs, the second of which extends the first."""
+    make(tmp_path, settings="native", trajectories=FEW - 2)
+    make(tmp_path, settings="matched", trajectories=FEW)
+    make(tmp_path, settings="native", trajectories=FEW)
+    for name in (CARD, CROISSANT):
+        assert (tmp_path / "1pendulum" / name).read_bytes() == (two / name).read_bytes()
