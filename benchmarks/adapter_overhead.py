@@ -15,33 +15,55 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import median, quantiles
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.lean_loops import LEAN, Lean, apart
+from benchmarks.lean_loops import LEAN, Lean, apart, exudyn_in_one_call
 from mbds_xsim.engine import Run
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
 Array = NDArray[np.float64]
 
 SCENES = ("6pendulum", "3ladder", "simplecubli")
 STARTS, REPEATS = 3, (15, 91)
-PATIENCE = 4.0  # seconds of engine time a line may take, if the repeats are enough
+PATIENCE = 2.0  # seconds of engine time a line may take, if the repeats are enough
 MOST = 0.10
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured."""
+
+    scene: str
+    engine: str
+    starts: int = 1
+    """In one call of the adapter."""
+    loop: Callable[[Any, Batch], Lean] | None = None
+    """In place of the engine's usual lean loop."""
+    note: str = ""
+
+
+CASES = (
+    *(Case(scene, engine) for scene in SCENES for engine in LEAN),
+    Case("6pendulum", "mujoco", 10, note="10 starts a call"),
+    *(
+        Case(scene, "exudyn", loop=exudyn_in_one_call, note="against one call of the solver")
+        for scene in SCENES[:2]
+    ),
+)
 
 
 @dataclass(frozen=True)
 class Line:
     """A line of the table; times of the processor [s]."""
 
-    scene: str
-    engine: str
+    case: Case
     adapter: float
     lean: float
     ratios: Array
@@ -53,33 +75,37 @@ class Line:
     apart: float
 
 
-def measure(scene: Scene, engine: str) -> Line:
+def measure(case: Case) -> Line:
     """Let the adapter and the lean loop take turns on one native model."""
-    adapter = load_adapter(engine)
+    scene, adapter = load_scene(case.scene), load_adapter(case.engine)
     settings = settings_for(scene, adapter, "matched")
     load = median(spent(lambda: adapter.open(scene, settings).close())[0] for _ in range(5))
-    batches = [draw_batch(scene, [k]) for k in range(STARTS)]
+    count = max(STARTS, case.starts)
+    starts = [draw_batch(scene, [k]) for k in range(count)]
     with adapter.open(scene, settings) as run:
-        leans = [LEAN[engine](run, batch) for batch in batches]
+        loops = [(case.loop or LEAN[case.engine])(run, start) for start in starts]
         gaps = [
-            apart(Mechanism.of(scene), run, batch, lean)
-            for batch, lean in zip(batches, leans, strict=True)
+            apart(Mechanism.of(scene), run, start, loop)
+            for start, loop in zip(starts, loops, strict=True)
         ]
-        still = batches[0].truncated(0)
+        still = draw_batch(scene, list(range(case.starts))).truncated(0)
         start = median(spent(lambda: run.rollout(still))[0] for _ in range(15))
-        pair = spent(leans[0].roll)[0] + spent(lambda: run.rollout(batches[0]))[0]
+        turns = [
+            (draw_batch(scene, list(range(k, k + case.starts))), loops[k : k + case.starts])
+            for k in range(0, count, case.starts)
+        ]
         low, high = REPEATS
+        pair = sum(cpu for cpu, _ in _turn(run, *turns[0], first=True))
         times = np.array(
             [
-                _turn(run, batches[k % STARTS], leans[k % STARTS], first=k // STARTS % 2 == 0)
+                _turn(run, *turns[k % len(turns)], first=k // len(turns) % 2 == 0)
                 for k in range(min(high, max(low, int(PATIENCE / pair))))
             ]
         )
     ratios = times[:, 0] / times[:, 1]
     cpu = np.median(times[..., 0], axis=0)
     return Line(
-        scene=scene.name,
-        engine=engine,
+        case=case,
         adapter=float(cpu[0]),
         lean=float(cpu[1]),
         ratios=ratios[:, 0],
@@ -90,12 +116,17 @@ def measure(scene: Scene, engine: str) -> Line:
     )
 
 
-def _turn(run: Run, batch: Batch, lean: Lean, *, first: bool) -> list[tuple[float, float]]:
-    """Times of the adapter and of the lean loop, the adapter first or last."""
+def _turn(run: Run, batch: Batch, loops: list[Lean], *, first: bool) -> list[tuple[float, float]]:
+    """Times of the adapter and of the lean loops, the adapter first or last."""
+
+    def roll() -> None:
+        for loop in loops:
+            loop.roll()
+
     if first:
         mine = spent(lambda: run.rollout(batch))
-        return [mine, spent(lean.roll)]
-    bare = spent(lean.roll)
+        return [mine, spent(roll)]
+    bare = spent(roll)
     return [spent(lambda: run.rollout(batch)), bare]
 
 
@@ -115,9 +146,10 @@ def table(lines: list[Line]) -> Iterator[str]:
     yield "| :-- | :-- | --: | --: | --: | --: | --: | --: | --: | --: |"
     for line in lines:
         low, middle, high = (value - 1.0 for value in quantiles(line.ratios, n=4))
+        what = ", ".join(filter(None, (line.case.engine, line.case.note)))
         mark = "**" if middle > MOST else ""
         yield (
-            f"| {line.scene} | {line.engine} | {1e3 * line.adapter:.1f} ms "
+            f"| {line.case.scene} | {what} | {1e3 * line.adapter:.1f} ms "
             f"| {1e3 * line.lean:.1f} ms | {mark}{middle:+.1%}{mark} "
             f"| {low:+.1%} to {high:+.1%} | {line.wall - 1.0:+.1%} | {line.apart:.0e} "
             f"| {line.load / line.adapter:.1%} | {line.start / line.adapter:.1%} |"
@@ -140,16 +172,18 @@ _FOOT = """\
 - Overhead: adapter over lean loop less 1, the median over turns; of 50 %: what the middle half of
   the turns had; of wall time: the median told by the clock on the wall
 - Same to: largest difference of the two trajectories in positions, quaternions and velocities
+- One call of the solver: Exudyn without the new start at each frame, at which its loads jump. It
+  makes another trajectory and is no like for like
 - Load: building the model, once a process; start: what a rollout costs before its first step and
   after its last, with the state reset and nothing built. Both as a part of the adapter's time"""
 
 
 def main(names: list[str]) -> None:
     lines = []
-    for name in names or SCENES:
-        for engine in LEAN:
-            lines.append(measure(load_scene(name), engine))
-            print(name, engine, file=sys.stderr)
+    for case in CASES:
+        if case.scene in (names or SCENES):
+            print(case.scene, case.engine, case.note, file=sys.stderr)
+            lines.append(measure(case))
     print(_HEAD)
     print("\n".join(table(lines)), end="\n\n")
     print(_FOOT)

@@ -25,7 +25,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch
 
-__all__ = ["LEAN", "Lean", "apart"]
+__all__ = ["LEAN", "Lean", "apart", "exudyn_in_one_call"]
 
 Array = NDArray[np.float64]
 
@@ -230,6 +230,47 @@ def lean_exudyn(run: Any, batch: Batch) -> Lean:
             data.SetSystemState(data.GetSystemState(now), first)
             data.SetODE2Coordinates_tt(data.GetODE2Coordinates_tt(now), first)
             q[k], u[k] = data.GetODE2Coordinates(), data.GetODE2Coordinates_t()
+
+    return Lean(roll, lambda: run._model.to_bodies(q, u))
+
+
+def exudyn_in_one_call(run: Any, batch: Batch) -> Lean:
+    """All frames in one call of the solver, without contact.
+
+    It goes on from the accelerations of the last frame's loads and keeps its Jacobian, so that it
+    makes another, less exact trajectory.
+    """
+    names, data, settings = run._names, run._mbs.systemData, run._names["settings"]
+    (start,), (rate,) = run._start(batch)
+    q, u = np.empty((2, batch.steps, len(start)))
+    forces = [(names["forces"][k], batch.force[0, :, k]) for k in _pushed(batch.force[0])]
+    stepping, frame = settings.timeIntegration, run._frame
+
+    def read(k: int) -> None:
+        q[k], u[k] = data.GetODE2Coordinates(), data.GetODE2Coordinates_t()
+
+    def roll() -> None:
+        run._put(start, rate)
+        usual = stepping.endTime, stepping.numberOfSteps
+        stepping.endTime, stepping.numberOfSteps = frame * batch.steps, usual[1] * batch.steps
+        run._mbs.SetPreStepUserFunction(before_step)
+        begun[0] = -1
+        run._mbs.SolveDynamic(settings, solverType=exudyn.DynamicSolverType.TrapezoidalIndex2)
+        read(batch.steps - 1)
+        run._mbs.SetPreStepUserFunction(0)
+        stepping.endTime, stepping.numberOfSteps = usual
+
+    begun = [-1]
+
+    def before_step(mbs: Any, time: float) -> bool:
+        k = int(time / frame - 1e-6)  # the time is that of the step's end
+        if k > begun[0]:
+            if k:
+                read(k - 1)
+            begun[0] = k
+            for load, vectors in forces:
+                mbs.SetLoadParameter(load, "loadVector", vectors[k])
+        return True
 
     return Lean(roll, lambda: run._model.to_bodies(q, u))
 
