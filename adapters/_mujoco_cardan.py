@@ -13,7 +13,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
-__all__ = ["angles", "cross_axes", "hung", "slim", "turned"]
+__all__ = ["Hanger", "angles", "cross_axes", "slim", "turned"]
 
 Array = NDArray[np.float64]
 
@@ -33,42 +33,43 @@ def slim(inertia: Array, axis: Array) -> Array:
     return np.asarray(moment * (across + _SLIM * np.outer(axis, axis)))
 
 
-def hung(mechanism: Mechanism, axes: Array, bodies: BodyStates) -> BodyStates:
-    """Turn rods with an axis about that, as Cardan joints on their tree parents would.
+class Hanger:
+    """Turns rods about themselves as Cardan joints on their tree parents would.
 
     Args:
         mechanism: Of the scene.
         axes: Unit axes in native frames, zero for bodies that stay as they are, (body, 3).
-        bodies: All bodies, shape (…, body, …).
     """
-    native, spin = bodies.native.copy(), bodies.angular_velocity.copy()
-    still = np.zeros_like(spin[..., 0, :])
-    for link in mechanism.links:
-        if not axes[link.body].any():
-            continue
-        if link.parent == WORLD_INDEX:
-            parent, rate = np.broadcast_to(rotation.IDENTITY, (*still.shape[:-1], 4)), still
-        else:
-            parent, rate = native[..., link.parent, :], spin[..., link.parent, :]
-        first, second = rotation.normal_to(axes[link.body])
-        points = rotation.rotate(native[..., link.body, :], axes[link.body])
-        there = rotation.rotate(rotation.conjugate(parent), points)
-        b = np.arcsin(np.clip(there @ first, -1.0, 1.0))
-        a = np.arctan2(-there @ second, there @ axes[link.body])
-        native[..., link.body, :] = rotation.multiply(parent, _rotation(a, b, first, second))
-        one, other = (
-            rotation.rotate(parent, first),
-            rotation.rotate(native[..., link.body, :], second),
-        )
-        relative = spin[..., link.body, :] - rate
-        forward = rotation.cross(other, points)
-        turning = np.sum(relative * forward, axis=-1) / np.sum(one * forward, axis=-1)
-        spin[..., link.body, :] = (
-            rate
-            + turning[..., None] * one
-            + np.sum(relative * other, axis=-1, keepdims=True) * other
-        )
-    return BodyStates(bodies.position, native, bodies.velocity, spin)
+
+    def __init__(self, mechanism: Mechanism, axes: Array) -> None:
+        self._axes = axes
+        self._joints = [
+            (link.body, link.parent, np.stack([*rotation.normal_to(axis), axis], axis=-1))
+            for link in mechanism.links
+            if (axis := axes[link.body]).any()
+        ]
+
+    def hung(self, bodies: BodyStates) -> BodyStates:
+        """Turn them, in states of all bodies, shape (…, body, …)."""
+        turns, spin = rotation.matrix(bodies.native), bodies.angular_velocity.copy()
+        points = np.einsum("...bij,bj->...bi", turns, self._axes)
+        # Matrices, because this is called with a few states at a time.
+        for body, above, basis in self._joints:
+            held = above == WORLD_INDEX
+            parent = np.eye(3) if held else turns[..., above, :, :]
+            rate = np.zeros(3) if held else spin[..., above, :]
+            frame, point = parent @ basis, points[..., body, :]
+            aside, ahead = (np.vecdot(point, frame[..., k])[..., None] for k in (1, 2))
+            cosine = np.hypot(aside, ahead)
+            second = (ahead * frame[..., 1] - aside * frame[..., 2]) / cosine
+            first = rotation.cross(second, point)
+            turns[..., body, :, :] = np.stack([first, second, point], axis=-1) @ basis.T
+            relative = spin[..., body, :] - rate
+            along, across = (np.vecdot(relative, axis)[..., None] for axis in (first, second))
+            spin[..., body, :] = rate + along / cosine * frame[..., 0] + across * second
+        rods = self._axes.any(axis=-1, keepdims=True)
+        native = np.where(rods, rotation.from_matrix(turns), bodies.native)
+        return BodyStates(bodies.position, native, bodies.velocity, spin)
 
 
 def angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:

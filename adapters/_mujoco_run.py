@@ -18,7 +18,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-from ._mujoco_cardan import hung
+from ._mujoco_cardan import Hanger
 from ._mujoco_contact import Spheres, sunk_spheres
 from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
@@ -51,9 +51,11 @@ class ModelRun(Run):
         self._xml = text(mjcf(mechanism, stepping, self._idle))
         self._model: Any = mujoco.MjModel.from_xml_string(self._xml)
         self._data: Any = mujoco.MjData(self._model)
+        self._hanger = Hanger(mechanism, self._idle)
         self._coordinates = Coordinates(self._model, mechanism, self._idle)
         # MuJoCo numbers bodies depth first, so only names tell.
-        self._bodies = [self._model.body(body.name).id for body in mechanism.scene.bodies]
+        names = [body.name for body in mechanism.scene.bodies]
+        self._bodies = np.array([self._model.body(name).id for name in names])
         self._spheres = Spheres(self._model, mechanism)
         self._stepper: Stepper = OneCall(count)
         if division:
@@ -81,7 +83,7 @@ class ModelRun(Run):
         with _captured_warnings() as warnings:
             for row in range(len(batch)):
                 self._put(qpos[row], qvel[row])
-                self._record(batch[[row]], positions[row], velocities[row])
+                self._record(batch[[row]], positions[row], velocities[row], warnings)
                 reasons.append(warnings[0] if warnings else None)
                 warnings.clear()
         links = self._coordinates.to_links(positions, velocities)
@@ -102,24 +104,27 @@ class ModelRun(Run):
         return self._coordinates.from_links(self._to_links(bodies))
 
     def _to_links(self, bodies: BodyStates) -> LinkStates:
-        return to_links(self._mechanism, hung(self._mechanism, self._idle, bodies))
+        if self._idle.any():
+            bodies = self._hanger.hung(bodies)
+        return to_links(self._mechanism, bodies)
 
     def _put(self, qpos: Array, qvel: Array) -> None:
         """Start afresh, without the solver's memory of an earlier trajectory."""
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:], self._data.qvel[:] = qpos, qvel
 
-    def _record(self, row: Batch, positions: Array, velocities: Array) -> None:
+    def _record(self, row: Batch, positions: Array, velocities: Array, warnings: list[str]) -> None:
         """Step through one trajectory; frames from a warning on stay as they are."""
-        model, data = self._model, self._data
+        model, data, frame = self._model, self._data, self._stepper.frame
+        push, drive, qpos, qvel = data.xfrc_applied, data.ctrl, data.qpos, data.qvel
         for k in range(row.steps):
             # At the centre of mass and along W in every stage of a step.
-            data.xfrc_applied[self._bodies, :3] = row.force[0, k]
-            data.ctrl[:] = row.torque[0, k]
-            self._stepper.frame(model, data)
-            if data.warning.number.any():
+            push[self._bodies, :3] = row.force[0, k]
+            drive[:] = row.torque[0, k]
+            frame(model, data)
+            if warnings:
                 return
-            positions[k + 1], velocities[k + 1] = data.qpos, data.qvel
+            positions[k + 1], velocities[k + 1] = qpos, qvel
 
     def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
         """Cut every trajectory off at its first frame that is not a number or a blow-up."""

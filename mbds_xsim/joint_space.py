@@ -7,6 +7,7 @@ an adapter copies the columns its engine wants. The order is that of `Mechanism.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,31 +56,34 @@ class LinkStates:
 
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
     """Express body states in the coordinates of the spanning tree."""
-    lead = bodies.position.shape[:-2]
-    count = mechanism.body_count
-    turn, spin = np.zeros((*lead, count, 4)), np.zeros((*lead, count, 3))
-    coordinate, rate = np.zeros((*lead, count)), np.zeros((*lead, count))
-    position, velocity = np.zeros((*lead, count, 3)), np.zeros((*lead, count, 3))
-    for k, link in enumerate(mechanism.links):
-        parent = _moving(bodies, link.parent)
-        child = _moving(bodies, link.body)
-        back = rotation.conjugate(child.native)
-        turn[..., k, :] = rotation.multiply(rotation.conjugate(parent.native), child.native)
-        relative = child.angular_velocity - parent.angular_velocity
-        spin[..., k, :] = rotation.rotate(back, relative)
-        joint = link.joint
-        if joint is None:
-            position[..., k, :], velocity[..., k, :] = child.position, child.velocity
-        elif joint.kind in ("hinge", "slider"):
-            coordinate[..., k] = joint_coordinate(joint, bodies.position, bodies.native)
-            axis = rotation.rotate(parent.native, joint.axis)
-            if joint.kind == "slider":
-                arm = child.position - parent.position
-                relative = (
-                    child.velocity - parent.velocity - rotation.cross(parent.angular_velocity, arm)
-                )
-            rate[..., k] = np.sum(relative * axis, axis=-1)
-    return LinkStates(turn, spin, coordinate, rate, position, velocity)
+    tree = _Tree.of(mechanism)
+    parent, child = _of_parents(tree, bodies), _of_children(tree, bodies)
+    back = rotation.conjugate(child.native)
+    relative = child.angular_velocity - parent.angular_velocity
+    coordinate, rate = np.zeros(child.position.shape[:-1]), np.zeros(child.position.shape[:-1])
+    for k in tree.scalar:
+        joint = mechanism.links[k].joint
+        assert joint is not None
+        coordinate[..., k] = joint_coordinate(joint, bodies.position, bodies.native)
+        axis = rotation.rotate(parent.native[..., k, :], joint.axis)
+        turning = relative[..., k, :]
+        if joint.kind == "slider":
+            arm = child.position[..., k, :] - parent.position[..., k, :]
+            turning = (
+                child.velocity[..., k, :]
+                - parent.velocity[..., k, :]
+                - rotation.cross(parent.angular_velocity[..., k, :], arm)
+            )
+        rate[..., k] = np.sum(turning * axis, axis=-1)
+    free = tree.free[:, None]
+    return LinkStates(
+        rotation.multiply(rotation.conjugate(parent.native), child.native),
+        rotation.rotate(back, relative),
+        coordinate,
+        rate,
+        np.where(free, child.position, 0.0),
+        np.where(free, child.velocity, 0.0),
+    )
 
 
 def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
@@ -88,56 +92,128 @@ def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
     Ball joints and free bodies read `rotation` and `angular_velocity`, free bodies `position` and
     `velocity` too, hinges and sliders only `coordinate` and `rate`.
     """
-    lead = links.coordinate.shape[:-1]
-    count = mechanism.body_count
-    x, q = np.zeros((*lead, count, 3)), np.zeros((*lead, count, 4))
-    v, w = np.zeros((*lead, count, 3)), np.zeros((*lead, count, 3))
-    bodies = BodyStates(x, q, v, w)
-    for k, link in enumerate(mechanism.links):
-        body, joint = link.body, link.joint
-        if joint is None:
-            x[..., body, :], v[..., body, :] = links.position[..., k, :], links.velocity[..., k, :]
-            q[..., body, :] = links.rotation[..., k, :]
-            w[..., body, :] = rotation.rotate(q[..., body, :], links.angular_velocity[..., k, :])
-            continue
-        parent = _moving(bodies, link.parent)
-        turn = np.broadcast_to(rotation.IDENTITY, (*lead, 4))
-        spin = np.zeros((*lead, 3))
-        shift, shift_rate = np.zeros((*lead, 3)), np.zeros((*lead, 3))
-        axis = rotation.rotate(parent.native, joint.axis)
-        if joint.kind == "ball":
-            turn = links.rotation[..., k, :]
-        elif joint.kind == "hinge":
-            turn = rotation.from_vector(links.coordinate[..., k, None] * joint.axis)
-            spin = links.rate[..., k, None] * axis
-        elif joint.kind == "slider":
-            shift = links.coordinate[..., k, None] * axis
-            shift_rate = links.rate[..., k, None] * axis
-        q[..., body, :] = rotation.multiply(parent.native, turn)
-        if joint.kind == "ball":
-            spin = rotation.rotate(q[..., body, :], links.angular_velocity[..., k, :])
-        w[..., body, :] = parent.angular_velocity + spin
-        to_joint = rotation.rotate(parent.native, joint.in_parent) + shift
-        from_joint = rotation.rotate(q[..., body, :], joint.in_child)
-        x[..., body, :] = parent.position + to_joint - from_joint
-        v[..., body, :] = (
-            parent.velocity
-            + rotation.cross(parent.angular_velocity, to_joint)
-            + shift_rate
-            - rotation.cross(w[..., body, :], from_joint)
-        )
-    return bodies
-
-
-def _moving(bodies: BodyStates, body: int) -> BodyStates:
-    """State of one body, or of the world, with the leading axes kept."""
-    if body == WORLD_INDEX:
-        lead = bodies.position.shape[:-2]
-        zero = np.zeros((*lead, 3))
-        return BodyStates(zero, np.broadcast_to(rotation.IDENTITY, (*lead, 4)), zero, zero)
+    tree = _Tree.of(mechanism)
+    # Only what goes from parent to child is done link by link. Axis 0 is the link.
+    native = _natives(tree, links)
+    parent = _above(tree, native, rotation.IDENTITY)
+    each = (slice(None), *(None for _ in native.shape[1:-1]))
+    spin = rotation.rotate(native, np.moveaxis(links.angular_velocity, -2, 0))
+    spin[~tree.turns_freely] = 0.0
+    to_joint = rotation.rotate(parent, tree.in_parent[each])
+    from_joint = rotation.rotate(native, tree.in_child[each])
+    slide = np.zeros_like(spin)
+    for k in tree.scalar:
+        axis = rotation.rotate(parent[k], tree.axis[k])
+        rate = links.rate[..., k, None] * axis
+        if tree.hinge[k]:
+            spin[k] = rate
+        else:
+            to_joint[k] += links.coordinate[..., k, None] * axis
+            slide[k] = rate
+    turning = _down(tree, spin)
+    step = to_joint - from_joint
+    swing = rotation.cross(_above(tree, turning, np.zeros(3)), to_joint)
+    move = swing + slide - rotation.cross(turning, from_joint)
+    step[tree.free] = np.moveaxis(links.position, -2, 0)[tree.free]
+    move[tree.free] = np.moveaxis(links.velocity, -2, 0)[tree.free]
     return BodyStates(
-        bodies.position[..., body, :],
-        bodies.native[..., body, :],
-        bodies.velocity[..., body, :],
-        bodies.angular_velocity[..., body, :],
+        *(
+            np.ascontiguousarray(np.moveaxis(values[tree.link_of_body], 0, -2))
+            for values in (_down(tree, step), native, _down(tree, move), turning)
+        )
     )
+
+
+def _above(tree: _Tree, values: Array, world: Array) -> Array:
+    """Give each link what its parent has, or the world."""
+    still = np.broadcast_to(world, (1, *values.shape[1:]))
+    return np.concatenate([values, still])[tree.parent_link]
+
+
+def _natives(tree: _Tree, links: LinkStates) -> Array:
+    """Rotations of the native frames, shape (link, …, 4)."""
+    turn = np.moveaxis(links.rotation, -2, 0).copy()
+    turn[~tree.turns_freely] = rotation.IDENTITY
+    for hinge in np.flatnonzero(tree.hinge):
+        angle = links.coordinate[..., hinge, None]
+        turn[hinge] = rotation.from_vector(angle * tree.axis[hinge])
+    for k, parent in enumerate(tree.parent_link):
+        if parent >= 0:
+            turn[k] = rotation.multiply(turn[parent], turn[k])
+    return turn
+
+
+def _down(tree: _Tree, steps: Array) -> Array:
+    """Add up from the world to each link, shape (link, …, 3)."""
+    total = steps.copy()
+    for k, parent in enumerate(tree.parent_link):
+        if parent >= 0:
+            total[k] += total[parent]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """The links as arrays, in their order."""
+
+    body: NDArray[np.int64]
+    link_of_body: NDArray[np.int64]
+    parent_body: NDArray[np.int64]
+    parent_link: NDArray[np.int64]
+    """−1 where the parent is the world."""
+    free: NDArray[np.bool_]
+    turns_freely: NDArray[np.bool_]
+    """Free bodies and ball joints."""
+    hinge: NDArray[np.bool_]
+    slider: NDArray[np.bool_]
+    axis: Array
+    in_parent: Array
+    in_child: Array
+
+    @property
+    def scalar(self) -> NDArray[np.int64]:
+        """Links with one coordinate."""
+        return np.flatnonzero(self.hinge | self.slider)
+
+    @staticmethod
+    @functools.lru_cache(maxsize=64)
+    def of(mechanism: Mechanism) -> _Tree:
+        """Collect them."""
+        links = mechanism.links
+        body = np.array([link.body for link in links])
+        link_of_body = np.argsort(body)
+        parent_body = np.array([link.parent for link in links])
+        kinds = np.array([link.joint.kind if link.joint else "free" for link in links])
+
+        def places(key: str) -> Array:
+            return np.array(
+                [getattr(link.joint, key) if link.joint else np.zeros(3) for link in links]
+            )
+
+        return _Tree(
+            body=body,
+            link_of_body=link_of_body,
+            parent_body=parent_body,
+            parent_link=np.where(parent_body == WORLD_INDEX, -1, link_of_body[parent_body]),
+            free=kinds == "free",
+            turns_freely=(kinds == "free") | (kinds == "ball"),
+            hinge=kinds == "hinge",
+            slider=kinds == "slider",
+            axis=places("axis"),
+            in_parent=places("in_parent"),
+            in_child=places("in_child"),
+        )
+
+
+def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
+    """States of the links' bodies, in link order."""
+    return BodyStates(*(values[..., tree.body, :] for values in vars(bodies).values()))
+
+
+def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
+    """States of the links' parents, the world's among them, in link order."""
+    parents = {key: values[..., tree.parent_body, :] for key, values in vars(bodies).items()}
+    held = tree.parent_body == WORLD_INDEX
+    for key, values in parents.items():
+        values[..., held, :] = rotation.IDENTITY if key == "native" else 0.0
+    return BodyStates(**parents)

@@ -26,15 +26,12 @@ def multiply(p: Array, q: Array) -> Array:
     """Hamilton product p ⊗ q: the rotation q followed by p."""
     pw, px, py, pz = (p[..., k] for k in range(4))
     qw, qx, qy, qz = (q[..., k] for k in range(4))
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
-    )
+    product = np.empty(np.broadcast_shapes(p.shape, q.shape))
+    product[..., 0] = pw * qw - px * qx - py * qy - pz * qz
+    product[..., 1] = pw * qx + px * qw + py * qz - pz * qy
+    product[..., 2] = pw * qy - px * qz + py * qw + pz * qx
+    product[..., 3] = pw * qz + px * qy - py * qx + pz * qw
+    return product
 
 
 def conjugate(q: Array) -> Array:
@@ -44,9 +41,17 @@ def conjugate(q: Array) -> Array:
 
 def rotate(q: Array, v: Array) -> Array:
     """Turn the vectors v by the unit quaternions q."""
-    w, u = q[..., :1], q[..., 1:]
-    t = 2.0 * cross(u, v)
-    return np.asarray(v + w * t + cross(u, t))
+    # Component by component: broadcasting along an axis of three is several times slower.
+    w, x, y, z = (q[..., k] for k in range(4))
+    a, b, c = (v[..., k] for k in range(3))
+    ta = 2.0 * (y * c - z * b)
+    tb = 2.0 * (z * a - x * c)
+    tc = 2.0 * (x * b - y * a)
+    turned = np.empty((*ta.shape, 3))
+    turned[..., 0] = a + w * ta + (y * tc - z * tb)
+    turned[..., 1] = b + w * tb + (z * ta - x * tc)
+    turned[..., 2] = c + w * tc + (x * tb - y * ta)
+    return turned
 
 
 def matrix(q: Array) -> Array:

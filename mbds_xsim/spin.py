@@ -58,33 +58,39 @@ def carried(axes: Array, start: Array, bodies: BodyStates, interval: float) -> B
     """Give bodies without spin the orientation that their axis carries along.
 
     Between frames an axis follows the cubic through its directions and their rates, along which
-    the rotation is integrated by Magnus' series to fourth order; what is left of that against the
-    direction at the frame is turned away. (Blanes, Casas, Oteo, Ros: The Magnus expansion and some
-    of its applications, Physics Reports 470, 2009, eq. 253.)
+    the rotation is integrated by Magnus' series to fourth order (Blanes, Casas, Oteo, Ros: The
+    Magnus expansion and some of its applications, Physics Reports 470, 2009, eq. 253).
 
     Args:
         axes: As `idle_axes` gives them.
         start: Native rotations at frame 0, shape (…, body, 4).
-        bodies: Motion of all bodies, frame by frame, shape (…, frame, body, …); of those with an
-            axis only its direction and rate are read.
+        bodies: Motion of all bodies, frame by frame, shape (…, frame, body, …); those with an axis
+            may be turned about it in any way.
         interval: Between frames [s].
     """
     idle = np.flatnonzero(axes.any(axis=-1))
     native, spin = bodies.native.copy(), bodies.angular_velocity.copy()
-    axis = rotation.rotate(native[..., idle, :], axes[idle])
+    turned = native[..., idle, :]
+    axis = rotation.rotate(turned, axes[idle])
     across = spin[..., idle, :]
-    across = across - np.sum(across * axis, axis=-1, keepdims=True) * axis
+    across -= np.sum(across * axis, axis=-1, keepdims=True) * axis
     spin[..., idle, :] = across
-    turns = _turns(axis, rotation.cross(across, axis), interval)
-    now = start[..., idle, :]
-    native[..., 0, idle, :] = now
-    for k in range(turns.shape[-3]):
-        now = rotation.multiply(turns[..., k, :, :], now)
-        native[..., k + 1, idle, :] = now
+    carry = _carry(axis, rotation.cross(across, axis), interval)
+    ahead = rotation.conjugate(turned[..., 1:, :, :])
+    missing = np.concatenate(
+        [
+            rotation.multiply(rotation.conjugate(turned[..., :1, :, :]), start[..., None, idle, :]),
+            rotation.multiply(ahead, rotation.multiply(carry, turned[..., :-1, :, :])),
+        ],
+        axis=-3,
+    )
+    half = 0.5 * np.cumsum(rotation.angle_about(missing, axes[idle]), axis=-2)[..., None]
+    back = np.concatenate([np.cos(half), np.sin(half) * axes[idle]], axis=-1)
+    native[..., idle, :] = rotation.multiply(turned, back)
     return BodyStates(bodies.position, native, bodies.velocity, spin)
 
 
-def _turns(axis: Array, rate: Array, interval: float) -> Array:
+def _carry(axis: Array, rate: Array, interval: float) -> Array:
     """Rotations that carry axes (…, frame, body, 3) from each frame to the next."""
     begin, end = axis[..., :-1, :, :], axis[..., 1:, :, :]
     leave, arrive = interval * rate[..., :-1, :, :], interval * rate[..., 1:, :, :]
@@ -105,10 +111,9 @@ def _turns(axis: Array, rate: Array, interval: float) -> Array:
         return rotation.cross(at, slope) / np.sum(at * at, axis=-1, keepdims=True)
 
     first, second = (turning(0.5 + sign * math.sqrt(3) / 6) for sign in (-1.0, 1.0))
-    turns = rotation.from_vector(
+    return rotation.from_vector(
         0.5 * (first + second) - math.sqrt(3) / 12 * rotation.cross(first, second)
     )
-    return rotation.multiply(rotation.between(rotation.rotate(turns, begin), end), turns)
 
 
 def _axis_of_revolution(mechanism: Mechanism, body: int) -> Array:
