@@ -72,8 +72,9 @@ def whole(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Checksums of all data files, by name."""
+    """Checksums of all data files and of what describes them, by name."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*.h5"))
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in (".h5", ".md", ".json")
     }

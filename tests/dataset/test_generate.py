@@ -29,7 +29,8 @@ FILE = "1pendulum/mujoco-matched.h5"
 def test_two_processes_make_what_one_makes(make: Make, whole: Path, tmp_path: Path) -> None:
     make(tmp_path, workers=2)
     assert contents(tmp_path) == contents(whole)
-    assert len(contents(tmp_path)) == 5  # three shards, the joined file, the joint one
+    # Three shards, the joined file, the joint one, the card and the metadata.
+    assert len(contents(tmp_path)) == 7
 
 
 def test_every_trajectory_is_there_once_with_its_split(whole: Path) -> None:

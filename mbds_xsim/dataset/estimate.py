@@ -1,0 +1,209 @@
+"""What a data set of any size will cost, measured on a few of its trajectories."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
+from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.scene import Scene
+
+__all__ = ["Estimate", "Measured", "Plan", "estimate", "plan"]
+
+STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
+
+_TIMEOUT = 3600.0  # [s]
+_AUDIT_EVERY = 15_000
+_AUDITED = 3
+_JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split
+_HOUR = 3600.0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a few trajectories cost, made as `generate` makes them."""
+
+    sample: int
+    """Trajectories of a measured shard."""
+    published: int
+    """Of those of the two measured shards."""
+    shard_s: float
+    """Processor time of a shard without trajectories [s]."""
+    trajectory_s: float
+    """Processor time that each trajectory adds [s]."""
+    spread: float
+    """Difference of the two measured shards over their mean."""
+    shares: dict[str, float]
+    """Parts of the wall time in which is drawn, simulated, checked and written."""
+    shard_bytes: float
+    """Of a shard without trajectories."""
+    trajectory_bytes: float
+    """That each trajectory adds."""
+    audit_s: float | None
+    """Processor time of holding the audit sample of 15 000 trajectories against the reference
+    [s]; None: not measured here."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one variant will cost."""
+
+    variant: str
+    method: str
+    step_s: float
+    measured: Measured | None
+    failure: str
+    """Why nothing could be measured, empty otherwise."""
+    shards: int
+    core_hours: float | None
+    wall_hours: float | None
+    """On the cores that were named."""
+    bytes: float | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a data set will cost."""
+
+    scene: str
+    trajectories: int
+    workers: int
+    estimates: tuple[Estimate, ...]
+    left_out: dict[str, str]
+
+
+def plan(
+    scene: Scene,
+    choice: Choice,
+    trajectories: int,
+    *,
+    sample: int = 6,
+    workers: int | None = None,
+    seed: int = 0,
+    noise: bool = True,
+    progress: ProgressSink,
+) -> Plan:
+    """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
+
+    Args:
+        scene: What to simulate.
+        choice: In which engines at which settings.
+        trajectories: How many are planned.
+        sample: Of how many a measured shard is.
+        workers: Processes that will be at work; all cores when left out.
+        seed: Of starts and inputs.
+        noise: Whether the random forces act.
+        progress: Where it is told.
+
+    Raises:
+        InputError: The engines cannot do the scene.
+    """
+    contenders, left_out = choice.contenders(scene)
+    variants = [Variant(scene, contender, seed, noise) for contender in contenders]
+    progress.begin(len(variants))
+    # The reference is the same for all engines; what it costs is measured once.
+    tasks = [Task(measure, (one, sample, one is variants[0]), _TIMEOUT) for one in variants]
+    answers = run_tasks(
+        tasks, workers=1, finished=lambda place, _: progress.advance(variants[place].name)
+    )
+    audit_s = next((a.audit_s for a in answers if isinstance(a, Measured) and a.audit_s), 0.0)
+    cores = core_count() if workers is None else workers
+    estimates = [
+        estimate(variant, answer, trajectories, audit_s=audit_s, workers=cores)
+        for variant, answer in zip(variants, answers, strict=True)
+    ]
+    return Plan(scene.name, trajectories, cores, tuple(estimates), left_out)
+
+
+def estimate(
+    variant: Variant,
+    answer: Measured | Crash,
+    trajectories: int,
+    *,
+    audit_s: float,
+    workers: int,
+) -> Estimate:
+    """Extrapolate what was measured: shards and trajectories cost what they cost, each alike."""
+    shards = math.ceil(trajectories / variant.shard_size)
+    hours = size = None
+    if isinstance(answer, Measured):
+        audits = math.ceil(trajectories / _AUDIT_EVERY)
+        seconds = shards * answer.shard_s + trajectories * answer.trajectory_s + audits * audit_s
+        hours = seconds / _HOUR
+        size = shards * answer.shard_bytes
+        size += trajectories * (answer.trajectory_bytes + _JOINED_BYTES)
+    return Estimate(
+        variant=variant.name,
+        method=variant.method.name,
+        step_s=variant.contender.settings.step,
+        measured=answer if isinstance(answer, Measured) else None,
+        failure=answer.reason if isinstance(answer, Crash) else "",
+        shards=shards,
+        core_hours=hours,
+        wall_hours=None if hours is None else hours / min(workers, shards),
+        bytes=size,
+    )
+
+
+def measure(variant: Variant, sample: int, audit: bool) -> Measured:
+    """Make a shard of one trajectory and two of several, after one that loads everything.
+
+    None of them is of the audit sample, which is measured by itself.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        first = _AUDITED
+        _make(variant, Item(first, 1), Path(folder, "cold"))
+        one = _make(variant, Item(first, 1), Path(folder, "one"))
+        runs = [
+            _make(variant, Item(first + k * sample, sample), Path(folder, f"many{k}"))
+            for k in range(2)
+        ]
+        seconds = [float(run["seconds"]) for run in runs]
+        mean = float(np.mean(seconds))
+        each = max(mean - one["seconds"], 0.0) / max(sample - 1, 1)
+        each = min(each or mean / sample, mean / sample)
+        alone = max(mean - sample * each, 0.0)
+        added = (float(np.mean([run["bytes"] for run in runs])) - one["bytes"]) / max(sample - 1, 1)
+        audit_s = None
+        if audit:
+            held = _make(variant, Item(0, _AUDITED), Path(folder, "audit"))
+            audit_s = max(held["seconds"] - alone - _AUDITED * each, 0.0)
+    return Measured(
+        sample=sample,
+        published=sum(run["published"] for run in runs),
+        shard_s=alone,
+        trajectory_s=each,
+        spread=abs(seconds[0] - seconds[1]) / mean,
+        shares=_shares(runs),
+        shard_bytes=max(one["bytes"] - added, 0.0),
+        trajectory_bytes=added,
+        audit_s=audit_s,
+    )
+
+
+def _make(variant: Variant, item: Item, out: Path) -> dict[str, Any]:
+    """Make a shard and tell its processor time, its bytes, and what its log says."""
+    begin = time.process_time()
+    make_shard(variant, item, out)
+    seconds = time.process_time() - begin
+    folders = (variant.folder(out), rejected_folder(variant, out))
+    size = sum(file.stat().st_size for folder in folders for file in folder.glob("*.h5"))
+    facts: dict[str, Any] = json.loads((variant.folder(out) / LOG).read_text("utf-8"))
+    return {**facts, "seconds": seconds, "bytes": size}
+
+
+def _shares(runs: Sequence[dict[str, Any]]) -> dict[str, float]:
+    total = sum(run[stage] for run in runs for stage in STAGES) or 1.0
+    return {stage: sum(run[stage] for run in runs) / total for stage in STAGES}

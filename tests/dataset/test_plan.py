@@ -1,0 +1,123 @@
+"""`mbds-xsim plan`: extrapolated bytes are those of the real thing, costs add up."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.estimate import STAGES, Measured, Plan, estimate, measure, plan
+from mbds_xsim.dataset.variant import Variant
+from mbds_xsim.isolate import Crash
+from mbds_xsim.report.planning import print_plan
+from mbds_xsim.scene import Scene
+from tests.dataset.conftest import TRAJECTORIES
+
+KNOWN = Measured(
+    sample=6,
+    published=12,
+    shard_s=3.0,
+    trajectory_s=0.5,
+    spread=0.1,
+    shares=dict.fromkeys(STAGES, 0.25),
+    shard_bytes=1000.0,
+    trajectory_bytes=100.0,
+    audit_s=0.0,
+)
+
+
+class Silence:
+    def begin(self, total: int) -> None:
+        self.total, self.names = total, list[str]()
+
+    def advance(self, what: str) -> None:
+        self.names.append(what)
+
+
+@pytest.fixture(scope="module")
+def variant(rod: Scene) -> Variant:
+    (contender,), _ = Choice.parse(engines="mujoco").contenders(rod)
+    return Variant(rod, contender, 0, True)
+
+
+@pytest.fixture(scope="module")
+def measured(variant: Variant) -> Measured:
+    return measure(variant, 6, audit=True)
+
+
+def test_bytes_are_those_that_generate_writes(
+    variant: Variant, measured: Measured, whole: Path
+) -> None:
+    """700 trajectories in three shards, foretold from shards of 1 and 6."""
+    told = estimate(variant, measured, TRAJECTORIES, audit_s=0.0, workers=1)
+    real = sum(path.stat().st_size for path in whole.rglob("*.h5") if path.name != "joint.h5")
+    assert told.shards == 3
+    assert told.bytes == pytest.approx(real, rel=0.03)
+
+
+def test_what_is_measured_can_be(measured: Measured) -> None:
+    assert measured.published == 12
+    assert measured.trajectory_s > 0
+    assert measured.audit_s is not None
+    assert measured.audit_s > measured.trajectory_s  # the reference is dearer than the engine
+    assert sum(measured.shares.values()) == pytest.approx(1.0)
+    assert measured.shares["simulate_s"] > 0
+
+
+def test_costs_add_up_at_any_size(variant: Variant) -> None:
+    for count in (1, 300, 301, 15_001, 4_000_000_000):
+        told = estimate(variant, KNOWN, count, audit_s=7.0, workers=8)
+        shards = -(-count // 300)
+        seconds = 3.0 * shards + 0.5 * count + 7.0 * -(-count // 15_000)
+        assert told.shards == shards
+        assert told.core_hours == pytest.approx(seconds / 3600)
+        assert told.wall_hours == pytest.approx(seconds / 3600 / min(8, shards))
+        assert told.bytes == pytest.approx(1000 * shards + 109 * count)
+
+
+def test_plan_measures_every_engine_apart(rod: Scene) -> None:
+    heard = Silence()
+    choice = Choice.parse(engines="mujoco", profiles="matched,native")
+    found = plan(rod, choice, 10_000_000_000, sample=2, workers=4, progress=heard)
+    assert [one.variant for one in found.estimates] == ["mujoco-matched", "mujoco-native"]
+    assert heard.names == ["mujoco-matched", "mujoco-native"]
+    first, second = (one.measured for one in found.estimates)
+    assert first is not None
+    assert second is not None
+    assert first.audit_s is not None
+    assert second.audit_s is None  # the reference is the same for both
+    assert all(one.core_hours is not None and one.core_hours > 0 for one in found.estimates)
+
+
+def test_a_crash_is_told_not_extrapolated(variant: Variant) -> None:
+    told = estimate(variant, Crash("the process ended by signal 11"), 5, audit_s=0.0, workers=2)
+    assert (told.core_hours, told.bytes, told.measured) == (None, None, None)
+    stream = io.StringIO()
+    print_plan(Plan("rod", 5, 2, (told,), {}), Console(file=stream, width=120))
+    assert "✗ mujoco-matched: the process ended by signal 11" in stream.getvalue()
+
+
+def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
+    told = estimate(variant, KNOWN, 4_000_000_000, audit_s=0.0, workers=1)
+    stream = io.StringIO()
+    print_plan(
+        Plan("rod", 4_000_000_000, 1, (told,), {"dart": "no"}), Console(file=stream, width=120)
+    )
+    text = stream.getvalue()
+    for words in (
+        "4 000 000 000 trajectories",
+        "64.6 years",
+        "449 GB",
+        "12 of 12",
+        "dart left out",
+    ):
+        assert words in text
+    small = replace(told, wall_hours=0.5, bytes=2500.0)
+    stream = io.StringIO()
+    print_plan(Plan("rod", 5, 1, (small,), {}), Console(file=stream, width=120))
+    assert "30 min" in stream.getvalue()
+    assert "2.5 kB" in stream.getvalue()
