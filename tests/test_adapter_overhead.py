@@ -68,3 +68,16 @@ def test_the_lean_loop_knows_which_model_is_used(loops: ModuleType, interval: in
     with adapter.open(description, settings) as run:
         lean = loops.LEAN["mujoco"](run, batch)
         assert loops.apart(Mechanism.of(description), run, batch, lean) < _SAME
+
+
+def test_one_call_of_exudyns_solver_makes_nearly_the_same_trajectory(loops: ModuleType) -> None:
+    """But not the same: it starts no frame anew where the loads jump."""
+    description = load_scene("3ladder")
+    adapter = load_adapter("exudyn")
+    batch = draw_batch(description, [1]).truncated(10)
+    with adapter.open(description, settings_for(description, adapter, "matched")) as run:
+        one_call = loops.exudyn_in_one_call(run, batch)
+        one_call.roll()
+        made, told = one_call.bodies(), run.rollout(batch)
+    error = np.abs(made.position - told.position[0, 1:]).max()
+    assert 1e-9 < error < 1e-3
