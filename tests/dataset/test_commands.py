@@ -77,6 +77,38 @@ def test_verify_ends_with_1_where_something_is_wrong(made: Ended, folder: Path) 
     assert "checksum: dataset position is not what was written" in ended.stdout
 
 
+def test_a_set_goes_out_and_is_audited(made: Ended, folder: Path) -> None:
+    assert made.returncode == 0
+    words = ("export", "data", "--out", "out", "--format", "csv", "--indices", "1")
+    ended = _run(folder, *words)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "2 trajectories in 2 files" in ended.stdout
+    assert "not carried over:" in ended.stdout
+    file = folder / "out/1pendulum/mujoco-matched/0000000001.csv"
+    ended = _run(folder, "audit", str(file), "--scene", "rod.toml", "--json", "found.json")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "every check that ran holds" in ended.stdout
+    assert json.loads((folder / "found.json").read_text())["verdict"] == "pass"
+    lines = file.read_text().splitlines()
+    cells = lines[-1].split(",")
+    cells[lines[-12].split(",").index("b0_z")] = "0.5"
+    file.write_text("\n".join([*lines[:-1], ",".join(cells)]))
+    ended = _run(folder, "audit", str(file), "--scene", "rod.toml")
+    assert ended.returncode == 1
+    assert "✗ gap: " in ended.stdout
+
+
+def test_inspect_tells_and_draws(made: Ended, folder: Path) -> None:
+    assert made.returncode == 0
+    ended = _run(folder, "inspect", "data/1pendulum/mujoco-native.h5", "--png", "paths.png")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "4 published and 0 rejected of 4" in ended.stdout
+    assert (folder / "paths.png").read_bytes().startswith(b"\x89PNG")
+    ended = _run(folder, "inspect", "data", "--png", "both.png")
+    assert ended.returncode == 2
+    assert "--png: data holds 2 data sets; name one of them" in ended.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -86,6 +118,10 @@ def test_verify_ends_with_1_where_something_is_wrong(made: Ended, folder: Path) 
         ("generate rod.toml --engines ode --out new", "no engine is called 'ode'"),
         ("generate rod.toml --settings best --out new", "no settings profile is called 'best'"),
         ("generate rod.toml --out rod.toml", "--out: cannot write to rod.toml"),
+        ("audit it.txt --scene rod.toml", "got a file .txt, allowed is .npz, .csv, .h5"),
+        ("export nothing --out new --format npz", "nothing: there is no such file or folder"),
+        ("inspect rod.toml", "rod.toml cannot be read as HDF5"),
+        ("plan rod.toml --engines ode", "no engine is called 'ode'"),
         ("verify nothing.h5", "nothing.h5: there is no such file"),
         ("verify .git", ".git: there is no such file"),
     ],

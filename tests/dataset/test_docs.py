@@ -6,7 +6,10 @@ from pathlib import Path
 
 import h5py
 
+from mbds_xsim.dataset.columns import groups
+from mbds_xsim.dataset.foreign import FACTS
 from mbds_xsim.dataset.layout import CHECKS, FIELDS, VERSION
+from mbds_xsim.registry import load_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "dataset-layout.md"
 BEGIN, END = "<!-- fields -->\n", "<!-- end of fields -->"
@@ -47,6 +50,17 @@ def test_every_attribute_is_explained(whole: Path) -> None:
 def test_columns_are_checks_of_the_page_about_checks() -> None:
     page = (PAGE.parent / "checks.md").read_text("utf-8").lower()
     assert [name for name in CHECKS if name not in page] == []
+
+
+def test_columns_of_an_audit_are_explained() -> None:
+    """Every array with its first column, every fact, every form of export's loss."""
+    page = (PAGE.parent / "data-commands.md").read_text("utf-8")
+    table = page[page.index("| array |") : page.index("`time` and one of")]
+    for group in groups(load_scene("particlecar")):
+        row = next(line for line in table.splitlines() if f"`{group.name}`" in line)
+        assert f"`{group.columns[0, 0]}`" in row
+    facts = page[page.index("| fact |") : page.index("**Inputs.**")]
+    assert [fact for fact in FACTS if f"`{fact}`" not in facts] == []
 
 
 if __name__ == "__main__":
