@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbds_xsim.report import ablate_summary as summary
-from mbds_xsim.study.ablate_result import Ablation
+from mbds_xsim.study.ablate_result import Ablation, Row
 
 __all__ = ["print_ablation"]
 
@@ -27,7 +27,7 @@ def print_ablation(ablation: Ablation, console: Console) -> None:
     _remark(console, "judge", summary.judge_line(ablation))
     _remark(console, "floor", summary.floor_line(ablation))
     for row in ablation.rows:
-        if row.verdict in ("not possible", "not resolvable"):
+        if row.sentence and not _plain(row):
             _remark(console, f"{row.effect} {summary.made(row)}", row.sentence)
     for engine, reason in ablation.failed.items():
         _remark(console, f"{engine} failed", reason)
@@ -37,6 +37,12 @@ def print_ablation(ablation: Ablation, console: Console) -> None:
     _remark(console, "scene", summary.size_line(ablation))
     console.print()
     console.print(Text.assemble((ablation.scene, "bold"), f": {summary.conclusion(ablation)}"))
+
+
+def _plain(row: Row) -> bool:
+    """Whether the figures of a row say all that led to its verdict."""
+    above = row.over_floor is not None and row.over_floor > 1.0
+    return row.verdict == ("needed" if above else "not needed")
 
 
 def _effects(ablation: Ablation, *, wide: bool) -> Table:
