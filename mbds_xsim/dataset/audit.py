@@ -36,8 +36,6 @@ _SMOOTH = ("kinematics", "velocity lag", "energy", "momentum")
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
 _SAME_START = 1e-12
-_FITTED = 1e-10  # what fitting bodies to points adds to rounding, relative
-_MAGNIFIED = 8.0  # rounding of points in what is fitted to them, at most
 
 
 @dataclass(frozen=True)
@@ -155,9 +153,13 @@ class _Case:
         return found
 
     def _of_bodies(
-        self, states: dict[str, Array | None], blur: float, turned: float
+        self, states: dict[str, Array | None], blur: float | None, turned: float
     ) -> list[Finding]:
-        """Run the checks on states of bodies, without velocities those of positions alone."""
+        """Run the checks on states of bodies, without velocities those of positions alone.
+
+        They may be rounded by `blur`, orientations by `turned`; None: what was fitted is not held
+        against the start, which the points are.
+        """
         method, step = self._method()
         moving = states["velocity"] is not None
         filled = self._trajectory(states)
@@ -175,13 +177,15 @@ class _Case:
             maybe = [check(record) for check in _OF_POSITIONS]
             found = [finding for finding in maybe if finding is not None]
             self._leave_out("no velocities")
-        off = {"start": blur, "finite": turned}
-        if turned > _SAME_INPUT or (blur > _SAME_INPUT and self.named):
-            self.taken.append(f"rounding: start and finite may be off by up to {blur:.0e} for it")
+        off = {"start": blur or 0.0, "finite": turned}
+        if max(off.values()) > _SAME_INPUT:
+            self.taken.append(
+                f"rounding: start and finite may be off by {max(off.values()):.0e} for it"
+            )
         return [
             dataclasses.replace(one, uncertainty=one.uncertainty + off.get(one.check, 0.0))
             for one in found
-            if one.check != "start" or self.named
+            if one.check != "start" or (self.named and blur is not None)
         ]
 
     def _trajectory(self, states: dict[str, Array | None]) -> Trajectory:
@@ -195,7 +199,7 @@ class _Case:
 
     def _of_points(self, position: Array, velocity: Array | None) -> list[Finding]:
         """Fit rigid bodies to the points, and check these where the points tell all of them."""
-        scene, rounding = self.foreign.scene, self.foreign.rounding
+        scene = self.foreign.scene
         fit = recover(scene, position, velocity)
         names = tuple(body.name for body in scene.bodies)
         rigid = Finding.of("rigidity", "m", fit.residual, budget=scene.budget.gap, names=names)
@@ -206,10 +210,7 @@ class _Case:
             return [rigid, *self._start_of(position, velocity)]
         self.taken.append("body states: rigid bodies fitted to the particles by least squares")
         states = {key: getattr(fit, key) for key in _STATE}
-        coarse = max(rounding.get("position", 0.0), rounding.get("velocity", 0.0))
-        fastest = 1.0 if velocity is None else 1.0 + float(np.abs(velocity).max())
-        blur = _FITTED + _MAGNIFIED * coarse * (1.0 + 1.0 / fit.reach) * fastest
-        return [*self._of_bodies(states, blur, 0.0), rigid]
+        return [*self._of_bodies(states, None, 0.0), rigid, *self._start_of(position, velocity)]
 
     def _start_of(self, position: Array, velocity: Array | None) -> list[Finding]:
         """Hold the particles at frame 0 against the start that is named."""
@@ -223,7 +224,7 @@ class _Case:
         off = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
         parts[:, 0, 0] = np.stack([each.max(axis=(1, 2)) for each in off]).max(axis=0)
         rounding = self.foreign.rounding
-        coarse = max(rounding["position"], rounding.get("velocity", 0.0)) + _FITTED
+        coarse = max(rounding["position"], rounding.get("velocity", 0.0))
         return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=np.float64(coarse))]
 
     def _points(self, position: Array, states: dict[str, Array | None]) -> Finding:
@@ -248,7 +249,8 @@ class _Case:
             return None, told.step_s
         step = told.step_s or self.foreign.scene.clock.frame
         order, lag = told.method_order or 1, (told.velocity_lag_s or 0.0) / step
-        self.taken.append(f"method: of order {order}, velocities {lag:g} steps off the frames")
+        when = f"{lag:g} steps off the frames" if lag else "at the frames"
+        self.taken.append(f"method: of order {order}, velocities {when}")
         return Method("told", "semi-implicit Euler", order, velocity_lag=lag), step
 
     def _inputs(self) -> list[Finding]:
@@ -284,7 +286,7 @@ class _Case:
         found = error_findings(scene, batch, error, truth, growth)
         if all(finding.check != "error at 1 s" for finding in found):
             self.not_checked["error at 1 s"] = (
-                "needs a frame at 1 s, of a start of the interval low or medium"
+                "needs a frame at 1 s that the reference knows, of an interval low or medium"
             )
         return found
 

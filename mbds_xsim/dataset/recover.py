@@ -36,8 +36,6 @@ class Recovered:
     (trajectory, frame, body)."""
     undetermined: tuple[str, ...]
     """Bodies whose orientation, about a line at least, the points do not tell."""
-    reach: float
-    """Smallest distance over which an orientation is told [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,6 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
         undetermined=tuple(
             name for name, fit in zip(names, fits, strict=True) if not fit.determined
         ),
-        reach=min(fit.reach for fit in fits),
     )
 
 
@@ -93,7 +90,6 @@ class _Fit:
     rate: Array
     residual: Array
     determined: bool
-    reach: float
 
 
 def _lifted(points: Points, values: Array, rest: Array) -> Array:
@@ -151,7 +147,7 @@ def _fit(known: _Known, fixed: Array, place: Array, speed: Array | None) -> _Fit
         moved = np.where((known.source < 0)[:, None], 0.0, speed[..., known.source, :])
         rate = _twist(inside, held, moved - moved.mean(axis=-2, keepdims=True))
         velocity = moved.mean(axis=-2) + rotation.cross(rate, position - centre)
-    return _Fit(position, native, velocity, rate, residual, determined, reach)
+    return _Fit(position, native, velocity, rate, residual, determined)
 
 
 def _nearest_turn(covariance: Array) -> Array:

@@ -170,6 +170,16 @@ def test_particles_of_a_disc_tell_all(drop: tuple[Scene, Arrays], audited: Audit
     np.testing.assert_allclose(facing, 1.0, atol=1e-12)
 
 
+def test_rounding_does_not_excuse_another_start(drop: tuple[Scene, Arrays], audited: Audit) -> None:
+    """In float32: moved by a tenth of a millimetre, and sheared by as little."""
+    scene, arrays = drop
+    points = arrays["position"].astype(np.float32)
+    assert "start" not in _failed(audited(scene, {"time": arrays["time"], "position": points}))
+    turned = points + 1e-4 * (points[..., ::-1] - points.mean(axis=2, keepdims=True))
+    for moved in (points + np.float32(1e-4), turned):
+        assert "start" in _failed(audited(scene, {"time": arrays["time"], "position": moved}))
+
+
 def test_a_learned_models_wobble_is_seen(drop: tuple[Scene, Arrays], audited: Audit) -> None:
     scene, arrays = drop
     shake = np.random.default_rng(0).normal(scale=1e-3, size=arrays["position"].shape)
