@@ -83,6 +83,7 @@ reports-ablation: $(VENV)/ready
 reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
+	$(BIN)/python -m benchmarks.yardstick > $(REPORTS)/yardstick.md
 
 # The page that lists the reports.
 reports-pages: $(VENV)/ready

@@ -16,6 +16,7 @@ https://mujoco.readthedocs.io/en/stable/computation/index.html
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -59,6 +60,8 @@ _NOSLIP_ITERATIONS = 100
 _NOSLIP_TOLERANCE = 1e-9
 # How far a sphere may get within a step, in lengths of a straight path.
 _REACH = 2.0
+# Slower than that [m/s] is at rest.
+_TINY = 1e-150
 
 
 @dataclass(frozen=True)
@@ -136,18 +139,30 @@ class Spheres:
         mujoco.mj_kinematics(model, data)
         return np.asarray(data.geom_xpos[self._geoms, 2] - self._radius)
 
-    def may_touch(self, model: Any, data: Any, duration: float) -> bool:
-        """Whether a sphere can reach the ground within a time [s]."""
-        gap = self.gaps(model, data)
-        if gap.min() < 0.0:
-            return True  # whatever the speeds
+    def time_aloft(self, model: Any, data: Any, gap: Array, least: float) -> float:
+        """Time in which no sphere can reach the ground [s]; 0 if it is less than the `least`."""
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
+        # The lowest alone mostly tells, without arrays.
+        lowest = int(gap.argmin())
+        speed = self._speed(data, lowest)
+        if gap[lowest] < _REACH * least * (speed + self._gravity * least):
+            return 0.0
         twist = data.cvel[self._bodies]
         arm = data.geom_xpos[self._geoms] - data.subtree_com[self._roots]
         velocity = twist[:, 3:] + rotation.cross(twist[:, :3], arm)
-        speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
-        return bool(np.any(gap < _REACH * duration * (speed + self._gravity * duration)))
+        # gap = _REACH (speed time + gravity time²)
+        way = gap * (2.0 / _REACH)
+        square = np.einsum("ki,ki->k", velocity, velocity)
+        rate = np.sqrt(square) + np.sqrt(square + 2.0 * self._gravity * way)
+        return float((way / np.maximum(rate, _TINY)).min())
+
+    def _speed(self, data: Any, sphere: int) -> float:
+        p, q, r, u, v, w = data.cvel[self._bodies[sphere]].tolist()
+        x, y, z = data.geom_xpos[self._geoms[sphere]].tolist()
+        a, b, c = data.subtree_com[self._roots[sphere]].tolist()
+        x, y, z = x - a, y - b, z - c
+        return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
 
     def coefficients(self, model: Any) -> Array:
         """Radius and friction of each sphere's pair; MuJoCo has no restitution."""

@@ -56,6 +56,7 @@ class ModelRun(Run):
         # MuJoCo numbers bodies depth first, so only names tell.
         names = [body.name for body in mechanism.scene.bodies]
         self._bodies = np.array([self._model.body(name).id for name in names])
+        self._order = np.argsort(self._bodies)
         self._spheres = Spheres(self._model, mechanism)
         self._stepper: Stepper = OneCall(count)
         if division:
@@ -116,11 +117,13 @@ class ModelRun(Run):
     def _record(self, row: Batch, positions: Array, velocities: Array, warnings: list[str]) -> None:
         """Step through one trajectory; frames from a warning on stay as they are."""
         model, data, frame = self._model, self._data, self._stepper.frame
-        push, drive, qpos, qvel = data.xfrc_applied, data.ctrl, data.qpos, data.qvel
+        # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
+        push, force = data.xfrc_applied[1:, :3], row.force[0][:, self._order]
+        drive, torque = data.ctrl, row.torque[0]
+        qpos, qvel = data.qpos, data.qvel
         for k in range(row.steps):
-            # At the centre of mass and along W in every stage of a step.
-            push[self._bodies, :3] = row.force[0, k]
-            drive[:] = row.torque[0, k]
+            push[...] = force[k]
+            drive[...] = torque[k]
             frame(model, data)
             if warnings:
                 return

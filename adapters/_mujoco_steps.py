@@ -14,6 +14,8 @@ from ._mujoco_contact import Spheres
 
 __all__ = ["FinerNearGround", "FinerWhereFast", "OneCall", "Stepper", "turning_rates"]
 
+Array = NDArray[np.float64]
+
 _EULER = mujoco.mjtIntegrator.mjINT_EULER
 # Faster than that, a motion has other troubles than its steps.
 _MOST = 64
@@ -58,16 +60,20 @@ class FinerWhereFast:
     def __init__(self, model: Any, turning: NDArray[np.int64], count: int, turn: float) -> None:
         self._count, self._step = count, float(model.opt.timestep)
         self._rate = turn / (count * self._step)
-        self._turning = turning
+        # A slice is a third faster to take.
+        self._turning = slice(None) if len(turning) == model.nv else turning
         self.remark = (
             f" A frame takes {count} steps times the fastest rate of a joint, counted in "
             f"{self._rate:.9g} rad/s and rounded up, {_MOST} times at most."
         )
 
     def frame(self, model: Any, data: Any) -> None:
-        fastest = float(np.abs(data.qvel[self._turning]).max()) / self._rate
+        fastest = np.maximum.reduce(np.abs(data.qvel[self._turning])) / self._rate
         # Written so that NaN counts as slow.
-        times = min(math.ceil(fastest), _MOST) if fastest > 1.0 else 1
+        if not fastest > 1.0:
+            mujoco.mj_step(model, data, self._count)
+            return
+        times = min(math.ceil(fastest), _MOST)
         model.opt.timestep = self._step / times
         mujoco.mj_step(model, data, self._count * times)
         model.opt.timestep = self._step
@@ -116,36 +122,42 @@ class FinerNearGround:
         return self._division * self._finer
 
     def frame(self, model: Any, data: Any) -> None:
-        if self._flies(model, data, self._count):
-            return
-        for _ in range(self._count):
-            if not self._flies(model, data, 1):
-                self._lead(model, data, -0.5)
-                mujoco.mj_step(model, data, self._division)
-                self._lead(model, data, 0.5)
-            if data.warning.number.any():
-                return
+        left, gap = self._count, self._spheres.gaps(model, data)
+        while left and not data.warning.number.any():
+            time = self._spheres.time_aloft(model, data, gap, self._step)
+            aloft = int(min(left, time / self._step))  # all that are left where it is NaN
+            landed = self._flown(model, data, aloft) if aloft else None
+            if landed is not None:
+                gap, left = landed, left - aloft
+                continue
+            self._lead(model, data, gap, -0.5)
+            mujoco.mj_step(model, data, self._division)
+            gap = self._spheres.gaps(model, data)
+            self._lead(model, data, gap, 0.5)
+            left -= 1
 
-    def _lead(self, model: Any, data: Any, steps: float) -> None:
+    def _lead(self, model: Any, data: Any, gap: Array, steps: float) -> None:
         """Move velocities on by a part of a finer step where nothing touches.
 
         Those of semi-implicit Euler belong to half a step before its positions. Taken for the
         positions' own they would lift every bounce by g h v.
         """
-        if self._spheres.gaps(model, data).min() > 0.0:
+        if gap.min() > 0.0:
             mujoco.mj_forward(model, data)
             data.qvel += steps * self._finer * data.qacc
 
-    def _flies(self, model: Any, data: Any, count: int) -> bool:
-        """Take steps in the air, or leave everything as it is where a sphere may touch."""
-        if self._spheres.may_touch(model, data, count * self._step):
-            return False
+    def _flown(self, model: Any, data: Any, count: int) -> Array | None:
+        """Take steps in the air; without any, leave everything as it is where a sphere comes down.
+
+        Gives the gaps after them.
+        """
         before = data.time, data.qpos.copy(), data.qvel.copy()
         model.opt.integrator, model.opt.timestep = self._integrator, self._step
         mujoco.mj_step(model, data, count)
         model.opt.integrator, model.opt.timestep = _EULER, self._finer
-        if self._spheres.gaps(model, data).min() >= 0.0:
-            return True
+        gap = self._spheres.gaps(model, data)
+        if gap.min() >= 0.0:
+            return gap
         # Driven down harder than foreseen.
         data.time, data.qpos[:], data.qvel[:] = before
-        return False
+        return None

@@ -174,8 +174,8 @@ _FOOT = """\
 - Same to: largest difference of the two trajectories in positions, quaternions and velocities
 - One call of the solver: Exudyn without the new start at each frame, at which its loads jump. It
   makes another trajectory and is no like for like
-- Load: building the model, once for all starts; start: what a rollout costs before its first step and
-  after its last, with the state reset and nothing built. Both as a part of the adapter's time"""
+- Load: building the model, once for all starts; start: what a rollout costs before its first step
+  and after its last, with the state reset and nothing built. Both as a part of the adapter's"""
 
 
 def main(names: list[str]) -> None:

@@ -17,6 +17,7 @@ CHAPTERS = (
     ("Where methods fail", "make reports-stability", "stability/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
+    ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
 _WRITES = re.compile(r" (?:--(?:json|csv|png|markdown)|>) \S+")  # the files stand beside it
