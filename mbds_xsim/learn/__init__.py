@@ -1,0 +1,1 @@
+"""Learned simulators: graphs of scenes, models, their training and rollout. Needs torch."""

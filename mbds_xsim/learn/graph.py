@@ -1,0 +1,152 @@
+"""The graph of a scene: what never changes while it moves, as tensors."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene import Scene
+
+__all__ = ["DIMENSION", "Graph"]
+
+DIMENSION = 3
+"""Of all positions here: what a data file leaves out of a plane or line scene is put back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Graph:
+    """Nodes and edges of a scene.
+
+    A node is a particle (in a body without particles, one of its six stand-ins), or behind them a
+    static anchor. Edges go both ways. Real numbers are float64.
+    """
+
+    scene: Scene
+    particle_count: int
+    node_count: int
+    body_count: int
+    static: Tensor
+    """Whether a node is an anchor, bool, shape (node,)."""
+    body: Tensor
+    """Body of each node, −1 for anchors, int64, shape (node,)."""
+    senders: Tensor
+    """Node that each directed edge comes from, int64, shape (edge,)."""
+    receivers: Tensor
+    """Node that each directed edge goes to, int64, shape (edge,)."""
+    inner: Tensor
+    """Whether both ends of an edge are in one body, bool, shape (edge,)."""
+    mass: Tensor
+    """Of each node, 0 for anchors [kg], shape (node,)."""
+    reference: Tensor
+    """Of the nodes in W at the reference pose [m], shape (node, 3)."""
+    gravity: Tensor
+    """In W [m/s²], shape (3,)."""
+    moving: Tensor
+    """Whether the scene moves along x, y and z, bool, shape (3,)."""
+    ground: bool
+    """Whether there is a ground, z = 0."""
+    length: float
+    """The scene's size [m]."""
+    frame_s: float
+    """Interval of the frames [s]."""
+
+    @staticmethod
+    def of(scene: Scene) -> Graph:
+        """Build the graph of a scene; it may have no edges and no anchors."""
+        points = Points.of(scene)
+        edges = _undirected(scene, len(points.body))
+        body = np.concatenate([points.body, np.full(len(scene.anchors), -1)])
+        senders, receivers = np.concatenate([edges, edges[:, ::-1]]).T
+        moving = np.isin(np.arange(DIMENSION), points.axes)
+        return Graph(
+            scene=scene,
+            particle_count=len(points.body),
+            node_count=len(body),
+            body_count=len(scene.bodies),
+            static=torch.from_numpy(body < 0),
+            body=torch.from_numpy(body),
+            senders=torch.from_numpy(senders.copy()),
+            receivers=torch.from_numpy(receivers.copy()),
+            inner=torch.from_numpy((body[senders] == body[receivers]) & (body[senders] >= 0)),
+            mass=torch.from_numpy(_masses(points, len(scene.anchors))),
+            reference=torch.from_numpy(_reference(points)),
+            gravity=torch.tensor(scene.gravity, dtype=torch.float64),
+            moving=torch.from_numpy(moving),
+            ground=scene.ground is not None,
+            length=scene.length,
+            frame_s=scene.clock.frame,
+        )
+
+    @property
+    def edge_count(self) -> int:
+        """Number of directed edges, twice the scene's."""
+        return len(self.senders)
+
+    @property
+    def anchor_positions(self) -> Tensor:
+        """Static nodes in W [m], shape (anchor, 3)."""
+        return self.reference[self.particle_count :]
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The scene's arrays and spanning tree."""
+        return Mechanism.of(self.scene)
+
+    def to(self, device: torch.device | str) -> Graph:
+        """Move all tensors to a device."""
+        tensors: dict[str, Any] = {
+            field.name: value.to(device)
+            for field in dataclasses.fields(self)
+            if isinstance(value := getattr(self, field.name), Tensor)
+        }
+        return dataclasses.replace(self, **tensors)
+
+    def with_anchors(self, particles: Tensor) -> Tensor:
+        """Append the anchors to particle positions (…, particle, 3): all nodes, (…, node, 3)."""
+        anchors = self.anchor_positions.to(particles)
+        return torch.cat([particles, anchors.expand(*particles.shape[:-2], *anchors.shape)], -2)
+
+    def embed(self, published: Tensor, *, rest: Tensor | float | None = None) -> Tensor:
+        """Put back the components that a data file leaves out.
+
+        Args:
+            published: Positions or velocities of the particles, shape (…, particle, axis).
+            rest: What they are where the scene does not move, (particle, 3) or a number; left
+                out, the positions of the reference pose.
+
+        Returns:
+            Shape (…, particle, 3).
+        """
+        if rest is None:
+            rest = self.reference[: self.particle_count]
+        shape = (*published.shape[:-1], DIMENSION)
+        whole = torch.as_tensor(rest).to(published).expand(shape).clone()
+        whole[..., self.moving] = published
+        return whole
+
+
+def _undirected(scene: Scene, point_count: int) -> NDArray[np.int64]:
+    """Edges once each, shape (edge, 2); anchors are numbered after all points."""
+    edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
+    edges[edges >= scene.particle_count] += point_count - scene.particle_count
+    return np.unique(np.sort(edges, axis=1), axis=0)
+
+
+def _masses(points: Points, anchor_count: int) -> NDArray[np.float64]:
+    """Of the particles, of stand-ins an equal share of their body's, then 0 for the anchors."""
+    own = [particle.mass for body in points.mechanism.scene.bodies for particle in body.particles]
+    share = points.mechanism.mass / np.bincount(points.body)
+    return np.concatenate([own, share[points.body[len(own) :]], np.zeros(anchor_count)])
+
+
+def _reference(points: Points) -> NDArray[np.float64]:
+    anchors = np.array(points.mechanism.scene.anchors, dtype=np.float64).reshape(-1, DIMENSION)
+    return np.concatenate([points.mechanism.com[points.body] + points.offset, anchors])
