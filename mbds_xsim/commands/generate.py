@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
+from mbds_xsim.errors import InputError
 
 __all__ = ["generate"]
 
@@ -45,12 +47,22 @@ def generate(
     workers: Annotated[
         int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="A Dask scheduler, whose workers see DIR too, in place of --workers.",
+        ),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Make data sets: simulate, check every trajectory, publish what passes."""
     from mbds_xsim.choice import Choice
+    from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
+    from mbds_xsim.dataset.work import Carrier
+    from mbds_xsim.isolate import run_tasks
     from mbds_xsim.report.generating import GeneratingBar, print_counts
 
     console = console_for(json)
@@ -63,8 +75,16 @@ def generate(
         seed=seed,
         noise=noise,
     )
-    with GeneratingBar(console) as progress:
-        generated = run(request, workers=workers, progress=progress)
+    if scheduler is not None and workers is not None:
+        msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"
+        raise InputError(msg)
+    with ExitStack() as stack:
+        carry_out: Carrier = run_tasks
+        if scheduler is not None:
+            carry_out = cluster = stack.enter_context(Cluster(scheduler, out))
+            workers = cluster.workers
+        progress = stack.enter_context(GeneratingBar(console))
+        generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
     print_counts(generated, console)
     write_json(encoded(generated), json)
     raise typer.Exit(0 if all(count.published for count in generated.variants) else 1)
