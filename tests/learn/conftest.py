@@ -1,0 +1,87 @@
+"""Small motions that are made of formulas, and data sets of few trajectories."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.window import Inputs, Motions
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Clock
+
+torch.set_num_threads(1)
+
+Analytic = Callable[..., Motions]
+
+
+class Silence:
+    """Is told how far the making of data is."""
+
+    def begin(self, total: int, done: int) -> None:
+        pass
+
+    def advance(self, done: int, rejected: int) -> None:
+        pass
+
+
+@pytest.fixture(scope="session")
+def analytic() -> Analytic:
+    """Make float64 motions x(t) of a scene's particles, t in frames."""
+
+    def make(
+        name: str,
+        course: Callable[[torch.Tensor], torch.Tensor],
+        *,
+        frames: int = 20,
+        rows: int = 4,
+    ) -> Motions:
+        graph = Graph.of(load_scene(name))
+        rest = graph.reference[: graph.particle_count]
+        time = torch.arange(frames, dtype=torch.float64)[:, None, None]
+        size = torch.linspace(0.5, 1.0, rows, dtype=torch.float64)[:, None, None, None]
+        position = rest + size * course(time).expand(frames, graph.particle_count, 3)
+        position = torch.where(graph.moving, position, rest)
+        hinges = len(graph.mechanism.hinges)
+        return Motions(
+            graph=graph,
+            split="train",
+            index=np.arange(rows),
+            position=position,
+            velocity=position.diff(dim=1, append=position[:, -1:]) / graph.frame_s,
+            inputs=Inputs(
+                torch.zeros(rows, frames - 1, graph.body_count, 3, dtype=torch.float64),
+                torch.zeros(rows, frames - 1, hinges, dtype=torch.float64),
+            ),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Dataset]:
+    """Make (once) a small data set of a scene in MuJoCo."""
+    made: dict[str, Dataset] = {}
+
+    def make(name: str, *, trajectories: int = 30, steps: int = 25) -> Dataset:
+        if name not in made:
+            scene = msgspec.structs.replace(load_scene(name), clock=Clock(steps=steps))
+            out = tmp_path_factory.mktemp("data")
+            choice = Choice.parse(engines="mujoco", profiles="native")
+            generate(Request((scene,), choice, trajectories, out), workers=0, progress=Silence())
+            made[name] = load_dataset(out / name / "mujoco-native.h5")
+        return made[name]
+
+    return make
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    """A folder for checkpoints."""
+    return tmp_path
