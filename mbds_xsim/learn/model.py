@@ -157,6 +157,7 @@ def build(
 
 _PLACES = {
     "gns": "mbds_xsim.learn.gns:GNS",
+    "sgnn": "mbds_xsim.learn.sgnn:SGNN",
     "hold": "mbds_xsim.learn.trivial:Hold",
     "constant_velocity": "mbds_xsim.learn.trivial:ConstantVelocity",
     "constant_acceleration": "mbds_xsim.learn.trivial:ConstantAcceleration",

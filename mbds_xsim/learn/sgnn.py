@@ -1,0 +1,171 @@
+"""SGNN: a subequivariant graph network over objects and their particles.
+
+Han et al., "Learning physical dynamics with subequivariant graph neural networks", NeurIPS 2022.
+From two positions it predicts the displacement to the next frame. Every quantity with a direction
+has one unit for all its axes; with a unit for each, a rotation would not pass through.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn.channels import CHANNELS, Channels
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import Change, PointModel
+from mbds_xsim.learn.sgnn_network import Network
+from mbds_xsim.learn.sgnn_rigid import nearest_rigid
+from mbds_xsim.learn.sgnn_topology import Hierarchy
+from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.window import Inputs, Sample
+
+__all__ = ["SGNN", "Settings"]
+
+UP = (0.0, 0.0, 1.0)
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What an SGNN is made of and how it learns."""
+
+    hidden: int = 200
+    layers: int = 3
+    """Linear layers of each network."""
+    steps: int = 4
+    """Of message passing in each stage."""
+    target: Literal["displacement", "change"] = "displacement"
+    """What the network gives: the displacement, or its change since the last one."""
+    loss: Literal["l1", "mse"] = "l1"
+    """Of the normalised target."""
+    noise: float = 0.0
+    """On both positions in training, as a part of the displacements' deviation."""
+    rigid: bool = False
+    """Project every predicted frame onto rigid bodies."""
+
+
+class SGNN(PointModel):
+    """The next displacement of a scene's particles."""
+
+    change: ClassVar[Change] = "displacement"
+    tracks: ClassVar[Mapping[str, Settings]] = {
+        "paper": Settings(),
+        # The authors of SGNN train with noise and publish rollouts that are projected.
+        "native": Settings(noise=0.05, rigid=True),
+        "lite": Settings(hidden=64, target="change", noise=0.003, rigid=True),
+    }
+    channel_size: Tensor
+    about: Tensor
+    up: Tensor
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: Settings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.settings = settings
+        unit = statistics.isotropic(graph.gravity)
+        self.position = Unit(unit.position)
+        self.displacement = Unit(unit.displacement)
+        kinds = {"displacement": unit.displacement, "change": unit.acceleration}
+        self.output = Unit(kinds[settings.target])
+        self.channels = Channels(graph)
+        self.register_buffer("channel_size", unit.channels.float())
+        self.register_buffer("up", torch.tensor(UP), persistent=False)
+        heavy = graph.mass / graph.mass.max()
+        about = torch.stack([graph.static.to(heavy), heavy], dim=-1).float()
+        self.register_buffer("about", about, persistent=False)
+        self.network = Network(
+            _hierarchy(graph),
+            externals=len(CHANNELS) + graph.ground,
+            scalars=about.shape[-1] + graph.ground,
+            down=nn.functional.normalize(graph.gravity, dim=0).float(),
+            hidden=settings.hidden,
+            layers=settings.layers,
+            steps=settings.steps,
+        )
+
+    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+        last = history[:, -1] - history[:, -2]
+        given = self.output.restore(self.normalised(history, inputs))
+        displacement = given + last if self.settings.target == "change" else given
+        if not self.settings.rigid:
+            return displacement
+        now, owner = history[:, -1], self.graph.body[: self.graph.particle_count]
+        return nearest_rigid(now, now + displacement, owner.to(now.device)) - now
+
+    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
+        history, after = self.noisy(sample, generator)
+        given = self.normalised(history, sample.inputs.at(0))
+        wanted = self.target(history, after)
+        miss = (given - wanted) * self.graph.moving.to(given)
+        return miss.abs().mean() if self.settings.loss == "l1" else miss.square().mean()
+
+    def noisy(self, sample: Sample, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Disturb the positions; what follows moves along with the last of them.
+
+        Returns:
+            The history, and the position after it; the displacement to it is the true one, so
+            that the velocity's error is to be corrected, the position's kept.
+        """
+        history = sample.start.history
+        noise = torch.randn(history.shape, generator=generator).to(history)
+        noise = self.settings.noise * self.displacement.std * noise * self.graph.moving.to(noise)
+        return history + noise, sample.position[:, 0] + noise[:, -1]
+
+    def target(self, history: Tensor, after: Tensor) -> Tensor:
+        """Give what `normalised` should be if a position (batch, particle, 3) follows."""
+        step, last = after - history[:, -1], history[:, -1] - history[:, -2]
+        return self.output.normalise(step - last if self.settings.target == "change" else step)
+
+    def normalised(self, history: Tensor, inputs: Inputs) -> Tensor:
+        """Give the network's prediction for the particles, shape (batch, particle, 3)."""
+        nodes = self.graph.with_anchors(history[:, -2:])
+        now, last = nodes[:, 1], nodes[:, 1] - nodes[:, 0]
+        vectors = self.polar(now, self.channels(history[:, -1], inputs))
+        scalars = self.about.expand(len(now), -1, -1)
+        if self.graph.ground:
+            height = now @ self.up[:, None] / self.position.std
+            vectors = torch.cat([vectors, (height * self.up).unsqueeze(-2)], dim=-2)
+            scalars = torch.cat([scalars, height], dim=-1)
+        moved = self.network(
+            now / self.position.std, self.displacement.normalise(last), vectors, scalars
+        )
+        return moved[:, : self.graph.particle_count]
+
+    def polar(self, now: Tensor, channels: Tensor) -> Tensor:
+        """Forces as they are, torques as torque × arm from the object's centre.
+
+        A torque is an axial vector: no combination of it with forces and positions turns with the
+        frame *and* mirrors with it. Its product with an arm does both, and points where it pushes.
+        """
+        force, torque = (channels / self.channel_size[:, None]).unbind(-2)
+        hierarchy = self.network.hierarchy
+        arm = (now - (hierarchy.members @ now)[:, hierarchy.object_of]) / self.position.std
+        return torch.stack([force, torch.linalg.cross(torque, arm)], dim=-2)
+
+
+class Unit(nn.Module):
+    """A mean and one deviation for all axes, stored with the model."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, moments: Moments) -> None:
+        super().__init__()
+        self.register_buffer("mean", moments.mean.float())
+        self.register_buffer("std", moments.std[0].float())
+
+    def normalise(self, vectors: Tensor) -> Tensor:
+        """Subtract the mean from vectors (…, 3) and divide by the deviation."""
+        return (vectors - self.mean) / self.std
+
+    def restore(self, vectors: Tensor) -> Tensor:
+        """Undo `normalise`."""
+        return vectors * self.std + self.mean
+
+
+def _hierarchy(graph: Graph) -> Hierarchy:
+    """Bodies are objects, and so is every anchor."""
+    alone = -1 - torch.arange(graph.node_count)
+    body = torch.where(graph.static.cpu(), alone, graph.body.cpu())
+    return Hierarchy(graph.senders.cpu(), graph.receivers.cpu(), graph.inner.cpu(), body)
