@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,6 +95,14 @@ class Graph:
     def anchor_positions(self) -> Tensor:
         """Static nodes in W [m], shape (anchor, 3)."""
         return self.reference[self.particle_count :]
+
+    @functools.cached_property
+    def spacing(self) -> float:
+        """Root mean square length of the edges at the reference pose, else the scene's [m]."""
+        if not self.edge_count:
+            return self.length
+        apart = self.reference[self.senders] - self.reference[self.receivers]
+        return float(apart.square().sum(-1).mean().sqrt())
 
     @property
     def mechanism(self) -> Mechanism:

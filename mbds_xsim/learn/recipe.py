@@ -1,0 +1,42 @@
+"""How a model is trained: optimiser, schedule of its rate, batch."""
+
+from __future__ import annotations
+
+import msgspec
+
+from mbds_xsim import bounds
+
+__all__ = ["Decay", "Plateau", "Recipe"]
+
+
+class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
+    """Lower the rate where the validation loss stops falling."""
+
+    patience: int = 3
+    """Validations without improvement that are waited for."""
+    factor: float = 0.8
+
+
+class Decay(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
+    """Lower the rate exponentially, from the recipe's to a tenth and on, never below a floor."""
+
+    tenth: int = 5_000_000
+    """Steps in which the part above the floor falls to a tenth."""
+    floor: float = 1e-6
+
+
+class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Adam, its rate and what becomes of it."""
+
+    rate: float = 1e-4
+    betas: tuple[float, float] = (0.9, 0.999)
+    batch: int = 64
+    """Windows a step."""
+    horizon: int = 1
+    """Frames to come in a window."""
+    schedule: Plateau | Decay | None = None
+
+    def __post_init__(self) -> None:
+        bounds.positive("rate", self.rate)
+        bounds.at_least_one("batch", self.batch)
+        bounds.at_least_one("horizon", self.horizon)
