@@ -1,0 +1,79 @@
+"""HGNN: time derivatives from a learned Hamiltonian H = T(p) + V(q) (Bishnoi et al., 2023).
+
+The canonical equations are projected on the constraints φ = 0 and A u = 0 with Dirac's bracket:
+ż = J (∇H + Φᵀ Λ), Φ the Jacobian of both by (q, p). Its block structure leaves two solves with
+A M⁻¹ Aᵀ. T is a function of u = M⁻¹ p with the scene's known mass matrix, so of |p_i|² / m_i² where
+masses are uncoupled: in u the rods' coupling keeps to neighbours, in p it does not.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from torch import Tensor, nn
+
+from mbds_xsim.learn.energy import Energy, momentum, potential_force
+
+__all__ = ["HGNN"]
+
+
+class HGNN(nn.Module):
+    """Hamiltonian dynamics of an energy."""
+
+    represents_contact: ClassVar[bool] = False
+
+    def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
+        super().__init__()
+        self.energy, self.drag = energy, drag
+        self.mechanics = energy.mechanics
+
+    def momentum(self, v: Tensor) -> Tensor:
+        """Momenta p = M v [kg·m/s] of velocities (batch, node, 3)."""
+        return self.mechanics.mass @ v
+
+    def derivative(
+        self, q: Tensor, p: Tensor, force: Tensor, torque: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Rates of q [m/s] and p [N], shapes (batch, node, 3).
+
+        Args:
+            q: Free nodes [m], shape (batch, node, 3).
+            p: Their momenta [kg·m/s].
+            force: On centres of mass [N], shape (batch, body, 3).
+            torque: About the hinges [N·m], shape (batch, hinge).
+        """
+        mechanics = self.mechanics
+        u = mechanics.mass_inverse @ p
+        jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
+        spread = mechanics.over_mass(jacobian)
+        solver = mechanics.factored(jacobian, spread)
+        slope = momentum(mechanics, self.energy.kinetic(u), u)
+        q_rate = (mechanics.mass_inverse @ slope).flatten(1)
+        second = -solver(_apply(jacobian, q_rate))
+        q_rate = q_rate + _back(spread, second)
+        moving = q_rate.view_as(q)
+        load = potential_force(self.energy, q) + mechanics.applied(q, moving, force, torque)
+        if self.drag is not None:
+            load = load + self.drag(moving)
+        p_rate = load.flatten(1) - _back(rate, second)
+        first = solver(_apply(rate, q_rate) + _apply(spread, p_rate))
+        return moving, (p_rate - _back(jacobian, first)).view_as(q)
+
+    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """M⁻¹ ṗ at p = M v [m/s²]: q̈ where H is the true one; shape (batch, node, 3)."""
+        _, p_rate = self.derivative(q, self.momentum(v), force, torque)
+        return self.mechanics.mass_inverse @ p_rate
+
+    def total_energy(self, q: Tensor, p: Tensor) -> Tensor:
+        """H [J], shape (batch,)."""
+        return self.energy.kinetic(self.mechanics.mass_inverse @ p).total + self.energy.potential(q)
+
+
+def _apply(rows: Tensor, values: Tensor) -> Tensor:
+    """Rows (batch, row, n) times vectors (batch, n)."""
+    return (rows @ values[..., None])[..., 0]
+
+
+def _back(rows: Tensor, values: Tensor) -> Tensor:
+    """Transposed rows (batch, row, n) times vectors (batch, row)."""
+    return (rows.mT @ values[..., None])[..., 0]

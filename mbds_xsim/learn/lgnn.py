@@ -1,0 +1,51 @@
+"""LGNN: accelerations from a learned Lagrangian L = T(q̇) − V(q) (Bhattoo et al., NeurIPS 2022).
+
+M q̈ = −∂V/∂q + F + drag − Aᵀ λ with A q̈ = −Ȧ q̇, A from the scene's joints. T depends on velocities
+alone, so that Coriolis terms vanish and M = ∂²T/∂q̇² has a closed form.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from torch import Tensor, nn
+
+from mbds_xsim.learn.energy import Energy, mass_matrix, momentum, potential_force
+from mbds_xsim.learn.mechanics import constrained
+
+__all__ = ["LGNN"]
+
+
+class LGNN(nn.Module):
+    """Lagrangian dynamics of an energy."""
+
+    represents_contact: ClassVar[bool] = False
+
+    def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
+        super().__init__()
+        self.energy, self.drag = energy, drag
+        self.mechanics = energy.mechanics
+
+    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """Accelerations of the free nodes [m/s²], shape (batch, node, 3).
+
+        Args:
+            q: Free nodes [m], shape (batch, node, 3).
+            v: Their velocities [m/s].
+            force: On centres of mass [N], shape (batch, body, 3).
+            torque: About the hinges [N·m], shape (batch, hinge).
+        """
+        load = potential_force(self.energy, q) + self.mechanics.applied(q, v, force, torque)
+        if self.drag is not None:
+            load = load + self.drag(v)
+        mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
+        solved = constrained(
+            mass, load.flatten(1), self.mechanics.jacobian(q), self.mechanics.bias(v)
+        )
+        return solved.view_as(q)
+
+    def total_energy(self, q: Tensor, v: Tensor) -> Tensor:
+        """q̇ · ∂L/∂q̇ − L [J], shape (batch,)."""
+        kinetic = self.energy.kinetic(v)
+        action = (v * momentum(self.mechanics, kinetic, v)).sum((-1, -2))
+        return action - kinetic.total + self.energy.potential(q)

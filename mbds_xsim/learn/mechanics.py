@@ -1,0 +1,275 @@
+"""A mechanism as nodes with constraints, in torch: M q̈ + Aᵀ λ = f, A q̈ = −Ȧ q̇.
+
+Tensors are (batch, node, 3) over the free nodes of `mechanics_points`, float64, in W. This is
+what LGNN and HGNN are told of a scene: topology, lengths, masses and known forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.learn.mechanics_points import Points, points_of
+from mbds_xsim.learn.mechanics_rows import rows_of
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene import Scene
+
+__all__ = ["Mechanics", "constrained", "refuse_contact"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def constrained(mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
+    """Accelerations under constraints, by the Schur complement of the mass matrix.
+
+    Args:
+        mass: Positive definite, shape (batch, n, n).
+        load: Applied forces, shape (batch, n).
+        jacobian: A, of full rank, shape (batch, row, n).
+        bias: Ȧ q̇, shape (batch, row).
+
+    Returns:
+        Shape (batch, n).
+    """
+    factor = torch.linalg.cholesky(mass)
+    both = torch.cat([load[..., None], jacobian.mT], dim=-1)
+    solved = torch.cholesky_solve(both, factor)
+    loose, spread = solved[..., :1], solved[..., 1:]
+    goal = jacobian @ loose + bias[..., None]
+    multiplier = torch.cholesky_solve(goal, torch.linalg.cholesky(jacobian @ spread))
+    return (loose - spread @ multiplier)[..., 0]
+
+
+class Mechanics(nn.Module):
+    """Nodes, constraints, mass matrix and known forces of one scene.
+
+    Raises:
+        Unsupported: The scene has contact, which these coordinates' smooth equations cannot hold.
+    """
+
+    fixed: Tensor
+    mass: Tensor
+    mass_inverse: Tensor
+    linear: Tensor
+    first: Tensor
+    second: Tensor
+    goal: Tensor
+    kept: Tensor
+    spring: Tensor
+    spring_law: Tensor
+    com: Tensor
+    hinge_axis: Tensor
+    turning: Tensor
+    gravity: Tensor
+    rod_map: Tensor
+    """Velocities of free nodes to those of rods, shape (rod, node)."""
+    diagonal: Tensor
+    rod_place: Tensor
+    rod_index: Tensor
+    rod_sign: Tensor
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__()
+        refuse_contact(scene)
+        self.mechanism = Mechanism.of(scene)
+        self.points = points_of(self.mechanism)
+        self.free = self.points.free
+        rows = rows_of(self.mechanism, self.points)
+        mass = _mass_matrix(self.points)
+        for name, values in (
+            ("fixed", self.points.fixed),
+            ("mass", mass),
+            ("mass_inverse", np.linalg.inv(mass)),
+            ("linear", rows.linear),
+            ("first", rows.first),
+            ("second", rows.second),
+            ("goal", rows.goal),
+            ("kept", rows.kept),
+            ("spring", _springs(self.mechanism, self.points)),
+            ("spring_law", _spring_laws(self.mechanism)),
+            ("com", np.array([body.com for body in self.points.bodies])),
+            ("hinge_axis", _hinge_axes(self.mechanism, self.points)),
+            ("turning", _turning(self.mechanism, self.points)),
+            ("gravity", np.array(scene.gravity)),
+            ("diagonal", np.arange(self.free) * (self.free + 1)),
+            *_rods(self.points),
+        ):
+            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+
+    @property
+    def row_count(self) -> int:
+        """Number of independent constraints."""
+        return len(self.kept)
+
+    def all_nodes(self, q: Tensor) -> Tensor:
+        """Free nodes and fixed ones, shape (batch, all nodes, 3)."""
+        return torch.cat([q, self.fixed.expand(len(q), -1, -1)], dim=1)
+
+    def residual(self, q: Tensor) -> Tensor:
+        """Constraint residuals, lengths squared or lengths [m² or m], shape (batch, row)."""
+        x = self.all_nodes(q)
+        gaps = (self.linear @ x).flatten(1)
+        products = ((self.first @ x) * (self.second @ x)).sum(-1) - self.goal
+        return torch.cat([gaps, products], dim=1)[:, self.kept]
+
+    def jacobian(self, q: Tensor) -> Tensor:
+        """A, shape (batch, row, 3 · node)."""
+        return self._jacobian(self.all_nodes(q), self.linear)
+
+    def jacobian_rate(self, v: Tensor) -> Tensor:
+        """Time derivative of A at velocities v, shape (batch, row, 3 · node)."""
+        still = torch.cat([v, v.new_zeros(len(v), len(self.fixed), 3)], dim=1)
+        return self._jacobian(still, torch.zeros_like(self.linear))
+
+    def bias(self, v: Tensor) -> Tensor:
+        """Ȧ q̇, shape (batch, row)."""
+        first, second = self.first[:, : self.free] @ v, self.second[:, : self.free] @ v
+        gaps = v.new_zeros(len(v), 3 * len(self.linear))
+        return torch.cat([gaps, 2.0 * (first * second).sum(-1)], dim=1)[:, self.kept]
+
+    def applied(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3).
+
+        Args:
+            q: Nodes [m].
+            v: Their velocities [m/s].
+            force: On centres of mass [N], shape (batch, body, 3).
+            torque: About the hinges of `Mechanism.hinges` [N·m], shape (batch, hinge).
+        """
+        load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, force)
+        if len(self.hinge_axis):
+            load = self._add_torques(load, self.all_nodes(q), torque)
+        if len(self.spring):
+            load = load + self._damping(q, v)
+        return load[:, : self.free]
+
+    def acceleration(self, q: Tensor, v: Tensor, load: Tensor) -> Tensor:
+        """True accelerations of the nodes under forces on them [m/s²], shape (batch, node, 3)."""
+        jacobian = self.jacobian(q)
+        spread = self.over_mass(jacobian)
+        goal = (spread @ load.flatten(1)[..., None])[..., 0] + self.bias(v)
+        return self.mass_inverse @ load - self._least(jacobian, spread, goal).view_as(load)
+
+    def over_mass(self, rows: Tensor) -> Tensor:
+        """Rows (batch, row, 3 · node) times M⁻¹."""
+        nodes = rows.view(*rows.shape[:2], self.free, 3)
+        return torch.einsum("ij,brjc->bric", self.mass_inverse, nodes).flatten(2)
+
+    def project(self, q: Tensor, v: Tensor, passes: int = 2) -> tuple[Tensor, Tensor]:
+        """Put states onto the constraints by least mass-weighted changes (Newton's method)."""
+        for _ in range(passes):
+            jacobian = self.jacobian(q)
+            change = self._least(jacobian, self.over_mass(jacobian), self.residual(q))
+            q = q - change.view_as(q)
+        jacobian = self.jacobian(q)
+        rates = (jacobian @ v.flatten(1)[..., None])[..., 0]
+        return q, v - self._least(jacobian, self.over_mass(jacobian), rates).view_as(v)
+
+    def factored(self, jacobian: Tensor, spread: Tensor) -> Callable[[Tensor], Tensor]:
+        """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row)."""
+        factor = torch.linalg.cholesky(jacobian @ spread.mT)
+        return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
+
+    def _least(self, jacobian: Tensor, spread: Tensor, goal: Tensor) -> Tensor:
+        """Mass-weighted least change with A · change = goal, shape (batch, 3 · node)."""
+        multiplier = self.factored(jacobian, spread)(goal)
+        return (spread.mT @ multiplier[..., None])[..., 0]
+
+    def _jacobian(self, x: Tensor, linear: Tensor) -> Tensor:
+        first, second = self.first @ x, self.second @ x
+        product = self.first[:, : self.free, None] * second[:, :, None]
+        product = product + self.second[:, : self.free, None] * first[:, :, None]
+        axes = torch.eye(3).to(x)
+        straight = torch.einsum("rn,ij->rinj", linear[:, : self.free], axes)
+        straight = straight.flatten(2).flatten(0, 1).expand(len(x), -1, -1)
+        return torch.cat([straight, product.flatten(2)], dim=1)[:, self.kept]
+
+    def _add_torques(self, load: Tensor, x: Tensor, torque: Tensor) -> Tensor:
+        """Pairs of forces on tips and centre of mass: half of t × r / d² each makes a couple t."""
+        hinge, tip, com = self.turning[:, :3].long().T
+        share = self.turning[:, 3:]
+        couple = (self.hinge_axis @ x * torque[..., None])[:, hinge]
+        pair = share * torch.linalg.cross(couple, x[:, tip] - x[:, com])
+        return load.index_add(1, tip, pair).index_add(1, com, -pair)
+
+    def _damping(self, q: Tensor, v: Tensor) -> Tensor:
+        span = self.spring @ self.all_nodes(q)
+        along = span / torch.linalg.vector_norm(span, dim=-1, keepdim=True)
+        stretch = (along * (self.spring[:, : self.free] @ v)).sum(-1, keepdim=True)
+        return -self.spring.T @ (self.spring_law[:, 2:] * stretch * along)
+
+
+def refuse_contact(scene: Scene) -> None:
+    """Raise Unsupported for a scene whose motion is not smooth."""
+    if scene.contacts:
+        msg = (
+            f"scene {scene.name!r}: got {len(scene.contacts)} contact spheres, allowed are none: "
+            "HGNN and LGNN hold smooth forces and two-sided constraints; take gns or sgnn"
+        )
+        raise Unsupported(msg)
+
+
+def _mass_matrix(points: Points) -> Array:
+    """M of the free nodes; each component of W has the same, shape (node, node) [kg]."""
+    mass = np.diag(points.mass)
+    for (tip, com), value in zip(points.rods, points.rod_mass, strict=True):
+        mass[[tip, com], [tip, com]] += value
+        mass[[tip, com], [com, tip]] -= value
+    return mass[: points.free, : points.free]
+
+
+def _rods(points: Points) -> Iterator[tuple[str, Array | Indices]]:
+    """The map of velocities, and the blocks of the mass matrix that each rod adds to."""
+    rods, free = np.arange(len(points.rods)), points.free
+    span = np.zeros((len(rods), points.count))
+    span[rods, points.rods[:, 0]], span[rods, points.rods[:, 1]] = 1.0, -1.0
+    yield "rod_map", span[:, :free]
+    ends = [
+        (rod, row, column)
+        for rod in rods
+        for row in points.rods[rod]
+        for column in points.rods[rod]
+    ]
+    inside = np.array([end for end in ends if max(end[1:]) < free], dtype=np.int64).reshape(-1, 3)
+    yield "rod_place", inside[:, 1] * free + inside[:, 2]
+    yield "rod_index", inside[:, 0]
+    yield "rod_sign", np.where(inside[:, 1] == inside[:, 2], 1.0, -1.0)
+
+
+def _springs(mechanism: Mechanism, points: Points) -> Array:
+    spans = [
+        points.of_body(spring.bodies[1]).weights(spring.in_body[1], points.count)
+        - points.of_body(spring.bodies[0]).weights(spring.in_body[0], points.count)
+        for spring in mechanism.springs
+    ]
+    return np.array(spans).reshape(-1, points.count)
+
+
+def _spring_laws(mechanism: Mechanism) -> Array:
+    """Stiffness, rest length and damping, shape (spring, 3)."""
+    laws = [(spring.stiffness, spring.length, spring.damping) for spring in mechanism.springs]
+    return np.array(laws).reshape(-1, 3)
+
+
+def _hinge_axes(mechanism: Mechanism, points: Points) -> Array:
+    axes = [points.of_body(j.child).vector(j.axis, points.count) for j in mechanism.hinges]
+    return np.array(axes).reshape(-1, points.count)
+
+
+def _turning(mechanism: Mechanism, points: Points) -> Array:
+    """Where torques act: hinge, tip, centre of mass, ±1 / (2 d²); shape (pair, 4)."""
+    pairs = [
+        (k, tip, points.of_body(end).com, sign / (2.0 * distance**2))
+        for k, hinge in enumerate(mechanism.hinges)
+        for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0))
+        for tip, distance in zip(
+            points.of_body(end).tips, points.of_body(end).distances, strict=True
+        )
+    ]
+    return np.array(pairs, dtype=float).reshape(-1, 4)

@@ -1,0 +1,227 @@
+"""Rigid bodies as points: linear coordinates in which the mass matrix is constant.
+
+A body is its centre of mass and one *tip* on each of its principal axes (Finzi, Wang, Wilson:
+Simplifying Hamiltonian and Lagrangian neural networks via explicit constraints, NeurIPS 2020). A
+material point is an affine combination of these, whatever the body's motion, and the kinetic
+energy is ½ m |v_com|² + ½ Σ (J_k / d_k²) |v_tip − v_com|², J_k the second moment along the axis
+and d_k the distance of the tip. A body of revolution that never spins (`mbds_xsim.spin`) needs
+only the tip on its axis. Tips lie on joints where they can, and points that a joint keeps
+together are one *node*; a node at a joint to the world is fixed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.errors import SceneError
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.spin import idle_axes
+
+__all__ = ["BodyPoints", "Points", "points_of"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SAME = 1e-12  # relative, of lengths and second moments
+_MERGING = ("ball", "hinge", "fixed")
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoints:
+    """Nodes of one body (or of the world, whose tips are its unit vectors)."""
+
+    com: int
+    tips: Indices
+    """Nodes, shape (tip,)."""
+    directions: Array
+    """Orthonormal, from the centre of mass to the tips, in the native frame, shape (tip, 3)."""
+    distances: Array
+    """[m], shape (tip,)."""
+
+    def weights(self, point: Array, count: int) -> Array:
+        """Weights of the nodes in a point of the native frame, shape (node,)."""
+        weights = self.vector(point, count)
+        weights[self.com] += 1.0
+        return weights
+
+    def vector(self, vector: Array, count: int) -> Array:
+        """Weights of the nodes in a body-fixed vector, shape (node,); their sum is 0."""
+        weights = np.zeros(count)
+        share = self.directions @ vector / self.distances
+        np.add.at(weights, self.tips, share)
+        weights[self.com] -= share.sum()
+        return weights
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Nodes of a mechanism: the free ones, the fixed ones, then the frame of the world."""
+
+    bodies: tuple[BodyPoints, ...]
+    world: BodyPoints
+    free: int
+    """Number of free nodes; they come first."""
+    fixed: Array
+    """Where the other nodes are in W [m], shape (fixed + 4, 3)."""
+    mass: Array
+    """Of the bodies whose centre of mass a node is [kg], shape (node,)."""
+    rods: Indices
+    """Tip and centre of mass, pairs of nodes, shape (rod, 2)."""
+    rod_mass: Array
+    """J_k / d_k² [kg], shape (rod,)."""
+    rod_length: Array
+    """d_k [m], shape (rod,)."""
+    carrier: tuple[Indices, Array]
+    """A body that carries each free node (node,), and the node in its native frame (node, 3)."""
+
+    @property
+    def count(self) -> int:
+        """Number of all nodes."""
+        return self.free + len(self.fixed)
+
+    def of_body(self, body: int) -> BodyPoints:
+        """Nodes of a body by index, −1 the world."""
+        return self.world if body == WORLD_INDEX else self.bodies[body]
+
+    def place(self, position: Array, native: Array) -> Array:
+        """Free nodes in W [m], shape (…, node, 3), of bodies at positions and turns of N."""
+        body, offset = self.carrier
+        return position[..., body, :] + rotation.rotate(native[..., body, :], offset)
+
+    def move(self, native: Array, velocity: Array, angular_velocity: Array) -> Array:
+        """Velocities of the free nodes in W [m/s], shape (…, node, 3)."""
+        body, offset = self.carrier
+        arm = rotation.rotate(native[..., body, :], offset)
+        return velocity[..., body, :] + rotation.cross(angular_velocity[..., body, :], arm)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A body's tips before nodes are numbered."""
+
+    directions: Array
+    distances: Array
+    moments: Array
+
+    @property
+    def offsets(self) -> Array:
+        """Centre of mass and tips in the native frame, shape (1 + tip, 3)."""
+        return np.concatenate([np.zeros((1, 3)), self.directions * self.distances[:, None]])
+
+
+def points_of(mechanism: Mechanism) -> Points:
+    """Choose the points of a mechanism.
+
+    Raises:
+        SceneError: A body without thickness, whose mass matrix is singular.
+    """
+    axes = idle_axes(mechanism.scene)
+    frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
+    first = np.cumsum([0, *(len(frame.offsets) for frame in frames)])
+    node, fixed = _nodes(mechanism, frames, first)
+    free = int(node.max()) + 1 - len(fixed)
+    bodies = tuple(
+        BodyPoints(int(nodes[0]), nodes[1:], frame.directions, frame.distances)
+        for frame, nodes in zip(frames, np.split(node, first[1:-1]), strict=True)
+    )
+    count = free + len(fixed)
+    mass = np.zeros(count + 4)
+    np.add.at(mass, [body.com for body in bodies], mechanism.mass)
+    # The first point that became a node carries it.
+    slot = np.array([int(np.argmax(node == k)) for k in range(free)], dtype=np.int64)
+    body_of = np.repeat(np.arange(len(frames)), np.diff(first))
+    return Points(
+        bodies=bodies,
+        world=BodyPoints(count, count + np.arange(1, 4), np.eye(3), np.ones(3)),
+        free=free,
+        fixed=np.concatenate([fixed, np.zeros((1, 3)), np.eye(3)]),
+        mass=mass,
+        rods=np.array([(tip, body.com) for body in bodies for tip in body.tips]),
+        rod_mass=np.concatenate([frame.moments / frame.distances**2 for frame in frames]),
+        rod_length=np.concatenate([frame.distances for frame in frames]),
+        carrier=(body_of[slot], np.concatenate([frame.offsets for frame in frames])[slot]),
+    )
+
+
+def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
+    """Tips of a body: on joints that lie on principal axes, else at the radius of gyration."""
+    inertia, mass = mechanism.inertia[body], mechanism.mass[body]
+    arms = _arms(mechanism, body)
+    if idle.any():
+        across = (np.trace(inertia) - idle @ inertia @ idle) / 2
+        length = np.linalg.norm(arms[0])
+        return _Frame((arms[0] / length)[None], np.array([length]), np.array([across]))
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    chosen: list[Array] = []
+    for arm in arms:
+        _choose(chosen, arm, second, mechanism.scene.length)
+    directions = np.array([arm / np.linalg.norm(arm) for arm in chosen]).reshape(-1, 3)
+    rest = np.eye(3) - directions.T @ directions
+    _, vectors = np.linalg.eigh(rest @ second @ rest + np.trace(second) * (np.eye(3) - rest))
+    others = vectors[:, : 3 - len(chosen)].T
+    directions = np.concatenate([directions, others])
+    moments = np.einsum("ki,ij,kj->k", directions, second, directions)
+    if moments.min() < 1e-9 * moments.max():
+        msg = (
+            f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
+            f"{moments.min():.3g} kg·m², allowed is above 0: a flat body has no mass matrix"
+        )
+        raise SceneError(msg)
+    radius = np.sqrt(moments[len(chosen) :] / mass)
+    return _Frame(directions, np.array([*map(np.linalg.norm, chosen), *radius]), moments)
+
+
+def _arms(mechanism: Mechanism, body: int) -> list[Array]:
+    """Joints of a body that can merge with a tip, in its native frame; that of the tree first."""
+    link = next(link for link in mechanism.links if link.body == body)
+    joints = [link.joint] if link.joint else []
+    joints += [j for j in mechanism.joints if body in (j.parent, j.child)]
+    return [
+        joint.in_child if joint.child == body else joint.in_parent
+        for joint in joints
+        if joint.kind in _MERGING
+    ]
+
+
+def _choose(chosen: list[Array], arm: Array, second: Array, length: float) -> None:
+    """Take an arm as a tip if it lies on a principal axis that has none yet."""
+    distance = float(np.linalg.norm(arm))
+    if distance < 1e-3 * length:
+        return
+    unit = arm / distance
+    off = second @ unit - (unit @ second @ unit) * unit
+    free = all(abs(unit @ other) < _SAME * np.linalg.norm(other) for other in chosen)
+    if free and np.linalg.norm(off) <= _SAME * np.trace(second):
+        chosen.append(arm)
+
+
+def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Indices) -> tuple[Indices, Array]:
+    """Number the points of all bodies by node, free ones first, and place the fixed ones."""
+    group = np.arange(first[-1])
+    held: dict[int, Array] = {}
+    near = _SAME * mechanism.scene.length
+
+    def slot(body: int, point: Array) -> int | None:
+        if body == WORLD_INDEX:
+            return None
+        away = np.linalg.norm(frames[body].offsets - point, axis=1)
+        return int(first[body] + away.argmin()) if away.min() <= near else None
+
+    for joint in mechanism.joints:
+        if joint.kind not in _MERGING:
+            continue
+        a, b = slot(joint.parent, joint.in_parent), slot(joint.child, joint.in_child)
+        if a is not None and b is not None:
+            group[group == group[b]] = group[a]
+        end = b if joint.parent == WORLD_INDEX else a
+        if end is not None and WORLD_INDEX in (joint.parent, joint.child):
+            held[end] = joint.anchor
+    fixed = {int(group[end]): place for end, place in held.items()}
+    free = [k for k in dict.fromkeys(group.tolist()) if k not in fixed]
+    number = {root: k for k, root in enumerate([*free, *fixed])}
+    node = np.array([number[root] for root in group.tolist()], dtype=np.int64)
+    return node, np.array(list(fixed.values())).reshape(-1, 3)
