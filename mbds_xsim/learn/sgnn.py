@@ -17,18 +17,19 @@ from torch import Tensor, nn
 from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Change, PointModel
+from mbds_xsim.learn.recipe import Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
 from mbds_xsim.learn.sgnn_topology import Hierarchy
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import Inputs, Sample
 
-__all__ = ["SGNN", "Settings"]
+__all__ = ["SGNN", "SGNNSettings"]
 
 UP = (0.0, 0.0, 1.0)
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SGNNSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What an SGNN is made of and how it learns."""
 
     hidden: int = 200
@@ -44,23 +45,29 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """On both positions in training, as a part of the displacements' deviation."""
     rigid: bool = False
     """Project every predicted frame onto rigid bodies."""
+    recipe: Recipe = Recipe(schedule=Plateau())
 
 
 class SGNN(PointModel):
     """The next displacement of a scene's particles."""
 
     change: ClassVar[Change] = "displacement"
-    tracks: ClassVar[Mapping[str, Settings]] = {
-        "paper": Settings(),
+    tracks: ClassVar[Mapping[str, SGNNSettings]] = {
+        "paper": SGNNSettings(),
         # The authors of SGNN train with noise and publish rollouts that are projected.
-        "native": Settings(noise=0.05, rigid=True),
-        "lite": Settings(hidden=64, target="change", noise=0.003, rigid=True),
+        "native": SGNNSettings(noise=0.05, rigid=True, recipe=Recipe(batch=8, schedule=Plateau())),
+        "lite": SGNNSettings(
+            hidden=64,
+            target="change",
+            rigid=True,
+            recipe=Recipe(rate=1e-3, schedule=Plateau()),
+        ),
     }
     channel_size: Tensor
     about: Tensor
     up: Tensor
 
-    def __init__(self, graph: Graph, statistics: Statistics, settings: Settings) -> None:
+    def __init__(self, graph: Graph, statistics: Statistics, settings: SGNNSettings) -> None:
         super().__init__(graph, statistics, settings)
         self.settings = settings
         unit = statistics.isotropic(graph.gravity)

@@ -35,7 +35,7 @@ class Scalars(NamedTuple):
     def product(self, weight: Tensor) -> Tensor:
         """Multiply each row by the block's part of a linear layer's weight."""
         product = functional.linear(self.values, weight)
-        return product if self.rows is None else product[..., self.rows, :]
+        return product if self.rows is None else product.index_select(-2, self.rows)
 
 
 class SubequivariantMap(nn.Module):
@@ -129,7 +129,7 @@ class Interaction(nn.Module):
 
 def ends(vectors: Tensor, edges: Edges, edge_vectors: Tensor) -> Tensor:
     """Vectors of an edge's receiver, its sender and itself, (batch, edge, channel, 3)."""
-    at = vectors[:, edges.receivers], vectors[:, edges.senders]
+    at = vectors.index_select(1, edges.receivers), vectors.index_select(1, edges.senders)
     return torch.cat([*at, edge_vectors], dim=-2)
 
 

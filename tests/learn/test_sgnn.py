@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.sgnn import SGNN, Settings
+from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.sgnn_network import PARTICLE, READ, Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
 from mbds_xsim.learn.sgnn_topology import Hierarchy
@@ -23,7 +23,7 @@ from mbds_xsim.registry import load_scene
 
 torch.set_num_threads(1)
 SCENES = ("6pendulum", "3ladder", "ballscroll", "balldrop", "particlecar", "simplecubli", "bricard")
-TINY = {"displacement": Settings(hidden=16), "change": Settings(hidden=16, target="change")}
+TINY = {"displacement": SGNNSettings(hidden=16), "change": SGNNSettings(hidden=16, target="change")}
 SIZE, STEP = 0.5, 0.05
 
 
@@ -72,7 +72,7 @@ def statistics() -> Statistics:
     )
 
 
-def case_of(graph: Graph, settings: Settings, dtype: torch.dtype = torch.float64) -> Case:
+def case_of(graph: Graph, settings: SGNNSettings, dtype: torch.dtype = torch.float64) -> Case:
     torch.manual_seed(1)
     model = SGNN(graph, statistics(), settings).to(dtype)
     particles = graph.reference[: graph.particle_count].to(dtype)
@@ -90,7 +90,7 @@ def graph(request: pytest.FixtureRequest) -> Graph:
 
 
 @pytest.fixture(params=TINY)
-def settings(request: pytest.FixtureRequest) -> Settings:
+def settings(request: pytest.FixtureRequest) -> SGNNSettings:
     return TINY[request.param]
 
 
@@ -105,20 +105,20 @@ def unlike(one: Tensor, other: Tensor) -> float:
 
 @pytest.mark.parametrize(("dtype", "most"), [(torch.float32, 1e-5), (torch.float64, 1e-10)])
 def test_commutes_with_rotation_about_gravity(
-    graph: Graph, settings: Settings, dtype: torch.dtype, most: float
+    graph: Graph, settings: SGNNSettings, dtype: torch.dtype, most: float
 ) -> None:
     case, matrix = case_of(graph, settings, dtype), turn("z", 1.1, dtype)
     assert unlike(case.moved(matrix).predict(), case.predict() @ matrix.T) < most
 
 
-def test_knows_where_down_is(graph: Graph, settings: Settings) -> None:
+def test_knows_where_down_is(graph: Graph, settings: SGNNSettings) -> None:
     case, matrix = case_of(graph, settings), turn("x", 0.5)
     assert unlike(case.moved(matrix).predict(), case.predict() @ matrix.T) > 1e-3
 
 
 @pytest.mark.parametrize(("dtype", "most"), [(torch.float32, 1e-5), (torch.float64, 1e-10)])
 def test_commutes_with_mirrors_that_hold_gravity(
-    graph: Graph, settings: Settings, dtype: torch.dtype, most: float
+    graph: Graph, settings: SGNNSettings, dtype: torch.dtype, most: float
 ) -> None:
     case = case_of(graph, settings, dtype)
     case.inputs.torque.zero_()  # an axis found from particles alone cannot tell the sense
@@ -130,7 +130,7 @@ def mirror(dtype: torch.dtype = torch.float64) -> Tensor:
     return torch.diag(torch.tensor([-1.0, 1.0, 1.0], dtype=dtype))
 
 
-def test_translation_changes_nothing(graph: Graph, settings: Settings) -> None:
+def test_translation_changes_nothing(graph: Graph, settings: SGNNSettings) -> None:
     along = torch.tensor([3.0, -2.0, 0.0 if graph.ground else 1.0], dtype=torch.float64)
     case = case_of(graph, settings)
     moved = case.moved(torch.eye(3, dtype=torch.float64), along)
@@ -156,7 +156,7 @@ def test_torque_is_felt_and_its_sense(scene: str) -> None:
     assert unlike(pushed, pulled) > 1e-3
 
 
-def test_numbering_changes_nothing(graph: Graph, settings: Settings) -> None:
+def test_numbering_changes_nothing(graph: Graph, settings: SGNNSettings) -> None:
     """Renumbers particles among themselves, bodies and edges, below the inputs."""
     network = case_of(graph, settings).model.network
     order, edges = torch.randperm(graph.node_count), torch.randperm(graph.edge_count)
@@ -186,7 +186,7 @@ def test_runs_without_edges_and_with_one_object() -> None:
     assert case_of(graph, TINY["change"]).predict().isfinite().all()
 
 
-def test_everything_at_rest_has_finite_gradients(graph: Graph, settings: Settings) -> None:
+def test_everything_at_rest_has_finite_gradients(graph: Graph, settings: SGNNSettings) -> None:
     case = case_of(graph, settings, torch.float32)
     still = case.history[:, :1].expand(-1, HISTORY, -1, -1)
     none = Inputs(0 * case.inputs.force, 0 * case.inputs.torque)
@@ -212,7 +212,7 @@ def sample_of(case: Case) -> Sample:
     return Sample(Start(case.history, velocity[:, 0]), inputs, frames, velocity)
 
 
-def test_target_of_noisy_history_restores_the_true_velocity(settings: Settings) -> None:
+def test_target_of_noisy_history_restores_the_true_velocity(settings: SGNNSettings) -> None:
     noisy = msgspec.structs.replace(settings, noise=0.3)
     case = case_of(Graph.of(load_scene("6pendulum")), noisy)
     sample = sample_of(case)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.rollout import rollout
-from mbds_xsim.learn.sgnn import SGNN, Settings
+from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity
 from mbds_xsim.learn.window import Inputs, Motions
@@ -51,7 +51,7 @@ def flights(split: str, count: int, seed: int) -> Motions:
     )
 
 
-def trained(train: Motions, settings: Settings) -> SGNN:
+def trained(train: Motions, settings: SGNNSettings) -> SGNN:
     torch.manual_seed(0)
     model = SGNN(train.graph, Statistics.of(train), settings)
     optimiser: Any = torch.optim.Adam(model.parameters(), lr=RATE)
@@ -71,13 +71,13 @@ def error(model: Model, test: Motions) -> float:
 
 
 SETTINGS = {
-    "displacement": Settings(hidden=32, rigid=True),
-    "change": Settings(hidden=32, target="change", rigid=True),
+    "displacement": SGNNSettings(hidden=32, rigid=True),
+    "change": SGNNSettings(hidden=32, target="change", rigid=True),
 }
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
-def test_learns_to_fly(settings: Settings) -> None:
+def test_learns_to_fly(settings: SGNNSettings) -> None:
     train, test = flights("train", 200, seed=1), flights("test", 50, seed=2)
     model = trained(train, settings)
     statistics = Statistics.of(train)
