@@ -8,19 +8,20 @@ masses are uncoupled: in u the rods' coupling keeps to neighbours, in p it does 
 
 from __future__ import annotations
 
-from typing import ClassVar
-
+import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.energy import Energy, momentum, potential_force
+from mbds_xsim.learn.energy_model import EnergyModel, EnergySettings
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import Inputs
 
-__all__ = ["HGNN"]
+__all__ = ["HGNN", "Hamiltonian"]
 
 
-class HGNN(nn.Module):
+class Hamiltonian(nn.Module):
     """Hamiltonian dynamics of an energy."""
-
-    represents_contact: ClassVar[bool] = False
 
     def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
         super().__init__()
@@ -67,6 +68,28 @@ class HGNN(nn.Module):
     def total_energy(self, q: Tensor, p: Tensor) -> Tensor:
         """H [J], shape (batch,)."""
         return self.energy.kinetic(self.mechanics.mass_inverse @ p).total + self.energy.potential(q)
+
+
+class HGNN(EnergyModel):
+    """A learned Hamiltonian on a scene's constraints."""
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.dynamics = Hamiltonian(self.energy, self.drag)
+
+    def conjugate(self, v: Tensor) -> Tensor:
+        """See `EnergyModel`."""
+        return self.dynamics.momentum(v)
+
+    def moving(self, state: Tensor) -> Tensor:
+        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
+        return self.mechanics.mass_inverse @ state[:, 1]
+
+    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
+        """See `FlowModel`."""
+        q, p = state.unbind(1)
+        force, torque = inputs.force.to(q), inputs.torque.to(q)
+        return torch.stack(self.dynamics.derivative(q, p, force, torque), dim=1)
 
 
 def _apply(rows: Tensor, values: Tensor) -> Tensor:

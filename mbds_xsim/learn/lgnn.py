@@ -6,20 +6,21 @@ alone, so that Coriolis terms vanish and M = ∂²T/∂q̇² has a closed form.
 
 from __future__ import annotations
 
-from typing import ClassVar
-
+import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.energy import Energy, mass_matrix, momentum, potential_force
+from mbds_xsim.learn.energy_model import EnergyModel, EnergySettings
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.mechanics import constrained
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import Inputs
 
-__all__ = ["LGNN"]
+__all__ = ["LGNN", "Lagrangian"]
 
 
-class LGNN(nn.Module):
+class Lagrangian(nn.Module):
     """Lagrangian dynamics of an energy."""
-
-    represents_contact: ClassVar[bool] = False
 
     def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
         super().__init__()
@@ -49,3 +50,17 @@ class LGNN(nn.Module):
         kinetic = self.energy.kinetic(v)
         action = (v * momentum(self.mechanics, kinetic, v)).sum((-1, -2))
         return action - kinetic.total + self.energy.potential(q)
+
+
+class LGNN(EnergyModel):
+    """A learned Lagrangian on a scene's constraints."""
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.dynamics = Lagrangian(self.energy, self.drag)
+
+    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
+        """See `FlowModel`."""
+        q, v = state.unbind(1)
+        force, torque = inputs.force.to(q), inputs.torque.to(q)
+        return torch.stack([v, self.dynamics.acceleration(q, v, force, torque)], dim=1)

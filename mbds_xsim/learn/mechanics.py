@@ -37,12 +37,12 @@ def constrained(mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> T
     Returns:
         Shape (batch, n).
     """
-    factor = torch.linalg.cholesky(mass)
+    factor = _factor(mass)
     both = torch.cat([load[..., None], jacobian.mT], dim=-1)
     solved = torch.cholesky_solve(both, factor)
     loose, spread = solved[..., :1], solved[..., 1:]
     goal = jacobian @ loose + bias[..., None]
-    multiplier = torch.cholesky_solve(goal, torch.linalg.cholesky(jacobian @ spread))
+    multiplier = torch.cholesky_solve(goal, _factor(jacobian @ spread))
     return (loose - spread @ multiplier)[..., 0]
 
 
@@ -173,7 +173,7 @@ class Mechanics(nn.Module):
 
     def factored(self, jacobian: Tensor, spread: Tensor) -> Callable[[Tensor], Tensor]:
         """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row)."""
-        factor = torch.linalg.cholesky(jacobian @ spread.mT)
+        factor = _factor(jacobian @ spread.mT)
         return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
 
     def _least(self, jacobian: Tensor, spread: Tensor, goal: Tensor) -> Tensor:
@@ -203,6 +203,12 @@ class Mechanics(nn.Module):
         along = span / torch.linalg.vector_norm(span, dim=-1, keepdim=True)
         stretch = (along * (self.spring[:, : self.free] @ v)).sum(-1, keepdim=True)
         return -self.spring.T @ (self.spring_law[:, 2:] * stretch * along)
+
+
+def _factor(matrix: Tensor) -> Tensor:
+    """Cholesky's factor; of what has none, numbers that are none, so that a row fails alone."""
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    return torch.where((info > 0)[:, None, None], torch.nan, factor)
 
 
 def refuse_contact(scene: Scene) -> None:
@@ -243,11 +249,7 @@ def _rods(points: Points) -> Iterator[tuple[str, Array | Indices]]:
 
 
 def _springs(mechanism: Mechanism, points: Points) -> Array:
-    spans = [
-        points.of_body(spring.bodies[1]).weights(spring.in_body[1], points.count)
-        - points.of_body(spring.bodies[0]).weights(spring.in_body[0], points.count)
-        for spring in mechanism.springs
-    ]
+    spans = [points.span(spring.bodies, spring.in_body) for spring in mechanism.springs]
     return np.array(spans).reshape(-1, points.count)
 
 

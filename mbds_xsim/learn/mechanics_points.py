@@ -21,7 +21,7 @@ from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.spin import idle_axes
 
-__all__ = ["BodyPoints", "Points", "points_of"]
+__all__ = ["BodyPoints", "Points", "kinds_of", "points_of"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -87,6 +87,14 @@ class Points:
         """Nodes of a body by index, −1 the world."""
         return self.world if body == WORLD_INDEX else self.bodies[body]
 
+    def span(self, bodies: tuple[int, int], places: tuple[Array, Array]) -> Array:
+        """Weights of the vector from a point of one body to a point of another, (node,)."""
+        start, end = (
+            self.of_body(body).weights(place, self.count)
+            for body, place in zip(bodies, places, strict=True)
+        )
+        return end - start
+
     def place(self, position: Array, native: Array) -> Array:
         """Free nodes in W [m], shape (…, node, 3), of bodies at positions and turns of N."""
         body, offset = self.carrier
@@ -119,7 +127,7 @@ def points_of(mechanism: Mechanism) -> Points:
     Raises:
         SceneError: A body without thickness, whose mass matrix is singular.
     """
-    axes = idle_axes(mechanism.scene)
+    axes = _rods(mechanism)
     frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
     first = np.cumsum([0, *(len(frame.offsets) for frame in frames)])
     node, fixed = _nodes(mechanism, frames, first)
@@ -145,6 +153,28 @@ def points_of(mechanism: Mechanism) -> Points:
         rod_length=np.concatenate([frame.distances for frame in frames]),
         carrier=(body_of[slot], np.concatenate([frame.offsets for frame in frames])[slot]),
     )
+
+
+def _rods(mechanism: Mechanism) -> Array:
+    """Axes of the bodies that never spin and whose particles all lie on the axis; else zero."""
+    axes = idle_axes(mechanism.scene).copy()
+    off = rotation.cross(axes[mechanism.particle_body], mechanism.particle_offset)
+    near = _SAME * mechanism.scene.length
+    axes[mechanism.particle_body[np.linalg.norm(off, axis=1) > near]] = 0.0
+    axes[mechanism.particles_per_body == 0] = 0.0
+    return axes
+
+
+def kinds_of(points: Points) -> tuple[Indices, int]:
+    """Sort the nodes up to the world's origin by mass and by whether they are fixed.
+
+    Returns:
+        Kind of each, shape (node,), and the number of kinds.
+    """
+    mass = points.mass[: points.count - 3]
+    moves = np.arange(len(mass)) < points.free
+    _, kind = np.unique(np.stack([mass.round(12), moves], axis=1), axis=0, return_inverse=True)
+    return kind.reshape(-1).astype(np.int64), int(kind.max()) + 1
 
 
 def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:

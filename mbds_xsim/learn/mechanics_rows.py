@@ -53,7 +53,7 @@ def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
         linear += _coincidence(joint, points)
         products += _aligned(joint, points)
     for link in mechanism.distances:
-        span = _span(points, link.bodies, link.in_body)
+        span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))
     rows = PointRows(
         np.array(linear).reshape(-1, points.count),
@@ -75,19 +75,10 @@ def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
     ]
 
 
-def _span(points: Points, bodies: tuple[int, int], places: tuple[Array, Array]) -> Array:
-    """Weights of the vector from a point of the first body to one of the second."""
-    start, end = (
-        points.of_body(body).weights(place, points.count)
-        for body, place in zip(bodies, places, strict=True)
-    )
-    return end - start
-
-
 def _coincidence(joint: PlacedJoint, points: Points) -> list[Array]:
     if joint.kind == "slider":
         return []
-    gap = _span(points, (joint.parent, joint.child), (joint.in_parent, joint.in_child))
+    gap = points.span((joint.parent, joint.child), (joint.in_parent, joint.in_child))
     moving = np.abs(gap).max() > _ROUNDING  # weights are of order one
     return [gap] if moving else []
 
@@ -102,7 +93,7 @@ def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, flo
         pairs = [(_AXES[(k + 1) % 3], _AXES[k]) for k in range(3)]
     rows = [(parent.vector(n, points.count), child.vector(a, points.count), 0.0) for n, a in pairs]
     if joint.kind == "slider":
-        gap = _span(points, (joint.parent, joint.child), (joint.in_parent, joint.in_child))
+        gap = points.span((joint.parent, joint.child), (joint.in_parent, joint.in_child))
         rows += [(parent.vector(n, points.count), gap, 0.0) for n in rotation.normal_to(joint.axis)]
     return rows
 

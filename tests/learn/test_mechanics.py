@@ -15,8 +15,8 @@ from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
 from mbds_xsim.learn.energy import TrueEnergy, potential_force
-from mbds_xsim.learn.hgnn import HGNN
-from mbds_xsim.learn.lgnn import LGNN
+from mbds_xsim.learn.hgnn import Hamiltonian
+from mbds_xsim.learn.lgnn import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations, solve
@@ -120,7 +120,7 @@ def test_the_true_energy_reproduces_the_reference(name: str, kind: str) -> None:
         load = potential_force(energy, q) + mechanics.applied(q, v, push, drive)
         got = mechanics.acceleration(q, v, load)
     else:
-        model = LGNN(energy) if kind == "lgnn" else HGNN(energy)
+        model = Lagrangian(energy) if kind == "lgnn" else Hamiltonian(energy)
         got = model.acceleration(q, v, push, drive)
     off = np.abs(got.detach().numpy() - expected).max() / np.abs(expected).max()
     print(f"{name} {kind}: {off:.1e}")

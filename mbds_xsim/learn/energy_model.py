@@ -1,0 +1,143 @@
+"""What LGNN and HGNN share: coordinates, the learned energy, training through the integrator.
+
+A state is (batch, 2, node, 3): nodes and their velocities (LGNN) or momenta (HGNN). Both learn from
+the frames that all models learn from: the next frame that their integrator reaches is compared,
+never an engine's accelerations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import msgspec
+import torch
+from torch import Tensor
+
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.model import FlowModel
+from mbds_xsim.learn.recipe import Plateau, Recipe
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import Sample, Start
+
+__all__ = ["EnergyModel", "EnergySettings"]
+
+
+class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of LGNN and HGNN."""
+
+    shape: EnergyShape = EnergyShape()
+    drag: bool = True
+    """Whether a drag is learned beside the energy."""
+    substeps: int = 2
+    """Runge-Kutta steps in a frame."""
+    recipe: Recipe = Recipe(rate=1e-3, batch=100)
+
+
+class EnergyModel(FlowModel):
+    """Motion that follows from a learned energy and the scene's constraints."""
+
+    represents_contact: ClassVar[bool] = False
+    """Scenes with contact are refused with `Unsupported`."""
+    dtype: ClassVar[torch.dtype] = torch.float64
+    needs_bodies: ClassVar[bool] = True
+    tracks: ClassVar[Mapping[str, EnergySettings]] = {
+        "paper": EnergySettings(EnergyShape(width=200), recipe=Recipe(schedule=Plateau())),
+        "native": EnergySettings(),
+        "lite": EnergySettings(
+            EnergyShape(width=16), recipe=Recipe(rate=3e-3, batch=128, schedule=Plateau())
+        ),
+    }
+
+    reference: Tensor
+    carrier: Tensor
+    carried: Tensor
+    particle_map: Tensor
+    spread: Tensor
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.mechanics = Mechanics(graph.scene)
+        self.substeps = settings.substeps
+        self.energy = EnergyNetwork(self.mechanics, settings.shape)
+        self.drag = Drag(self.energy, settings.shape) if settings.drag else None
+        points, mechanism = self.mechanics.points, self.mechanics.mechanism
+        body, offset = points.carrier
+        seen = Points.of(graph.scene)
+        weights = [
+            points.of_body(int(k)).weights(place, points.count)
+            for k, place in zip(seen.body, seen.offset, strict=True)
+        ]
+        moving = statistics.acceleration.std[graph.moving.cpu()]
+        for name, values in (
+            ("reference", mechanism.reference_orientation),
+            ("carrier", body),
+            ("carried", offset),
+            ("particle_map", weights),
+            ("spread", torch.sqrt((moving**2).mean())),
+        ):
+            self.register_buffer(name, torch.as_tensor(values), persistent=name == "spread")
+
+    def begin(self, start: Start) -> Tensor:
+        """Give nodes and velocities or momenta, on the constraints; see `Model`."""
+        assert start.body is not None
+        body = start.body.double()
+        position, orientation = body[..., :3], body[..., 3:7]
+        velocity, spin = body[..., 7:10], body[..., 10:]
+        native = _multiply(orientation, self.reference * self.reference.new_tensor([1, -1, -1, -1]))
+        arm = _rotate(native[:, self.carrier], self.carried)
+        moving = velocity[:, self.carrier] + torch.linalg.cross(spin[:, self.carrier], arm)
+        q, v = self.mechanics.project(position[:, self.carrier] + arm, moving)
+        return torch.stack([q, self.conjugate(v)], dim=1)
+
+    def positions(self, state: Tensor) -> Tensor:
+        """See `Model`."""
+        return self.particle_map @ self.mechanics.all_nodes(state[:, 0])
+
+    def velocities(self, state: Tensor) -> Tensor:
+        """Velocities of the particles [m/s], shape (batch, particle, 3)."""
+        return self.particle_map[:, : self.mechanics.free] @ self.moving(state)
+
+    def conjugate(self, v: Tensor) -> Tensor:
+        """What the state has for velocities of the nodes, shape (batch, node, 3)."""
+        return v
+
+    def moving(self, state: Tensor) -> Tensor:
+        """Velocities of the nodes [m/s], shape (batch, node, 3)."""
+        return state[:, 1]
+
+    def settle(self, state: Tensor) -> Tensor:
+        """Put a state back onto the constraints (of least mass-weighted change)."""
+        q, v = self.mechanics.project(state[:, 0], self.moving(state))
+        return torch.stack([q, self.conjugate(v)], dim=1)
+
+    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
+        """Mean square error of positions and of velocities times the frame, in units of second
+        differences of positions.
+        """
+        del generator
+        state = self.begin(sample.start)
+        total = state.new_zeros(())
+        frames = sample.position.shape[1]
+        for frame in range(frames):
+            state = self.advance(state, sample.inputs.at(frame))
+            away = self.positions(state) - sample.position[:, frame]
+            faster = self.graph.frame_s * (self.velocities(state) - sample.velocity[:, frame])
+            total = total + (away**2).mean() + (faster**2).mean()
+        return total / (frames * self.spread**2)
+
+
+def _multiply(p: Tensor, q: Tensor) -> Tensor:
+    """Hamilton product of quaternions wxyz."""
+    real = p[..., :1] * q[..., :1] - (p[..., 1:] * q[..., 1:]).sum(-1, keepdim=True)
+    turned = torch.linalg.cross(p[..., 1:], q[..., 1:].expand_as(p[..., 1:]))
+    return torch.cat([real, p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + turned], -1)
+
+
+def _rotate(q: Tensor, v: Tensor) -> Tensor:
+    v = v.expand_as(q[..., 1:])
+    twice = 2.0 * torch.linalg.cross(q[..., 1:], v)
+    return v + q[..., :1] * twice + torch.linalg.cross(q[..., 1:], twice)

@@ -1,0 +1,226 @@
+"""The learned energy of HGNN and LGNN: a graph network on nodes and rods.
+
+Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023. V sums edges, nodes
+and positions behind message passing on distances; T sums nodes and, beyond these papers, rods.
+Lengths are in units of the scene's, times in √(length / gravity), kinetic terms in known masses.
+Functions of squared speeds are convex and grow (Amos, Xu, Kolter: Input convex neural networks,
+ICML 2017), so that the mass matrix is positive definite whatever the parameters.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn.energy import Kinetic, rod_velocity, squares
+from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.mechanics_points import kinds_of
+
+__all__ = ["Drag", "EnergyNetwork", "EnergyShape"]
+
+
+class EnergyShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Size of the networks."""
+
+    width: int = 5
+    """Of hidden layers, embeddings and messages."""
+    hidden_layers: int = 2
+    passes: int = 1
+    """Rounds of message passing."""
+
+
+class SquarePlus(nn.Module):
+    """(x + √(x² + 4)) / 2: smooth, convex, growing."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply it element by element."""
+        return _squareplus(x)
+
+
+class ConvexScalar(nn.Module):
+    """A convex growing function of one number for each kind, with two derivatives."""
+
+    def __init__(self, kinds: int, shape: EnergyShape) -> None:
+        super().__init__()
+        width, layers = shape.width, shape.hidden_layers
+        sizes = [1, *[width] * layers]
+        self.raw = nn.ParameterList(
+            0.5 * torch.randn(after, before) for before, after in itertools.pairwise(sizes)
+        )
+        self.last = nn.Parameter(0.5 * torch.randn(width) - 2.0)
+        self.shift = nn.Embedding(kinds, layers * width)
+        self.slope = nn.Embedding(kinds, 1)
+        nn.init.zeros_(self.slope.weight)
+
+    def forward(self, s: Tensor, kind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values, first and second derivatives at s (batch, k) of kinds (k,), of the shape of s."""
+        value, first, second = s[..., None], torch.ones_like(s)[..., None], s[..., None] * 0.0
+        shifts = self.shift(kind).chunk(len(self.raw), dim=-1)
+        for raw, shift in zip(self.raw, shifts, strict=True):
+            weight = (_squareplus(raw) / raw.shape[1]).T
+            value, first, second = _bend(value @ weight + shift, first @ weight, second @ weight)
+        last = _squareplus(self.last) / len(self.last)
+        slope = 0.5 * _squareplus(self.slope(kind))[:, 0]
+        return value @ last + slope * s, first @ last + slope, second @ last
+
+
+class Potential(nn.Module):
+    """V over its unit, of positions in units of the scene's length."""
+
+    edge_map: Tensor
+    ends: Tensor
+    kind: Tensor
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        width = shape.width
+        edge_map, ends = _edges(mechanics)
+        kind, kinds = kinds_of(mechanics.points)
+        for name, values in (("edge_map", edge_map), ("ends", ends), ("kind", kind)):
+            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+        self.passes = shape.passes
+        self.embed = nn.Embedding(kinds, width)
+        self.of_distance = _perceptron(1, width, shape)
+        self.message = _perceptron(2 * width, width, shape)
+        self.renew = _perceptron(width, width, shape)
+        self.of_edge = _perceptron(width, 1, shape)
+        self.of_node = _perceptron(width, 1, shape)
+        self.of_place = _perceptron(width + 3, 1, shape)
+        self.slope = nn.Linear(width, 3)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
+        span = torch.linalg.vector_norm(self.edge_map @ x, dim=-1, keepdim=True)
+        place = x[:, : len(self.kind)]
+        kind = self.embed(self.kind).expand(len(x), -1, -1)
+        node, edge = kind, self.of_distance(span)
+        for _ in range(self.passes):
+            a, b = node[:, self.ends[0]], node[:, self.ends[1]]
+            node = node.index_add(1, self.ends[0], self.message(torch.cat([a, edge], -1)))
+            node = node.index_add(1, self.ends[1], self.message(torch.cat([b, edge], -1)))
+            edge = edge + self.renew(node[:, self.ends[0]] * node[:, self.ends[1]])
+        at = self.of_place(torch.cat([kind, place], -1))[..., 0] + (self.slope(kind) * place).sum(
+            -1
+        )
+        return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2)) + at.sum(1)
+
+
+class EnergyNetwork(nn.Module):
+    """Learned kinetic and potential energy (an `Energy`)."""
+
+    mass: Tensor
+    rod_mass: Tensor
+    node_kind: Tensor
+    rod_kind: Tensor
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        self.mechanics = mechanics
+        points = mechanics.points
+        node_kind, node_kinds = kinds_of(points)
+        _, rod_kind = np.unique(np.round(_rod_columns(mechanics), 12), axis=0, return_inverse=True)
+        for name, values in (
+            ("mass", points.mass[: points.free]),
+            ("rod_mass", points.rod_mass),
+            ("node_kind", node_kind[: points.free]),
+            ("rod_kind", rod_kind.reshape(-1)),
+        ):
+            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+        self.length, self.square_speed = _units(mechanics)
+        self.unit = self.square_speed * float(points.mass[points.mass > 0].mean())
+        self.of_speed = ConvexScalar(node_kinds, shape)
+        self.of_rod = ConvexScalar(int(rod_kind.max()) + 1, shape)
+        self.of_place = Potential(mechanics, shape)
+
+    def kinetic(self, v: Tensor) -> Kinetic:
+        """See `Energy`."""
+        square = self.square_speed
+        nodes = self.of_speed(squares(v) / square, self.node_kind)
+        rods = self.of_rod(squares(rod_velocity(self.mechanics, v)) / square, self.rod_kind)
+        return Kinetic(_scaled(nodes, self.mass, square), _scaled(rods, self.rod_mass, square))
+
+    def potential(self, q: Tensor) -> Tensor:
+        """See `Energy`."""
+        energy: Tensor = self.of_place(self.mechanics.all_nodes(q) / self.length)
+        return self.unit * energy
+
+
+class Drag(nn.Module):
+    """A learned force −c v at nodes and between the ends of rods, c ≥ 0: it only takes energy."""
+
+    def __init__(self, energy: EnergyNetwork, shape: EnergyShape) -> None:
+        super().__init__()
+        self.energy = [energy]  # not a part: its parameters are not the drag's
+        kinds = [int(kind.max()) + 1 for kind in (energy.node_kind, energy.rod_kind)]
+        self.embed = nn.ModuleList(nn.Embedding(count, shape.width) for count in kinds)
+        self.of_speed = nn.ModuleList(_perceptron(shape.width + 1, 1, shape) for _ in kinds)
+
+    def forward(self, v: Tensor) -> Tensor:
+        """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
+        (energy,) = self.energy
+        rate = math.sqrt(energy.square_speed) / energy.length
+        rods = rod_velocity(energy.mechanics, v)
+        at = rate * energy.mass * self._share(0, v, energy.node_kind)
+        along = rate * energy.rod_mass * self._share(1, rods, energy.rod_kind)
+        return -at[..., None] * v - energy.mechanics.rod_map.T @ (along[..., None] * rods)
+
+    def _share(self, which: int, v: Tensor, kind: Tensor) -> Tensor:
+        speed = squares(v)[..., None] / self.energy[0].square_speed
+        kinds = self.embed[which](kind).expand(len(v), -1, -1)
+        raw: Tensor = self.of_speed[which](torch.cat([kinds, speed], -1))[..., 0]
+        return 0.1 * raw**2
+
+
+def _squareplus(x: Tensor) -> Tensor:
+    return 0.5 * (x + torch.sqrt(x * x + 4.0))
+
+
+def _bend(value: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Put squareplus behind a function, with its derivatives."""
+    root = torch.sqrt(value * value + 4.0)
+    slope = 0.5 * (1.0 + value / root)
+    return 0.5 * (value + root), slope * first, slope * second + 2.0 / root**3 * first**2
+
+
+def _scaled(
+    jets: tuple[Tensor, Tensor, Tensor], mass: Tensor, square: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    return mass * square * jets[0], mass * jets[1], mass / square * jets[2]
+
+
+def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
+    sizes = [before, *[shape.width] * shape.hidden_layers]
+    hidden: Sequence[nn.Module] = [
+        part for a, b in itertools.pairwise(sizes) for part in (nn.Linear(a, b), SquarePlus())
+    ]
+    return nn.Sequential(*hidden, nn.Linear(sizes[-1], after))
+
+
+def _units(mechanics: Mechanics) -> tuple[float, float]:
+    """Length [m] and squared speed [m²/s²] of the scene."""
+    scene = mechanics.mechanism.scene
+    gravity = math.hypot(*scene.gravity)
+    return scene.length, (gravity or scene.length) * scene.length
+
+
+def _rod_columns(mechanics: Mechanics) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    return np.stack([mechanics.points.rod_mass, mechanics.points.rod_length], axis=1)
+
+
+def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor]:
+    """Vectors along rods, distance links and springs (edge, all nodes), and nodes at their ends."""
+    points, mechanism = mechanics.points, mechanics.mechanism
+    pairs = [*mechanism.distances, *mechanism.springs]
+    spans = [points.span(pair.bodies, pair.in_body) for pair in pairs]
+    rods = np.eye(points.count)[points.rods]
+    ends = [[points.of_body(body).com for body in pair.bodies] for pair in pairs]
+    return (
+        torch.as_tensor(np.concatenate([rods[:, 0] - rods[:, 1], *[s[None] for s in spans]])),
+        torch.as_tensor(np.concatenate([points.rods, *[np.array([end]) for end in ends]]).T.copy()),
+    )

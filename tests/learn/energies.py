@@ -1,0 +1,53 @@
+"""What the tests of LGNN and HGNN share: an untrained energy, states, the Runge-Kutta method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from mbds_xsim.learn.energy_network import EnergyNetwork, EnergyShape
+from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+
+torch.set_num_threads(1)
+
+
+def random_energy(name: str, width: int = 5, seed: int = 3) -> EnergyNetwork:
+    """An energy as its random parameters make it; embeddings are shaken so that kinds differ."""
+    torch.manual_seed(seed)
+    energy = EnergyNetwork(Mechanics(load_scene(name)), EnergyShape(width=width)).double()
+    for parameter in energy.parameters():
+        parameter.data += 0.3 * torch.randn_like(parameter)
+    return energy
+
+
+def drawn_states(mechanics: Mechanics, count: int = 6) -> tuple[Tensor, Tensor]:
+    batch = draw_batch(mechanics.mechanism.scene, range(count), noise=False)
+    native = mechanics.mechanism.native_rotation(batch.orientation)
+    points = mechanics.points
+    return (
+        torch.as_tensor(points.place(batch.position, native)),
+        torch.as_tensor(points.move(native, batch.velocity, batch.angular_velocity)),
+    )
+
+
+def no_inputs(mechanics: Mechanics, count: int) -> tuple[Tensor, Tensor]:
+    bodies, hinges = mechanics.mechanism.body_count, len(mechanics.mechanism.hinges)
+    return (
+        torch.zeros(count, bodies, 3, dtype=torch.float64),
+        torch.zeros(count, hinges, dtype=torch.float64),
+    )
+
+
+def march(rate: Callable[[Tensor], Tensor], state: Tensor, steps: int, duration: float) -> Tensor:
+    step = duration / steps
+    for _ in range(steps):
+        first = rate(state)
+        second = rate(state + 0.5 * step * first)
+        third = rate(state + 0.5 * step * second)
+        fourth = rate(state + step * third)
+        state = state + step / 6.0 * (first + 2.0 * (second + third) + fourth)
+    return state

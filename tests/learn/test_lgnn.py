@@ -1,0 +1,112 @@
+"""LGNN: closed-form mass matrix, energy along a rollout, permutations of nodes."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+import torch
+from torch import Tensor
+
+from mbds_xsim.learn.energy import mass_matrix, momentum
+from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape
+from mbds_xsim.learn.hgnn import Hamiltonian
+from mbds_xsim.learn.lgnn import Lagrangian
+from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.scene import Scene
+
+from .energies import drawn_states, march, no_inputs, random_energy
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "3ladder"])
+def test_the_mass_matrix_is_the_hessian(name: str) -> None:
+    energy = random_energy(name)
+    _, v = drawn_states(energy.mechanics, 3)
+    v = v + torch.randn(v.shape, dtype=v.dtype, generator=torch.Generator().manual_seed(1))
+
+    def kinetic(flat: Tensor) -> Tensor:
+        return energy.kinetic(flat.view(1, -1, 3)).total[0]
+
+    by_hand = mass_matrix(energy.mechanics, energy.kinetic(v), v)
+    slope = momentum(energy.mechanics, energy.kinetic(v), v)
+    for k, one in enumerate(v):
+        flat = one.flatten()
+        hessian = torch.func.hessian(kinetic)(flat)
+        assert (by_hand[k] - hessian).abs().max() < 1e-10 * hessian.abs().max()
+        gradient = torch.func.grad(kinetic)(flat)
+        assert (slope[k].flatten() - gradient).abs().max() < 1e-10 * gradient.abs().max()
+    assert (by_hand.diagonal(dim1=-2, dim2=-1) > 0).all()
+
+
+def test_the_mass_matrix_is_positive_whatever_the_parameters() -> None:
+    energy = random_energy("6pendulum")
+    with torch.no_grad():
+        for seed in range(5):
+            torch.manual_seed(seed)
+            for parameter in energy.parameters():
+                parameter.copy_(3.0 * torch.randn_like(parameter))
+            v = 10.0 * torch.randn(16, 6, 3, dtype=torch.float64)
+            values = torch.linalg.eigvalsh(mass_matrix(energy.mechanics, energy.kinetic(v), v))
+            assert values.min() > 0
+
+
+@pytest.mark.parametrize(("name", "steps"), [("6pendulum", 20), ("3ladder", 40)])
+def test_a_learned_energy_is_kept(name: str, steps: int) -> None:
+    """Of fourth order, as the method: what is lost is the integrator's."""
+    energy = random_energy(name)
+    model = Lagrangian(energy)
+    q, v = drawn_states(energy.mechanics, 3)
+    force, torque = no_inputs(energy.mechanics, len(q))
+
+    def rate(state: Tensor) -> Tensor:
+        q, v = state.unbind(1)
+        return torch.stack([v, model.acceleration(q, v, force, torque)], dim=1)
+
+    with torch.no_grad():
+        before = model.total_energy(q, v)
+        speed = energy.kinetic(v).total.abs().max()
+        start = torch.stack([q, v], dim=1)
+        drifts = []
+        for count in (steps, 2 * steps):
+            end = march(rate, start, count, 0.1)
+            after = model.total_energy(end[:, 0], end[:, 1])
+            drifts.append(float((after - before).abs().max()))
+    order = math.log2(drifts[0] / drifts[1])
+    print(f"{name}: drift {drifts[1] / speed:.1e} of the kinetic energy, order {order:.2f}")
+    assert order > 3.7
+    assert drifts[1] < 1e-9 * speed
+
+
+def test_drag_only_takes_energy() -> None:
+    energy = random_energy("3ladder")
+    drag = Drag(energy, EnergyShape()).double()
+    for seed in range(4):
+        torch.manual_seed(seed)
+        for parameter in drag.parameters():
+            parameter.data = torch.randn_like(parameter)
+        v = 5.0 * torch.randn(8, energy.mechanics.free, 3, dtype=torch.float64)
+        assert ((drag(v) * v).sum((1, 2)) < 0).all()
+
+
+def renamed(scene: Scene) -> Scene:
+    """The same scene with its bodies listed backwards (so particles and nodes change places)."""
+    return msgspec.structs.replace(scene, bodies=scene.bodies[::-1], edges=(), anchors=())
+
+
+@pytest.mark.parametrize("dynamics", [Lagrangian, Hamiltonian])
+def test_nodes_in_another_order_move_alike(dynamics: type[Lagrangian | Hamiltonian]) -> None:
+    energy = random_energy("3ladder")
+    mechanics = energy.mechanics
+    other = Mechanics(renamed(mechanics.mechanism.scene))
+    copy = EnergyNetwork(other, EnergyShape()).double()
+    copy.load_state_dict(energy.state_dict())
+    q, v = drawn_states(mechanics, 3)
+    place, speed = drawn_states(other, 3)
+    order = torch.cdist(q[0] + v[0], place[0] + speed[0]).argmin(dim=0)
+    force, torque = no_inputs(mechanics, 3)
+    force = force + torch.randn(force.shape, dtype=v.dtype, generator=torch.Generator())
+    one = dynamics(energy).acceleration(q, v, force, torque)[:, order]
+    two = dynamics(copy).acceleration(q[:, order], v[:, order], force.flip(1), torque)
+    assert not torch.equal(order, torch.arange(len(order)))
+    assert (one - two).abs().max() < 1e-9 * one.abs().max()
