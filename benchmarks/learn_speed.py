@@ -1,0 +1,188 @@
+"""Training throughput of the graph networks, beside a GNS written the straightforward way.
+
+python -m benchmarks.learn_speed [SCENE…] > reports/learn-speed.md
+
+The yardstick is what a tutorial shows: the graphs of a batch joined to one, the ends of an edge
+gathered and concatenated, messages added up by a scatter. It has the weights of our GNS and gives
+the same numbers, which is checked.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from statistics import quantiles
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mbds_xsim.learn.gns import GNS, Interaction
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import Model, load_model
+from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
+from mbds_xsim.registry import load_scene
+
+SCENES = ("6pendulum", "3ladder")
+TRACKS = ("lite", "native", "paper")
+BATCH, WARM, ROUNDS = 64, 1, (7, 25)
+PATIENCE = 10.0  # seconds a line may take, if the rounds are enough
+SAME = 1e-4
+AIM = 1.1
+
+
+class ScatterGNS(GNS):
+    """Our GNS's weights in a straightforward forward pass."""
+
+    def forward(self, history: Tensor, inputs: Inputs) -> Tensor:
+        batch, count = len(history), self.graph.node_count
+        shift = count * torch.arange(batch)[:, None]
+        senders = (self.senders + shift).flatten()
+        receivers = (self.receivers + shift).flatten()
+        position = joined(self.graph.with_anchors(history[:, -1]) / self.graph.spacing)
+        apart = position[senders] - position[receivers]
+        nodes = self.node_encoder(joined(self._node_features(history, inputs).transpose(0, 1)))
+        edges = self.edge_encoder(torch.cat([apart, apart.norm(dim=-1, keepdim=True)], dim=-1))
+        for layer in self.interactions:
+            assert isinstance(layer, Interaction)
+            ends = torch.cat([nodes[receivers], nodes[senders], edges], dim=-1)
+            message = layer.message(layer.ends(ends))
+            received = torch.zeros_like(nodes).index_add(0, receivers, message)
+            nodes = nodes + layer.update(torch.cat([received, nodes], dim=-1))
+            edges = edges + message
+        found: Tensor = self.decoder(nodes)
+        return found.reshape(batch, count, -1)[:, : self.graph.particle_count]
+
+
+def joined(nodes: Tensor) -> Tensor:
+    """Nodes of all graphs in one row, from shape (batch, node, …)."""
+    return nodes.flatten(0, 1)
+
+
+KINDS: dict[str, type[Model]] = {
+    "gns": GNS,
+    "scatter": ScatterGNS,
+    "sgnn": load_model("sgnn"),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of the table; processor seconds a step, one column a model of `KINDS`."""
+
+    scene: str
+    track: str
+    nodes: int
+    edges: int
+    weights: tuple[int, ...]
+    seconds: NDArray[np.float64]
+
+
+def measure(name: str, track: str) -> Line:
+    """Let the models take turns at a step of training: loss and gradient of one batch."""
+    graph = Graph.of(load_scene(name))
+    models = {kind: made(kind, graph, track) for kind in KINDS}
+    sample = drawn(graph)
+    difference = apart(models["gns"], models["scatter"], sample)
+    if difference > SAME:
+        msg = f"{name}, {track}: the two forms of GNS differ by {difference:.1e}"
+        raise SystemExit(msg)
+    steps = [lambda model=model: step(model, sample) for model in models.values()]
+    first = [[spent(work) for work in steps] for _ in range(WARM)]
+    low, high = ROUNDS
+    rounds = min(high, max(low, int(PATIENCE / sum(first[-1]))))
+    seconds = np.array([[spent(work) for work in steps] for _ in range(rounds)])
+    weights = tuple(sum(w.numel() for w in model.parameters()) for model in models.values())
+    return Line(name, track, graph.node_count, graph.edge_count, weights, seconds)
+
+
+def made(kind: str, graph: Graph, track: str) -> Model:
+    torch.manual_seed(0)
+    return KINDS[kind](graph, statistics(), KINDS[kind].tracks[track])
+
+
+def statistics() -> Statistics:
+    """Of no consequence for the time."""
+    one = Moments(torch.zeros(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64))
+    return Statistics(one, one, one, torch.ones(2, dtype=torch.float64))
+
+
+def drawn(graph: Graph) -> Sample:
+    """A batch of random windows."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (BATCH, HISTORY + 1, graph.particle_count, 3)
+    position = (
+        torch.randn(shape, generator=generator) * 0.1
+        + graph.reference[: graph.particle_count].float()
+    )
+    force = torch.randn((BATCH, 1, graph.body_count, 3), generator=generator)
+    torque = torch.randn((BATCH, 1, len(graph.mechanism.hinges)), generator=generator)
+    start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
+    after = position[:, HISTORY:]
+    return Sample(start, Inputs(force, torque), after, torch.zeros_like(after))
+
+
+def apart(one: Model, other: Model, sample: Sample) -> float:
+    """Largest difference of two models' losses and gradients, beside the largest gradient."""
+    found = [step(model, sample) for model in (one, other)]
+    largest = max(float(grad.abs().max()) for grad in found[0])
+    pairs = zip(*found, strict=True)
+    return max(float((mine - yours).abs().max()) for mine, yours in pairs) / largest
+
+
+def step(model: Model, sample: Sample) -> list[Tensor]:
+    """Loss and gradient; the optimiser's step is the same for all and left out."""
+    loss = model.loss(sample, torch.Generator().manual_seed(0))
+    grads = torch.autograd.grad(loss, list(model.parameters()), allow_unused=True)
+    return [loss.detach(), *(grad for grad in grads if grad is not None)]
+
+
+def spent(work: Callable[[], object]) -> float:
+    """Time of the processor [s]."""
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+def table(lines: Iterator[Line]) -> Iterator[str]:
+    yield "# Training throughput of the graph networks"
+    yield ""
+    yield (
+        f"Graphs a second in training (loss and gradient), batch {BATCH}, one thread, by the "
+        "processor's time; medians of rounds in which the models take turns. "
+        f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}. *Scatter* is a "
+        "straightforward GNS on joined graphs with the same weights, which gives the same loss and "
+        f"gradient; *ratio* is GNS over it with its quartiles, aim {AIM}."
+    )
+    yield ""
+    yield "| scene | nodes, edges | track | weights GNS, SGNN | GNS | scatter | ratio | SGNN |"
+    yield "|---|---|---|---|--:|--:|--:|--:|"
+    for line in lines:
+        yield row(line)
+
+
+def row(line: Line) -> str:
+    gns, scatter, sgnn = BATCH / np.median(line.seconds, axis=0)
+    low, middle, high = quantiles(line.seconds[:, 1] / line.seconds[:, 0], n=4)
+    weights = f"{line.weights[0]:,}, {line.weights[2]:,}"
+    return (
+        f"| {line.scene} | {line.nodes}, {line.edges} | {line.track} | {weights} | {gns:.0f} "
+        f"| {scatter:.0f} | {middle:.2f} ({low:.2f} … {high:.2f}) | {sgnn:.0f} |"
+    )
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    scenes = sys.argv[1:] or SCENES
+    for text in table(measure(scene, track) for scene in scenes for track in TRACKS):
+        print(text, flush=True)
+
+
+if __name__ == "__main__":
+    main()
