@@ -35,6 +35,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     horizon: int = 1
     """Frames to come in a window."""
     schedule: Plateau | Decay | None = None
+    clip: float | None = None
+    """Largest norm of a gradient; longer ones are shortened to it."""
 
     def __post_init__(self) -> None:
         bounds.positive("rate", self.rate)

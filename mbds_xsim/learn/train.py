@@ -1,0 +1,288 @@
+"""Train a model: a fixed number of steps, or until validation no longer improves.
+
+Nothing but the validation part decides on rates, on the best parameters and on the end. A run that
+was interrupted goes on from its checkpoint to the same bits.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import torch
+from torch import Tensor
+
+from mbds_xsim import bounds
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
+from mbds_xsim.learn.rollout import roll
+from mbds_xsim.learn.window import HISTORY, Motions, Sample
+from mbds_xsim.write import write_whole
+
+__all__ = ["PROFILES", "Point", "Profile", "Training", "train", "validation_error"]
+
+
+class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How long to train, and how to watch it."""
+
+    steps: int
+    """Of the optimiser, at most."""
+    every: int
+    """Steps from a validation to the next, and from a checkpoint to the next."""
+    windows: int = 128
+    """Trajectories of the validation part that are predicted each time, always the same."""
+    horizon: int = 10
+    """Frames of such a prediction."""
+    until_level: bool = True
+    """Whether to stop once the last fifth of the steps has improved validation too little."""
+    improvement: float = 0.02
+    """What is too little, as a part of the error."""
+    least: int = 5
+    """Validations before the first such stop."""
+
+    def __post_init__(self) -> None:
+        for key in ("steps", "every", "windows", "horizon", "least"):
+            bounds.at_least_one(key, getattr(self, key))
+
+
+PROFILES = {
+    "smoke": Profile(steps=600, every=100, windows=32, until_level=False),
+    "lite": Profile(steps=10_000, every=250),
+    "paper": Profile(steps=1_000_000, every=5_000, windows=512),
+}
+
+
+class Point(msgspec.Struct, frozen=True):
+    """A point of a learning curve."""
+
+    step: int
+    loss: float
+    """Mean over the steps since the last point."""
+    error: float
+    """Mean squared position error of the validation predictions [m²]; infinite where one failed."""
+    rate: float
+
+
+@dataclass(eq=False)
+class Training:
+    """A run, while it goes on and after; its model has the best parameters at the end."""
+
+    model: Model
+    curve: list[Point] = field(default_factory=list)
+    ended: Literal["", "steps", "level", "diverged"] = ""
+    """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
+
+    @property
+    def best(self) -> Point:
+        """The point whose parameters the model has."""
+        return min(self.curve, key=lambda point: point.error)
+
+    @property
+    def last_improvement(self) -> float:
+        """By how much the last fifth of the steps improved the best error, 0 to 1."""
+        before = [p.error for p in self.curve if p.step <= 0.8 * self.curve[-1].step]
+        least = min(before, default=math.inf)
+        if not math.isfinite(least):
+            return 1.0 if math.isfinite(self.best.error) else 0.0
+        return 1.0 - self.best.error / least if least > 0 else 0.0
+
+
+Tell = Callable[[Point], None]
+
+
+def train(
+    model: Model,
+    training: Motions,
+    validation: Motions,
+    recipe: Recipe,
+    profile: Profile,
+    *,
+    seed: int = 0,
+    checkpoint: Path | None = None,
+    tell: Tell | None = None,
+) -> Training:
+    """Train a model in place.
+
+    Args:
+        model: Untrained, on the device of the motions.
+        training: Windows are drawn from these trajectories.
+        validation: And judged on these.
+        recipe: Optimiser and batch.
+        profile: How long.
+        seed: Of the windows drawn and of the noise.
+        checkpoint: File to save to at every validation, and to go on from if it is there.
+        tell: Is told every point of the curve.
+
+    Raises:
+        InputError: The parts are not training and validation, or the checkpoint is of another run.
+    """
+    for motions, needed in ((training, "train"), (validation, "validation")):
+        if motions.split != needed:
+            msg = f"train: got the part {motions.split!r}, allowed here is {needed!r}"
+            raise InputError(msg)
+    run = _Run(model, recipe, profile, seed)
+    if checkpoint is not None and checkpoint.exists():
+        run.restore(checkpoint)
+    judged = _judged(validation, profile)
+    while not run.training.ended:
+        run.learn(training)
+        point = run.judge(judged)
+        if tell is not None:
+            tell(point)
+        if checkpoint is not None:
+            run.save(checkpoint)
+    model.load_state_dict(run.best_state)
+    return run.training
+
+
+def validation_error(model: Model, sample: Sample) -> float:
+    """Mean over trajectories, frames and particles of the squared distance [m²].
+
+    Infinite where a prediction failed.
+    """
+    with torch.no_grad():
+        predicted = roll(model, sample.start, sample.inputs)
+    error = float(((predicted - sample.position) ** 2).sum(-1).mean())
+    return error if math.isfinite(error) else math.inf
+
+
+class _Run:
+    """All that changes while a model trains."""
+
+    def __init__(self, model: Model, recipe: Recipe, profile: Profile, seed: int) -> None:
+        self.training = Training(model)
+        self.recipe, self.profile = recipe, profile
+        self.identity = {"seed": seed, "recipe": repr(recipe), "profile": repr(profile)}
+        self.step, self.rate = 0, recipe.rate
+        self.best_state = copy.deepcopy(model.state_dict())
+        self.generator = torch.Generator().manual_seed(seed)
+        self.adam = torch.optim.Adam(model.parameters(), lr=recipe.rate, betas=recipe.betas)
+
+    def learn(self, training: Motions) -> None:
+        """Take steps up to the next validation."""
+        self.total = torch.zeros((), device=training.position.device)
+        self.from_step = self.step
+        while self.step < min(self.from_step + self.profile.every, self.profile.steps):
+            sample = training.draw(self.recipe.batch, self.generator, self.recipe.horizon)
+            try:
+                loss = self._descend(sample)
+            except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
+                loss = self.total * torch.nan
+            self.total += loss
+            self.step += 1
+
+    def _descend(self, sample: Sample) -> Tensor:
+        self.adam.zero_grad()
+        loss = self.training.model.loss(sample, self.generator)
+        torch.autograd.backward(loss)
+        if self.recipe.clip is not None:
+            torch.nn.utils.clip_grad_norm_(self.training.model.parameters(), self.recipe.clip)
+        if isinstance(self.recipe.schedule, Decay):
+            self._set_rate(_decayed(self.recipe.rate, self.recipe.schedule, self.step))
+        self.adam.step()
+        return loss.detach()
+
+    def judge(self, sample: Sample) -> Point:
+        """Validate, keep the best parameters, lower the rate, find out whether it is over."""
+        model, curve = self.training.model, self.training.curve
+        loss = float(self.total) / (self.step - self.from_step)
+        error = validation_error(model, sample) if math.isfinite(loss) else math.inf
+        if error < min((point.error for point in curve), default=math.inf):
+            self.best_state = copy.deepcopy(model.state_dict())
+        point = Point(self.step, loss, error, self.rate)
+        curve.append(point)
+        if isinstance(self.recipe.schedule, Plateau):
+            self._set_rate(_on_plateau(self.recipe.rate, self.recipe.schedule, curve))
+        self.training.ended = self._end(loss)
+        return point
+
+    def _end(self, loss: float) -> Literal["", "steps", "level", "diverged"]:
+        training, profile = self.training, self.profile
+        if not math.isfinite(loss):
+            return "diverged"
+        if self.step >= profile.steps:
+            return "steps"
+        long = len(training.curve) >= profile.least
+        level = long and training.last_improvement < profile.improvement
+        return "level" if profile.until_level and level else ""
+
+    def _set_rate(self, rate: float) -> None:
+        self.rate = rate
+        for group in self.adam.param_groups:
+            group["lr"] = rate
+
+    def save(self, path: Path) -> None:
+        """Write everything, or nothing."""
+        content = io.BytesIO()
+        state = {
+            "identity": self.identity,
+            "step": self.step,
+            "rate": self.rate,
+            "model": self.training.model.state_dict(),
+            "best": self.best_state,
+            "adam": self.adam.state_dict(),
+            "generator": self.generator.get_state(),
+            "curve": msgspec.to_builtins(self.training.curve),
+            "ended": self.training.ended,
+        }
+        torch.save(state, content)
+        write_whole(path, content.getvalue())
+
+    def restore(self, path: Path) -> None:
+        """Go on from a checkpoint."""
+        state = _read(path)
+        if state["identity"] != self.identity:
+            msg = (
+                f"{path}: a checkpoint of another seed, recipe or profile; name another file, or "
+                "remove it to start anew"
+            )
+            raise InputError(msg)
+        try:
+            self.training.model.load_state_dict(state["model"])
+        except RuntimeError as error:
+            msg = f"{path}: a checkpoint of another model; name another file"
+            raise InputError(msg) from error
+        self.step = state["step"]
+        self.best_state = state["best"]
+        self.adam.load_state_dict(state["adam"])
+        self._set_rate(state["rate"])
+        self.generator.set_state(state["generator"])
+        self.training.curve = msgspec.convert(state["curve"], list[Point])
+        self.training.ended = state["ended"]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+    except Exception as error:
+        msg = f"{path}: no checkpoint that can be read ({error}); remove it to start anew"
+        raise InputError(msg) from error
+    return found
+
+
+def _judged(validation: Motions, profile: Profile) -> Sample:
+    """The first trajectories from their first `HISTORY` frames on, as tests predict them."""
+    rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
+    horizon = min(profile.horizon, validation.frame_count - HISTORY)
+    return validation.sample(rows, torch.full_like(rows, HISTORY - 1), horizon)
+
+
+def _decayed(rate: float, schedule: Decay, step: int) -> float:
+    return schedule.floor + (rate - schedule.floor) * 0.1 ** (step / schedule.tenth)
+
+
+def _on_plateau(rate: float, schedule: Plateau, curve: list[Point]) -> float:
+    """Rate after these validations, from the first one on."""
+    best, waited = math.inf, 0
+    for point in curve:
+        best, waited = (point.error, 0) if point.error < best else (best, waited + 1)
+        if waited > schedule.patience:
+            rate, waited = rate * schedule.factor, 0
+    return rate

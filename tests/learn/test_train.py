@@ -1,0 +1,162 @@
+"""Training learns, stops when it should, goes on as if never interrupted, and sees no test."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+import torch
+from torch import Tensor
+
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.learn.model import build
+from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
+from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.train import PROFILES, Point, Profile, Training, train
+from mbds_xsim.learn.window import Motions
+
+Data = Callable[..., Dataset]
+RECIPE = Recipe(rate=3e-3, batch=16, schedule=Plateau(patience=0, factor=0.5))
+SHORT = Profile(steps=40, every=10, windows=8, horizon=3, until_level=False)
+
+
+@pytest.fixture(scope="module")
+def parts(data: Data) -> tuple[Motions, Motions]:
+    file = data("2pendulum", trajectories=100)
+    return Motions.of(file, "train"), Motions.of(file, "validation")
+
+
+def _model(motions: Motions) -> GNS:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        settings = GNSSettings(width=24, steps=2, noise=1e-3, loss="l1")
+        return GNS(motions.graph, Statistics.of(motions), settings)
+
+
+def _same(first: dict[str, Tensor], second: dict[str, Tensor]) -> bool:
+    return all(torch.equal(value, second[key]) for key, value in first.items())
+
+
+def test_it_beats_the_trivial_models(data: Data) -> None:
+    file = data("1pendulum", trajectories=400)
+    training, test = Motions.of(file, "train"), Motions.of(file, "test")
+    model = _model(training)
+    profile = msgspec.structs.replace(SHORT, steps=400, every=100, windows=64, horizon=10)
+    recipe = Recipe(rate=3e-3, batch=64, schedule=Plateau())
+    train(model, training, Motions.of(file, "validation"), recipe, profile)
+    learned = rollout(model, test, steps=10).squared_error[:, -1].mean()
+    for name in ("hold", "constant_velocity", "constant_acceleration"):
+        trivial = build(name, test.graph, Statistics.of(training))
+        error = rollout(trivial, test, steps=10).squared_error[:, -1].mean()
+        assert learned < 0.5 * error
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bits(
+    parts: tuple[Motions, Motions], scratch: Path
+) -> None:
+    whole, halted = _model(parts[0]), _model(parts[0])
+    curve = train(whole, *parts, RECIPE, SHORT).curve
+
+    def halt(point: Point) -> None:
+        if point.step == 30:
+            raise KeyboardInterrupt
+
+    path = scratch / "run.pt"
+    with pytest.raises(KeyboardInterrupt):
+        train(halted, *parts, RECIPE, SHORT, checkpoint=path, tell=halt)
+    fresh = _model(parts[0])
+    told: list[int] = []
+    resumed = train(
+        fresh, *parts, RECIPE, SHORT, checkpoint=path, tell=lambda point: told.append(point.step)
+    )
+    assert told == [30, 40]
+    assert resumed.curve == curve
+    assert _same(whole.state_dict(), fresh.state_dict())
+
+
+def test_a_finished_run_is_not_run_again(parts: tuple[Motions, Motions], scratch: Path) -> None:
+    path = scratch / "run.pt"
+    first, again = _model(parts[0]), _model(parts[0])
+    train(first, *parts, RECIPE, SHORT, checkpoint=path)
+    told: list[Point] = []
+    train(again, *parts, RECIPE, SHORT, checkpoint=path, tell=told.append)
+    assert told == []
+    assert _same(first.state_dict(), again.state_dict())
+
+
+def test_a_checkpoint_of_another_run_is_refused(
+    parts: tuple[Motions, Motions], scratch: Path
+) -> None:
+    path = scratch / "run.pt"
+    train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
+    with pytest.raises(InputError, match="another seed, recipe or profile"):
+        train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path, seed=1)
+    path.write_bytes(b"no checkpoint")
+    with pytest.raises(InputError, match="remove it to start anew"):
+        train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
+
+
+def test_seeds_decide(parts: tuple[Motions, Motions]) -> None:
+    first, same, other = (_model(parts[0]) for _ in range(3))
+    for model, seed in ((first, 0), (same, 0), (other, 1)):
+        train(model, *parts, RECIPE, SHORT, seed=seed)
+    assert _same(first.state_dict(), same.state_dict())
+    assert not _same(first.state_dict(), other.state_dict())
+
+
+def test_divergence_ends_the_run_with_the_best_parameters(parts: tuple[Motions, Motions]) -> None:
+    model = _model(parts[0])
+    before = {key: value.clone() for key, value in model.state_dict().items()}
+    wild = Recipe(rate=1e30, batch=8)
+    found = train(model, *parts, wild, SHORT)
+    assert found.ended == "diverged"
+    assert found.curve[-1].step < SHORT.steps
+    state = model.state_dict()
+    assert all(bool(value.isfinite().all()) for value in state.values())
+    assert _same(before, state)
+
+
+def test_only_training_and_validation_are_let_in(
+    parts: tuple[Motions, Motions], data: Data
+) -> None:
+    test = Motions.of(data("2pendulum"), "test")
+    with pytest.raises(InputError, match="got the part 'test'"):
+        train(_model(parts[0]), parts[0], test, RECIPE, SHORT)
+    with pytest.raises(InputError, match="allowed here is 'train'"):
+        train(_model(parts[0]), parts[1], parts[1], RECIPE, SHORT)
+
+
+def test_it_stops_where_the_last_fifth_improved_too_little(
+    parts: tuple[Motions, Motions],
+) -> None:
+    level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True)
+    frozen = Recipe(rate=1e-12, batch=2)
+    found = train(_model(parts[0]), *parts, frozen, level)
+    assert found.ended == "level"
+    assert found.curve[-1].step == level.every * level.least
+    assert abs(found.last_improvement) < level.improvement
+
+
+def test_improvement_is_that_of_the_last_fifth(parts: tuple[Motions, Motions]) -> None:
+    errors = (8.0, 6.0, 5.0, 4.0, 3.0)
+    curve = [Point(10 * k + 10, 1.0, error, 1e-3) for k, error in enumerate(errors)]
+    assert Training(_model(parts[0]), curve).last_improvement == pytest.approx(0.25)
+
+
+def test_rates_follow_their_schedules(parts: tuple[Motions, Motions]) -> None:
+    decay = Recipe(rate=1e-2, batch=2, schedule=Decay(tenth=20, floor=1e-3))
+    rates = [point.rate for point in train(_model(parts[0]), *parts, decay, SHORT).curve]
+    assert rates[1] == pytest.approx(1e-3 + 9e-3 * 0.1 ** (19 / 20))
+    still = Recipe(rate=1e-13, batch=2, schedule=Plateau(patience=1, factor=0.5))
+    longer = msgspec.structs.replace(SHORT, steps=80)
+    rates = [point.rate for point in train(_model(parts[0]), *parts, still, longer).curve]
+    assert rates[0] == 1e-13
+    assert rates[-1] < 1e-13
+    assert set(rates) <= {1e-13 * 0.5**k for k in range(8)}
+
+
+def test_smoke_is_short() -> None:
+    assert PROFILES["smoke"].steps < PROFILES["lite"].steps < PROFILES["paper"].steps
