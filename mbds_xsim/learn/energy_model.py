@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import msgspec
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -48,7 +49,7 @@ class EnergyModel(FlowModel):
         "paper": EnergySettings(EnergyShape(width=200), recipe=Recipe(schedule=Plateau())),
         "native": EnergySettings(),
         "lite": EnergySettings(
-            EnergyShape(width=16), recipe=Recipe(rate=3e-3, batch=128, schedule=Plateau())
+            EnergyShape(width=16), substeps=1, recipe=Recipe(rate=1e-2, schedule=Plateau())
         ),
     }
 
@@ -76,7 +77,7 @@ class EnergyModel(FlowModel):
             ("reference", mechanism.reference_orientation),
             ("carrier", body),
             ("carried", offset),
-            ("particle_map", weights),
+            ("particle_map", np.array(weights)),
             ("spread", torch.sqrt((moving**2).mean())),
         ):
             self.register_buffer(name, torch.as_tensor(values), persistent=name == "spread")

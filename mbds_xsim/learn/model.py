@@ -158,6 +158,8 @@ def build(
 _PLACES = {
     "gns": "mbds_xsim.learn.gns:GNS",
     "sgnn": "mbds_xsim.learn.sgnn:SGNN",
+    "hgnn": "mbds_xsim.learn.hgnn:HGNN",
+    "lgnn": "mbds_xsim.learn.lgnn:LGNN",
     "hold": "mbds_xsim.learn.trivial:Hold",
     "constant_velocity": "mbds_xsim.learn.trivial:ConstantVelocity",
     "constant_acceleration": "mbds_xsim.learn.trivial:ConstantAcceleration",

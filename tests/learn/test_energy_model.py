@@ -1,0 +1,108 @@
+"""LGNN and HGNN as models: starts, frames, learning, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.learn.energy import TrueEnergy
+from mbds_xsim.learn.energy_model import EnergyModel
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.hgnn import Hamiltonian
+from mbds_xsim.learn.lgnn import Lagrangian
+from mbds_xsim.learn.model import build
+from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import Motions
+from mbds_xsim.registry import load_scene
+
+DYNAMICS = {"lgnn": Lagrangian, "hgnn": Hamiltonian}
+
+Data = Callable[..., Dataset]
+
+
+def motions_of(data: Data, split: str) -> Motions:
+    return Motions.of(data("6pendulum"), split, bodies=True, dtype=torch.float64)
+
+
+def untrained(name: str, motions: Motions) -> EnergyModel:
+    model = build(name, motions.graph, Statistics.of(motions), track="lite").double()
+    assert isinstance(model, EnergyModel)
+    return model
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_the_true_energy_predicts_frames(data: Data, name: str) -> None:
+    """Closer than any formula by far; what is left is the engine's error and the noise."""
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    model.register_module("dynamics", DYNAMICS[name](TrueEnergy(model.mechanics)))
+    error = rollout(model, motions, steps=10).squared_error[:, -1].mean()
+    formula = build("constant_acceleration", motions.graph, Statistics.of(motions)).double()
+    trivial = rollout(formula, motions, steps=10).squared_error[:, -1].mean()
+    assert error < 1e-2 * trivial
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_a_start_is_what_was_published(data: Data, name: str) -> None:
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    start = motions.take(torch.arange(0, 20, 5)).start
+    state = model.begin(start)
+    assert (model.positions(state) - start.history[:, -1]).abs().max() < 1e-6
+    assert (model.velocities(state) - start.velocity).abs().max() < 1e-5
+    assert model.mechanics.residual(state[:, 0]).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_it_learns(data: Data, name: str) -> None:
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    sample = motions.take(torch.arange(0, motions.window_count(), 11))
+    generator = torch.Generator().manual_seed(0)
+    before = float(model.loss(sample, generator).detach())
+    optimiser = torch.optim.Adam(model.parameters(), lr=1e-2)
+    for _ in range(25):
+        optimiser.zero_grad()
+        model.loss(motions.draw(16, generator), generator).backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+    assert float(model.loss(sample, generator).detach()) < 0.5 * before
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_settling_closes_the_joints_frame_by_frame(data: Data, name: str) -> None:
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    sample = motions.take(torch.arange(3))
+    with torch.no_grad():
+        state = model.advance(model.begin(sample.start), sample.inputs.at(0))
+    drift = model.mechanics.residual(state[:, 0]).abs().max()
+    settled = model.settle(state)
+    assert model.mechanics.residual(settled[:, 0]).abs().max() < 1e-13 < drift
+    assert (settled - state).abs().max() < 1e2 * drift
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_a_row_that_has_no_numbers_leaves_the_others(data: Data, name: str) -> None:
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    sample = motions.take(torch.arange(3))
+    with torch.no_grad():
+        state = model.begin(sample.start)
+        alone = model.advance(state, sample.inputs.at(0))
+        state[1] = torch.nan
+        after = model.advance(state, sample.inputs.at(0))
+    assert after[1].isnan().any()
+    assert torch.equal(after[[0, 2]], alone[[0, 2]])
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_contact_is_refused(data: Data, name: str) -> None:
+    statistics = Statistics.of(motions_of(data, "train"))
+    with pytest.raises(Unsupported, match=r"balldrop.*contact"):
+        build(name, Graph.of(load_scene("balldrop")), statistics)
+    assert not EnergyModel.represents_contact
