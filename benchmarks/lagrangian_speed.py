@@ -1,0 +1,105 @@
+"""LGNN's closed-form mass matrix beside Hessians by automatic differentiation.
+
+Both give the same accelerations of the same learned Lagrangian, with gradients for training. The
+generic way differentiates L twice and the constraints twice, as the published code does, here with
+Cholesky's factors instead of its pseudo-inverses, which would only slow it down. One thread,
+interleaved, the median counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from mbds_xsim.learn.energy_network import EnergyNetwork, EnergyShape
+from mbds_xsim.learn.lgnn import Lagrangian
+from mbds_xsim.learn.mechanics import Mechanics, constrained
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+
+SCENES = ("6pendulum", "3ladder")
+
+
+def states(mechanics: Mechanics, count: int) -> tuple[Tensor, Tensor]:
+    batch = draw_batch(mechanics.mechanism.scene, range(count), noise=False)
+    native = mechanics.mechanism.native_rotation(batch.orientation)
+    return (
+        torch.as_tensor(mechanics.points.place(batch.position, native)),
+        torch.as_tensor(mechanics.points.move(native, batch.velocity, batch.angular_velocity)),
+    )
+
+
+def by_autodiff(energy: EnergyNetwork) -> Callable[[Tensor, Tensor], Tensor]:
+    mechanics = energy.mechanics
+
+    def lagrangian(q: Tensor, v: Tensor) -> Tensor:
+        x, y = q.view(1, -1, 3), v.view(1, -1, 3)
+        return (energy.kinetic(y).total - energy.potential(x))[0]
+
+    def residual(q: Tensor) -> Tensor:
+        return mechanics.residual(q.view(1, -1, 3))[0]
+
+    def terms(q: Tensor, v: Tensor) -> tuple[Tensor, ...]:
+        func = torch.func
+        mass = func.hessian(lagrangian, 1)(q, v)
+        mixed = func.jacfwd(func.grad(lagrangian, 1), 0)(q, v)
+        jacobian = func.jacfwd(residual)
+        bias = func.jvp(lambda at: jacobian(at) @ v, (q,), (v,))[1]
+        return mass, func.grad(lagrangian)(q, v) - mixed @ v, jacobian(q), bias
+
+    def acceleration(q: Tensor, v: Tensor) -> Tensor:
+        mass, load, jacobian, bias = torch.vmap(terms)(q.flatten(1), v.flatten(1))
+        return constrained(mass, load, jacobian, bias).view_as(q)
+
+    return acceleration
+
+
+def in_closed_form(energy: EnergyNetwork, count: int) -> Callable[[Tensor, Tensor], Tensor]:
+    model, mechanism = Lagrangian(energy), energy.mechanics.mechanism
+    force = torch.zeros(count, mechanism.body_count, 3, dtype=torch.float64)
+    torque = torch.zeros(count, len(mechanism.hinges), dtype=torch.float64)
+    return lambda q, v: model.acceleration(q, v, force, torque)
+
+
+def seconds(energy: EnergyNetwork, ask: Callable[[], Tensor]) -> float:
+    start = time.perf_counter()
+    energy.zero_grad()
+    (ask() ** 2).mean().backward()  # type: ignore[no-untyped-call]
+    return time.perf_counter() - start
+
+
+def compare(name: str, count: int, rounds: int) -> str:
+    torch.manual_seed(0)
+    energy = EnergyNetwork(Mechanics(load_scene(name)), EnergyShape()).double()
+    q, v = states(energy.mechanics, count)
+    closed, generic = in_closed_form(energy, count), by_autodiff(energy)
+    one, two = closed(q, v).detach(), generic(q, v).detach()
+    off = float((one - two).abs().max() / two.abs().max())
+    taken = [
+        (seconds(energy, lambda: closed(q, v)), seconds(energy, lambda: generic(q, v)))
+        for _ in range(rounds)
+    ]
+    fast, slow = (statistics.median(column) for column in zip(*taken, strict=True))
+    return (
+        f"{name:10s} batch {count}: closed form {1e3 * fast:7.1f} ms, autodiff {1e3 * slow:7.1f} "
+        f"ms, {slow / fast:5.1f} x; accelerations differ by {off:.0e}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=5)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    for name in SCENES:
+        print(compare(name, arguments.batch, arguments.rounds), flush=True)
+
+
+if __name__ == "__main__":
+    main()
