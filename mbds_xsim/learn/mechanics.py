@@ -7,11 +7,13 @@ what LGNN and HGNN are told of a scene: topology, lengths, masses and known forc
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.learn.mechanics_points import Points, points_of
@@ -37,13 +39,45 @@ def constrained(mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> T
     Returns:
         Shape (batch, n).
     """
-    factor = _factor(mass)
-    both = torch.cat([load[..., None], jacobian.mT], dim=-1)
-    solved = torch.cholesky_solve(both, factor)
-    loose, spread = solved[..., :1], solved[..., 1:]
-    goal = jacobian @ loose + bias[..., None]
-    multiplier = torch.cholesky_solve(goal, _factor(jacobian @ spread))
-    return (loose - spread @ multiplier)[..., 0]
+    solved: Tensor = _Constrained.apply(mass, load, jacobian, bias)  # type: ignore[no-untyped-call]
+    return solved
+
+
+class _Constrained(torch.autograd.Function):
+    """Its adjoint is the same symmetric system with another right side, so factors are used twice.
+
+    Differentiable once.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
+        factor = _factor(mass)
+        spread = torch.cholesky_solve(jacobian.mT, factor)
+        schur = _factor(jacobian @ spread)
+        value, multiplier = _saddle(factor, spread, schur, load, bias)
+        ctx.save_for_backward(factor, spread, schur, value, multiplier)
+        return value
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, ...]:
+        factor, spread, schur, value, multiplier = ctx.saved_tensors
+        none = torch.zeros_like(multiplier)
+        by_load, pull = _saddle(factor, spread, schur, slope, none)
+        by_mass = -by_load[..., :, None] * value[..., None, :]
+        by_jacobian = multiplier[..., :, None] * by_load[..., None, :]
+        by_jacobian = -by_jacobian - pull[..., :, None] * value[..., None, :]
+        return by_mass, by_load, by_jacobian, -pull
+
+
+def _saddle(
+    factor: Tensor, spread: Tensor, schur: Tensor, load: Tensor, bias: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Solve M x + Aᵀ λ = load, A x = −bias with the factors of M and A M⁻¹ Aᵀ."""
+    goal = spread.mT @ load[..., None] + bias[..., None]
+    multiplier = torch.cholesky_solve(goal, schur)
+    value = torch.cholesky_solve(load[..., None], factor) - spread @ multiplier
+    return value[..., 0], multiplier[..., 0]
 
 
 class Mechanics(nn.Module):

@@ -17,7 +17,7 @@ from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
 from mbds_xsim.learn.energy import TrueEnergy, potential_force
 from mbds_xsim.learn.hgnn import Hamiltonian
 from mbds_xsim.learn.lgnn import Lagrangian
-from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations, solve
 from mbds_xsim.registry import load_scene
@@ -200,3 +200,19 @@ def test_projection_closes_the_joints(name: str) -> None:
 def test_contact_is_refused() -> None:
     with pytest.raises(Unsupported, match=r"balldrop.*contact.*gns or sgnn"):
         Mechanics(load_scene("balldrop"))
+
+
+def test_the_gradient_of_constrained_accelerations_is_right() -> None:
+    generator = torch.Generator().manual_seed(5)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(shape, dtype=torch.float64, generator=generator).requires_grad_()
+
+    def solve_with_any(root: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
+        mass = root @ root.mT + torch.eye(5, dtype=root.dtype)
+        return constrained(mass, load, jacobian, bias)
+
+    inputs = (draw(2, 5, 5), draw(2, 5), draw(2, 3, 5), draw(2, 3))
+    assert torch.autograd.gradcheck(solve_with_any, inputs)
+    moved = solve_with_any(*inputs)
+    assert torch.allclose((inputs[2] @ moved[..., None])[..., 0], -inputs[3], atol=1e-10)
