@@ -37,6 +37,8 @@ class SGNNSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Linear layers of each network."""
     steps: int = 4
     """Of message passing in each stage."""
+    unit: Literal["deviation", "spacing"] = "deviation"
+    """Of positions: their deviation, or the length of an edge, which far motions do not dwarf."""
     target: Literal["displacement", "change"] = "displacement"
     """What the network gives: the displacement, or its change since the last one."""
     loss: Literal["l1", "mse"] = "l1"
@@ -58,11 +60,13 @@ class SGNN(PointModel):
         "native": SGNNSettings(noise=0.05, rigid=True, recipe=Recipe(batch=8, schedule=Plateau())),
         "lite": SGNNSettings(
             hidden=64,
+            unit="spacing",
             target="change",
             rigid=True,
             recipe=Recipe(rate=1e-3, schedule=Plateau()),
         ),
     }
+    length: Tensor
     channel_size: Tensor
     about: Tensor
     up: Tensor
@@ -71,7 +75,8 @@ class SGNN(PointModel):
         super().__init__(graph, statistics, settings)
         self.settings = settings
         unit = statistics.isotropic(graph.gravity)
-        self.position = Unit(unit.position)
+        lengths = {"deviation": float(unit.position.std[0]), "spacing": graph.spacing}
+        self.register_buffer("length", torch.tensor(lengths[settings.unit]))
         self.displacement = Unit(unit.displacement)
         kinds = {"displacement": unit.displacement, "change": unit.acceleration}
         self.output = Unit(kinds[settings.target])
@@ -131,12 +136,12 @@ class SGNN(PointModel):
         vectors = self.polar(now, self.channels(history[:, -1], inputs))
         scalars = self.about.expand(len(now), -1, -1)
         if self.graph.ground:
-            height = now @ self.up[:, None] / self.position.std
+            # Exact near the ground, and bounded where it does not matter.
+            height = nn.functional.softsign(now @ self.up[:, None] / self.length)
             vectors = torch.cat([vectors, (height * self.up).unsqueeze(-2)], dim=-2)
             scalars = torch.cat([scalars, height], dim=-1)
-        moved = self.network(
-            now / self.position.std, self.displacement.normalise(last), vectors, scalars
-        )
+        velocity = self.displacement.normalise(last)
+        moved = self.network(now / self.length, velocity, vectors, scalars)
         return moved[:, : self.graph.particle_count]
 
     def polar(self, now: Tensor, channels: Tensor) -> Tensor:
@@ -147,7 +152,7 @@ class SGNN(PointModel):
         """
         force, torque = (channels / self.channel_size[:, None]).unbind(-2)
         hierarchy = self.network.hierarchy
-        arm = (now - (hierarchy.members @ now)[:, hierarchy.object_of]) / self.position.std
+        arm = (now - (hierarchy.members @ now)[:, hierarchy.object_of]) / self.length
         return torch.stack([force, torch.linalg.cross(torque, arm)], dim=-2)
 
 

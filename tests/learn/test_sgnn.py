@@ -23,7 +23,10 @@ from mbds_xsim.registry import load_scene
 
 torch.set_num_threads(1)
 SCENES = ("6pendulum", "3ladder", "ballscroll", "balldrop", "particlecar", "simplecubli", "bricard")
-TINY = {"displacement": SGNNSettings(hidden=16), "change": SGNNSettings(hidden=16, target="change")}
+TINY = {
+    "displacement": SGNNSettings(hidden=16),
+    "change": SGNNSettings(hidden=16, target="change", unit="spacing"),
+}
 SIZE, STEP = 0.5, 0.05
 
 
