@@ -30,7 +30,7 @@ class Model(nn.Module, ABC):
     tracks: ClassVar[Mapping[str, Any]] = {}
     """Hyper-parameters by track: `paper`, `native`, `lite`; none where there is nothing to set."""
     dtype: ClassVar[torch.dtype] = torch.float32
-    """Of what it is given."""
+    """Of what it is given, and of its parameters."""
     needs_bodies: ClassVar[bool] = False
     """Whether starts must have the bodies' states."""
 
@@ -152,7 +152,7 @@ def build(
         raise InputError(msg)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        return kind(graph, statistics, kind.tracks.get(track))
+        return kind(graph, statistics, kind.tracks.get(track)).to(kind.dtype)
 
 
 _PLACES = {

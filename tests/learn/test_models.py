@@ -1,0 +1,47 @@
+"""Every model goes through the same training and the same rollout."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.learn.model import build, load_model, model_names
+from mbds_xsim.learn.recipe import Recipe
+from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.train import Profile, train
+from mbds_xsim.learn.window import Motions
+
+Data = Callable[..., Dataset]
+
+
+def _read(data: Data, name: str, split: str) -> Motions:
+    kind = load_model(name)
+    return Motions.of(
+        data("2pendulum", trajectories=100), split, bodies=kind.needs_bodies, dtype=kind.dtype
+    )
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_a_model_rolls_out_and_rows_do_not_touch_each_other(data: Data, name: str) -> None:
+    training, test = _read(data, name, "train"), _read(data, name, "test")
+    model = build(name, training.graph, Statistics.of(training), track="lite")
+    together = rollout(model, test, steps=3)
+    alone = rollout(model, test[2:3], steps=3)
+    assert together.position.shape == (len(test), 3, 2, 3)
+    assert not together.failed.any()
+    torch.testing.assert_close(alone.position, together.position[2:3], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", [name for name in model_names() if load_model(name).tracks])
+def test_a_model_learns(data: Data, name: str) -> None:
+    training, validation = _read(data, name, "train"), _read(data, name, "validation")
+    model = build(name, training.graph, Statistics.of(training), track="lite")
+    fixed = training.draw(64, torch.Generator().manual_seed(7))
+    before = model.loss(fixed, torch.Generator().manual_seed(8)).item()
+    profile = Profile(steps=15, every=5, windows=4, horizon=2, until_level=False)
+    run = train(model, training, validation, Recipe(rate=1e-3, batch=16), profile)
+    assert run.ended == "steps"
+    assert [point.step for point in run.curve] == [5, 10, 15]
+    assert model.loss(fixed, torch.Generator().manual_seed(8)).item() < before
