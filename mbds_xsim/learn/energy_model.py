@@ -81,6 +81,7 @@ class EnergyModel(FlowModel):
             ("spread", torch.sqrt((moving**2).mean())),
         ):
             self.register_buffer(name, torch.as_tensor(values), persistent=name == "spread")
+        self.double()
 
     def begin(self, start: Start) -> Tensor:
         """Give nodes and velocities or momenta, on the constraints; see `Model`."""

@@ -30,7 +30,7 @@ def motions_of(data: Data, split: str) -> Motions:
 
 
 def untrained(name: str, motions: Motions) -> EnergyModel:
-    model = build(name, motions.graph, Statistics.of(motions), track="lite").double()
+    model = build(name, motions.graph, Statistics.of(motions), track="lite")
     assert isinstance(model, EnergyModel)
     return model
 
