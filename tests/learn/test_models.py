@@ -1,14 +1,17 @@
-"""Every model goes through the same training and the same rollout."""
+"""Every model goes through the same training, the same file and the same rollout."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
 
 from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import build, load_model, model_names
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.saved import read_model, save_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Profile, train
 from mbds_xsim.learn.window import Motions
@@ -45,3 +48,26 @@ def test_a_model_learns(data: Data, name: str) -> None:
     assert run.ended == "steps"
     assert [point.step for point in run.curve] == [5, 10, 15]
     assert model.loss(fixed, torch.Generator().manual_seed(8)).item() < before
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_a_model_is_read_back_with_all_it_needs(data: Data, name: str, scratch: Path) -> None:
+    training, test = _read(data, name, "train"), _read(data, name, "test")
+    statistics = Statistics.of(training)
+    model = build(name, training.graph, statistics, track="lite", seed=3)
+    path = scratch / "model.pt"
+    save_model(path, model, name, model.tracks.get("lite"), statistics, seed="3")
+    again, facts = read_model(path)
+    assert facts == {"seed": "3"}
+    first, second = (rollout(one, test[:2], steps=2).position for one in (model, again))
+    assert torch.equal(first, second)
+
+
+def test_what_is_no_model_is_refused(scratch: Path) -> None:
+    path = scratch / "model.pt"
+    path.write_text("no model")
+    with pytest.raises(InputError, match="no trained model"):
+        read_model(path)
+    torch.save({"format": "another"}, path)
+    with pytest.raises(InputError, match="train it again"):
+        read_model(path)
