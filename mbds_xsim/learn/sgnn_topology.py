@@ -29,11 +29,6 @@ class Edges(nn.Module):
         fixed(self, "receivers", receivers)
         fixed(self, "mean", averaging(receivers, node_count))
 
-    @property
-    def count(self) -> int:
-        """Number of directed edges."""
-        return len(self.senders)
-
 
 class Hierarchy(nn.Module):
     """Particles, the objects they belong to, and the edges of both.
