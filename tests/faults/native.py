@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 from unittest import mock
 
@@ -68,7 +69,7 @@ def _dart() -> AbstractContextManager[object]:
 
     def hold_beside(self: Any, force: Any, torque: Any) -> None:
         hold(self, force, torque)
-        self._forces = [(_beside(put), value) for put, value in self._forces]
+        self.forces = [(_beside(put), value) for put, value in self.forces]
 
     return mock.patch.object(loads, "hold", hold_beside)
 
@@ -92,10 +93,12 @@ def _exudyn() -> AbstractContextManager[object]:
 
 
 def _damped_mujoco() -> AbstractContextManager[object]:
-    adapter = _adapter("mujoco")
+    adapter = _adapter("_mujoco_run")
     text = adapter.text
 
     def text_with_damping(root: Any) -> Any:
+        for flag in root.iter("flag"):
+            flag.attrib.pop("damper", None)
         for joint in root.iter("joint"):
             joint.set("damping", str(_DAMPING))
         return text(root)
@@ -133,8 +136,9 @@ def _one_sided_pybullet() -> AbstractContextManager[object]:
     loads = _adapter("_pybullet_loads").Loads
     apply = loads.apply
 
-    def apply_one_sided(self: Any, force: Any, torque: Any, state: Any) -> None:
-        apply(self, force, torque, state)
+    def apply_one_sided(self: Any, force: Any, torque: Any, told: Any) -> None:
+        apply(self, force, torque, told)
+        state = self._model.states(told)
         for hinge, value in zip(self._hinges, torque, strict=True):
             if hinge.parent != WORLD_INDEX and value:
                 back = value * rotation.rotate(state.native[hinge.parent], hinge.axis)
@@ -154,7 +158,7 @@ def _one_sided_dart() -> AbstractContextManager[object]:
         for hinge, value in zip(self._model.mechanism.hinges, torque, strict=True):
             if hinge.parent != WORLD_INDEX:
                 parent = self._model.bodies[hinge.parent]
-                self._torques.append((parent.addExtTorque, value * hinge.axis))
+                self.others.append(partial(parent.addExtTorque, value * hinge.axis))
 
     return mock.patch.object(loads, "hold", hold_one_sided)
 
