@@ -9,7 +9,12 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    CacheUse,
+    EngineNames,
     JsonFile,
+    SceneNames,
+    Seed,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -27,22 +32,15 @@ __all__ = ["ablate"]
     "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md"
 )
 def ablate(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
-    ],
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    scenes: SceneNames,
+    engines: EngineNames = None,
     settings: Annotated[str, typer.Option(help="Of the engines: matched or native.")] = "matched",
     trajectories: Annotated[
         int, typer.Option(help="Starts of each interval.", min=1, max=1000)
     ] = 2,
-    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
-    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    seed: Seed = 0,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
     json: JsonFile = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")

@@ -9,7 +9,9 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    EngineNames,
     JsonFile,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -26,15 +28,11 @@ __all__ = ["contact"]
     "mbds-xsim contact --markdown docs/contact.md --figures docs/images"
 )
 def contact(
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    engines: EngineNames = None,
     settings: Annotated[
         str, typer.Option(help="native, matched, or both side by side (native,matched).")
     ] = "native,matched",
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    workers: WorkerCount = None,
     json: JsonFile = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the page docs/contact.md.")

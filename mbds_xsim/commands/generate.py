@@ -9,7 +9,11 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    EngineNames,
     JsonFile,
+    SceneNames,
+    Seed,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -27,14 +31,9 @@ __all__ = ["generate"]
     "  ·  run it again after any interruption, and it goes on"
 )
 def generate(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE...", help="Built-in names, families with a size, or files."),
-    ],
+    scenes: SceneNames,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the data, made if needed.")],
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    engines: EngineNames = None,
     settings: Annotated[
         str,
         typer.Option(help="matched (certified), native (uncertified), or both: matched,native."),
@@ -42,11 +41,9 @@ def generate(
     trajectories: Annotated[
         int, typer.Option(help="How many are drawn; rejected ones are not replaced.", min=1)
     ] = 15_000,
-    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    seed: Seed = 0,
     noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    workers: WorkerCount = None,
     scheduler: Annotated[
         str | None,
         typer.Option(

@@ -9,7 +9,11 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    CacheUse,
+    EngineNames,
     JsonFile,
+    SceneNames,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -27,13 +31,8 @@ __all__ = ["match"]
     "mbds-xsim match my.toml --out my-settings.toml --engines mujoco"
 )
 def match(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
-    ],
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    scenes: SceneNames,
+    engines: EngineNames = None,
     trajectories: Annotated[
         int, typer.Option(help="Starts of each interval to search with.", min=1, max=1000)
     ] = 2,
@@ -47,10 +46,8 @@ def match(
     options: Annotated[
         bool, typer.Option("--options", help="Vary the engines' own options, too.")
     ] = False,
-    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write here, not where validate finds them."),

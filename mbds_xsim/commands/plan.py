@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    EngineNames,
     JsonFile,
     SceneName,
     app,
@@ -28,9 +29,7 @@ __all__ = ["plan"]
 def plan(
     scene: SceneName,
     trajectories: Annotated[int, typer.Option(help="How many are planned.", min=1)] = 15_000,
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    engines: EngineNames = None,
     settings: Annotated[
         str, typer.Option(help="matched, native, or both: matched,native.")
     ] = "matched",

@@ -19,8 +19,13 @@ if TYPE_CHECKING:
     from mbds_xsim.scene import Scene
 
 __all__ = [
+    "CacheUse",
+    "EngineNames",
     "JsonFile",
     "SceneName",
+    "SceneNames",
+    "Seed",
+    "WorkerCount",
     "app",
     "check_targets",
     "console_for",
@@ -41,6 +46,18 @@ app = typer.Typer(
 
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="A built-in name, a family with a size, or a file.")
+]
+SceneNames = Annotated[
+    list[str],
+    typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
+]
+EngineNames = Annotated[
+    str | None, typer.Option(help="Comma-separated; all installed when left out.")
+]
+Seed = Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)]
+CacheUse = Annotated[bool, typer.Option(help="Use stored reference solutions.")]
+WorkerCount = Annotated[
+    int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
 ]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from mbds_xsim.commands.shared import JsonFile, app, check_targets, console_for, write_json
+from mbds_xsim.commands.shared import (
+    CacheUse,
+    EngineNames,
+    JsonFile,
+    WorkerCount,
+    app,
+    check_targets,
+    console_for,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from mbds_xsim.study.stability.definition import Study, Value
@@ -28,9 +37,7 @@ def stability(
         typer.Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="Name the studies, and end.")] = False,
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    engines: EngineNames = None,
     methods: Annotated[
         str | None, typer.Option("--methods", "--method", help="Comma-separated; all by default.")
     ] = None,
@@ -46,10 +53,8 @@ def stability(
     quick: Annotated[bool, typer.Option("--quick", help="Three values and three steps.")] = False,
     limit: Annotated[float, typer.Option(help="Longest that a cell may take [s].", min=1.0)] = 30.0,
     fresh: Annotated[bool, typer.Option("--fresh", help="Run again what was run earlier.")] = False,
-    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write all files of every study there.")
     ] = None,

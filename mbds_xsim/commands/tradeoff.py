@@ -9,7 +9,12 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    CacheUse,
+    EngineNames,
     JsonFile,
+    SceneNames,
+    Seed,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -25,17 +30,12 @@ __all__ = ["tradeoff"]
     "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv"
 )
 def tradeoff(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
-    ],
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    scenes: SceneNames,
+    engines: EngineNames = None,
     starts: Annotated[
         int, typer.Option(help="Starts of the medium interval.", min=1, max=1000)
     ] = 3,
-    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    seed: Seed = 0,
     limit: Annotated[
         float,
         typer.Option(
@@ -45,10 +45,8 @@ def tradeoff(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Measure again what was measured earlier.")
     ] = False,
-    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
     json: JsonFile = None,
     csv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the raw rows as CSV.")

@@ -9,8 +9,12 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    CacheUse,
+    EngineNames,
     JsonFile,
     SceneName,
+    Seed,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -27,16 +31,14 @@ __all__ = ["validate"]
 )
 def validate(
     scene: SceneName,
-    engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all installed when left out.")
-    ] = None,
+    engines: EngineNames = None,
     settings: Annotated[
         str, typer.Option(help="matched, native, or both side by side (matched,native).")
     ] = "matched",
     trajectories: Annotated[
         int, typer.Option(help="Starts of each interval.", min=1, max=10_000)
     ] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)] = 0,
+    seed: Seed = 0,
     method: Annotated[
         str | None, typer.Option(help="Step with this method, with --engines of one engine.")
     ] = None,
@@ -45,10 +47,8 @@ def validate(
     ] = None,
     noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
     inputs: Annotated[bool, typer.Option(help="Drawn inputs: wind, drives.")] = True,
-    cache: Annotated[bool, typer.Option(help="Use stored reference solutions.")] = True,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
     json: JsonFile = None,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")

@@ -9,6 +9,7 @@ import typer
 
 from mbds_xsim.commands.shared import (
     JsonFile,
+    WorkerCount,
     app,
     check_targets,
     console_for,
@@ -27,9 +28,7 @@ def verify(
     path: Annotated[
         Path, typer.Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
     ],
-    workers: Annotated[
-        int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
-    ] = None,
+    workers: WorkerCount = None,
     json: JsonFile = None,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
