@@ -7,6 +7,7 @@ has them from a rollout of the adapter.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -179,6 +180,8 @@ def lean_dart(run: Any, batch: Batch) -> Lean:
     q, u = np.empty((2, batch.steps, len(start)))
     frames = [[(model.bodies[k].setExtForce, f[k]) for k in _pushed(f)] for f in batch.force[0]]
     driven = [(k, joint.setForce) for k, joint in run._loads._driven]
+    # `World.step` is the engine's; any other method is the toolkit's, and the same for both.
+    own = type(run._stepper).__name__ == "SemiImplicitEuler"
 
     def roll() -> None:
         for kind in (constraint.BallJointConstraint, constraint.WeldJointConstraint):
@@ -189,7 +192,10 @@ def lean_dart(run: Any, batch: Batch) -> Lean:
             for hinge, drive in driven:
                 drive(0, batch.torque[0, k, hinge])
             pushes = frames[k]
-            for _ in range(count):
+            if not own:
+                run._loads.forces, run._loads.others = pushes, []
+                run._stepper.advance(count)
+            for _ in range(count if own else 0):
                 for push, force in pushes:
                     push(force)
                 step(False)
@@ -199,7 +205,7 @@ def lean_dart(run: Any, batch: Batch) -> Lean:
 
 
 def lean_exudyn(run: Any, batch: Batch) -> Lean:
-    assert "DynamicSolverType.TrapezoidalIndex2" in run.native()
+    trapezoidal = _solver_type(run) == exudyn.DynamicSolverType.TrapezoidalIndex2
     names, data = run._names, run._mbs.systemData
     (start,), (rate,) = run._start(batch)
     q, u = np.empty((2, batch.steps, len(start)))
@@ -215,9 +221,9 @@ def lean_exudyn(run: Any, batch: Batch) -> Lean:
     ]
     settings = _settings_by_frame(run, batch)
     for kind in settings:
-        # What `SolveDynamic` sets for the trapezoidal method.
+        # What `SolveDynamic` sets for the method.
         alpha = kind.timeIntegration.generalizedAlpha
-        alpha.useNewmark = alpha.useIndex2Constraints = True
+        alpha.useNewmark = alpha.useIndex2Constraints = trapezoidal
 
     def roll() -> None:
         run._put(start, rate)
@@ -232,6 +238,12 @@ def lean_exudyn(run: Any, batch: Batch) -> Lean:
             q[k], u[k] = data.GetODE2Coordinates(), data.GetODE2Coordinates_t()
 
     return Lean(roll, lambda: run._model.to_bodies(q, u))
+
+
+def _solver_type(run: Any) -> Any:
+    """The one that the adapter's listing names."""
+    (name,) = set(re.findall(r"DynamicSolverType\.(\w+)", run.native()))
+    return getattr(exudyn.DynamicSolverType, name)
 
 
 def exudyn_in_one_call(run: Any, batch: Batch) -> Lean:
@@ -255,7 +267,7 @@ def exudyn_in_one_call(run: Any, batch: Batch) -> Lean:
         stepping.endTime, stepping.numberOfSteps = frame * batch.steps, usual[1] * batch.steps
         run._mbs.SetPreStepUserFunction(before_step)
         begun[0] = -1
-        run._mbs.SolveDynamic(settings, solverType=exudyn.DynamicSolverType.TrapezoidalIndex2)
+        run._mbs.SolveDynamic(settings, solverType=_solver_type(run))
         read(batch.steps - 1)
         run._mbs.SetPreStepUserFunction(0)
         stepping.endTime, stepping.numberOfSteps = usual
