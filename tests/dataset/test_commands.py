@@ -114,7 +114,7 @@ def test_inspect_tells_and_draws(made: Ended, folder: Path) -> None:
     [
         ("generate rod.toml --out data --trajectories 0", "--trajectories"),
         ("generate rod.toml --trajectories 3", "Missing option '--out'"),
-        ("generate --out data", "Missing argument 'SCENE...'"),
+        ("generate --out data", "Missing argument 'SCENE…'"),
         ("generate rod.toml --engines ode --out new", "no engine is called 'ode'"),
         ("generate rod.toml --settings best --out new", "no settings profile is called 'best'"),
         ("generate rod.toml --out rod.toml", "--out: cannot write to rod.toml"),
