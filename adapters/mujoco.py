@@ -158,7 +158,7 @@ class MuJoCo(Adapter):
             step * self._positive(settings, "link_time_constant"),
             Impact(finer, self._impact_steps(settings)),
         )
-        turn = 0.0 if settings.method != "RK4" or division else self._positive(settings, "turn")
+        turn = self._turn(scene, settings)
         mechanism = Mechanism.of(scene)
         run = partial(ModelRun, mechanism, stepping, settings.method, substeps, division, turn)
         idle = idle_axes(scene)
@@ -180,6 +180,11 @@ class MuJoCo(Adapter):
             msg = f"impact_steps: got {value!r}, allowed is 1, or {_SHORTEST_IMPACT} and more"
             raise InputError(msg)
         return value
+
+    def _turn(self, scene: Scene, settings: Settings) -> float:
+        """Angle that a joint may turn in a frame of equal steps; 0 where all are equal."""
+        turn = self._positive(settings, "turn")
+        return 0.0 if scene.contacts or settings.method != "RK4" else turn
 
     def _truth(self, settings: Settings, name: str) -> bool:
         value = self.option(settings, name)
