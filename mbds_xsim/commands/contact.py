@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +13,7 @@ from mbds_xsim.commands.shared import (
     WorkerCount,
     app,
     check_targets,
+    command_line,
     console_for,
     encoded,
     progress_on,
@@ -55,7 +55,7 @@ def contact(
             choice,
             progress=progress,
             workers=workers,
-            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            command=command_line(),
         )
     print_study(study, console)
     if drawn:

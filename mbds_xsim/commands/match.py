@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +15,7 @@ from mbds_xsim.commands.shared import (
     WorkerCount,
     app,
     check_targets,
+    command_line,
     console_for,
     encoded,
     scene_named,
@@ -91,7 +91,7 @@ def match(
                 workers=workers,
                 cache=cache,
                 meter=meter,
-                command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+                command=command_line(),
             )
         print_match(result, console)
         before = target.read_text("utf-8") if target.is_file() else ""

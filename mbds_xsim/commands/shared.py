@@ -5,6 +5,8 @@ Every command imports what it needs when it runs: `--help` stays quick.
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,12 +30,15 @@ __all__ = [
     "WorkerCount",
     "app",
     "check_targets",
+    "command_line",
     "console_for",
     "encoded",
     "progress_on",
     "scene_named",
     "write_json",
 ]
+
+_WRITES = ("--json", "--html", "--markdown", "--png", "--csv", "--figures", "--out")
 
 app = typer.Typer(
     name="mbds-xsim",
@@ -62,6 +67,19 @@ WorkerCount = Annotated[
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
 ]
+
+
+def command_line() -> str:
+    """Give what was typed, without where results go: these say nothing about them."""
+    words = iter(sys.argv[1:])
+    kept = []
+    for word in words:
+        name, joined, _ = word.partition("=")
+        if name not in _WRITES:
+            kept.append(word)
+        elif not joined:
+            next(words, None)
+    return shlex.join(["mbds-xsim", *kept])
 
 
 def scene_named(name: str) -> Scene:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -15,6 +14,7 @@ from mbds_xsim.commands.shared import (
     WorkerCount,
     app,
     check_targets,
+    command_line,
     console_for,
     write_json,
 )
@@ -100,7 +100,7 @@ def stability(
             workers=workers,
             fresh=fresh or single,
             cache=cache,
-            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            command=command_line(),
         )
         for study in map(study_named, studies or STUDIES)
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +16,7 @@ from mbds_xsim.commands.shared import (
     WorkerCount,
     app,
     check_targets,
+    command_line,
     console_for,
     scene_named,
     write_json,
@@ -85,7 +85,7 @@ def tradeoff(
                 fresh=fresh,
                 cache=cache,
                 meter=meter,
-                command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+                command=command_line(),
             )
         studies.append(study)
         rows += found

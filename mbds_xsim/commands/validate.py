@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +16,7 @@ from mbds_xsim.commands.shared import (
     WorkerCount,
     app,
     check_targets,
+    command_line,
     console_for,
     progress_on,
     scene_named,
@@ -76,7 +76,7 @@ def validate(
             cache=cache,
             workers=workers,
             progress=progress,
-            command=f"mbds-xsim {' '.join(sys.argv[1:])}",
+            command=command_line(),
         )
     print_table(validation, console)
     if html is not None:
