@@ -96,6 +96,7 @@ class Dart(Adapter):
                 Feature.LOOP_FIXED: _NO_LOOPS,
                 Feature.CONTACT: _NO_CONTACT,
             },
+            own=False,
         ),
     }
     options: ClassVar[Mapping[str, Option]] = {

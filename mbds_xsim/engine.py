@@ -101,6 +101,9 @@ class Method:
     """Order where constraints are solved beside the coordinates, if it differs."""
     velocity_lag: float = 0.0
     """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's."""
+    own: bool = True
+    """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
+    says nothing about the engine's stepping."""
 
     def order_for(self, scene: Scene) -> int:
         """Order that holds for a scene."""

@@ -193,6 +193,7 @@ def match(
     """
     curves, left_out = curves_of(scene, choice.engines)
     curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
+    curves = [c for c in curves if registry.load_adapter(c.engine).methods[c.method].own]
     if not curves:
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)
