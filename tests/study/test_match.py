@@ -15,6 +15,7 @@ from mbds_xsim.campaign import run_references
 from mbds_xsim.choice import Choice
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
+from mbds_xsim.matched import settings_for
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Budget, Clock, Scene
 from mbds_xsim.study import bisect
@@ -175,3 +176,17 @@ def test_bad_input_is_one_line(
     assert said in err
     assert err.count("\n") == 1
     assert not list(tmp_path.glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", registry.scene_names())
+def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
+    """What the toolkit steps on an engine's dynamics says nothing about the engine."""
+    for engine in registry.installed_engines():
+        adapter = registry.load_adapter(engine)
+        method = settings_for(registry.load_scene(name), adapter, "matched").method
+        assert adapter.methods[method].own, f"{engine} on {name}"
+
+
+def test_the_search_leaves_the_toolkits_stepping_out(scene: Scene) -> None:
+    (found,) = _match(scene, "dart").engines
+    assert found.method == "semi-implicit-euler"
