@@ -21,9 +21,9 @@ _NONE_STORED = "*None is stored yet: `make reports-tradeoff readme` makes the ta
 def choose_table(studies: Sequence[Tradeoff]) -> str:
     """Give a row for each scene and a column for each engine, as Markdown.
 
-    A cell has the cheapest point of an engine that keeps all budgets: method and step, error,
-    wall time per simulated second and how many times faster than real time that is. The cheapest
-    of a scene is bold. Under the table stand the reasons where no point does.
+    A cell has the cheapest point of an engine's own stepping that keeps all budgets: method and
+    step, error, wall time per simulated second and how many times faster than real time that is.
+    The cheapest of a scene is bold. Under the table stand the reasons where no point does.
     """
     if not studies:
         return _NONE_STORED
@@ -71,9 +71,9 @@ def _cheapest(study: Tradeoff, engine: str) -> Place | None:
 
 
 def _places(study: Tradeoff, engine: str) -> Iterator[Place]:
-    """All points that came to their end; native settings are not asked."""
+    """All points that came to their end; neither native settings nor the toolkit's stepping."""
     for curve in study.curves:
-        if curve.engine == engine and curve.variation != NATIVE:
+        if curve.engine == engine and curve.own and curve.variation != NATIVE:
             yield from ((curve, point) for point in curve.points if point.wall_s is not None)
 
 
@@ -109,7 +109,7 @@ def _reason(study: Tradeoff, engine: str) -> str:
         curve, point = min(places, key=_off)
         broken = ", ".join(point.broken)
         return f"nearest is {curve.method} at {quantity.span(point.step_s)}, over budget: {broken}"
-    points = [p for c in study.curves if c.engine == engine for p in c.points]
+    points = [p for c in study.curves if c.engine == engine and c.own for p in c.points]
     if points:
         return f"{points[0].kind}: {points[0].reason}"
     left_out = (reason for what, reason in study.left_out.items() if what.split()[0] == engine)

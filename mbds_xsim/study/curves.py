@@ -95,6 +95,7 @@ def _curve_result(scene: Scene, curve: Curve, points: list[Point]) -> CurveResul
         version=adapter.version(),
         method=curve.method,
         family=method.family,
+        own=method.own,
         variation=curve.variation,
         options=dict(curve.options),
         order=method.order_for(scene),

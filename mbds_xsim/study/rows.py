@@ -99,6 +99,8 @@ class CurveResult(msgspec.Struct, frozen=True, kw_only=True):
     """Slope of the asymptotic part of error over step; None where there is none."""
     points: tuple[Point, ...]
     """The longest step first."""
+    own: bool = True
+    """Whether the engine itself steps; else this toolkit steps the engine's dynamics."""
 
     @property
     def name(self) -> str:

@@ -97,6 +97,12 @@ def test_cells_have_the_cheapest_that_keeps_all_budgets_and_the_best_is_bold() -
     }
 
 
+def test_the_toolkits_own_stepping_never_stands_for_an_engine() -> None:
+    extra = msgspec.structs.replace(_curve("dart", "RK4", _point(0.02, 0.0001)), own=False)
+
+    assert choose_table([_study(*_STUDY.curves, extra)]) == choose_table([_STUDY])
+
+
 def test_a_dash_has_its_reason() -> None:
     table = choose_table([_STUDY])
 
