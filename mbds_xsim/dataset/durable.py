@@ -13,6 +13,8 @@ __all__ = ["PART", "clean", "put"]
 PART = ".part"
 """Ending of files that are being written."""
 
+_PIECE = 2**20  # bytes; one call for tens of megabytes costs the kernel ten times as much
+
 
 def put(path: Path, content: bytes) -> None:
     """Write a file that is there whole after any crash, or not at all.
@@ -24,7 +26,7 @@ def put(path: Path, content: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(part, content)
-        if part.read_bytes() != content:
+        if not _reads_back(part, content):
             msg = f"cannot write {path}: what was written does not read back; check the disk"
             raise InputError(msg)
         os.replace(part, path)
@@ -46,10 +48,21 @@ def clean(folder: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
+    rest = memoryview(content)
+    with path.open("wb", buffering=0) as file:
+        while rest:
+            rest = rest[file.write(rest[:_PIECE]) :]
         os.fsync(file.fileno())
+
+
+def _reads_back(path: Path, content: bytes) -> bool:
+    place = 0
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(_PIECE):
+            if not content.startswith(piece, place):
+                return False
+            place += len(piece)
+    return place == len(content)
 
 
 def _flush_folder(folder: Path) -> None:
