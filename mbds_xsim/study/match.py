@@ -36,6 +36,11 @@ SCHEMA = "mbds-xsim/match/1"
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0
 """A method that costs so many times another one of its engine and has not passed is given up."""
+_WORTH = 1.1
+"""What differs from a plain search over steps must be cheaper by this factor."""
+_NEAR = 1.1
+"""Where nothing passes, the cheapest is taken that is at most so many times as far off as the best.
+"""
 _CHUNKS = 6
 _GRACE = 60.0
 _PATIENCE = 8.0
@@ -107,6 +112,11 @@ class _Candidate:
         count = self.search.found
         return math.inf if count is None else self.cost_at(count)
 
+    @property
+    def rank(self) -> float:
+        """The cost by which it competes: no option is changed for what may be noise."""
+        return self.cost * (_WORTH if self.curve.variation else 1.0)
+
     def cost_at(self, count: int) -> float:
         """Measured, or by the trial of the next number of steps."""
         known = {k: t.cpu_s for k, t in self.trials.items() if math.isfinite(t.cpu_s)}
@@ -171,9 +181,9 @@ def match(
     """Search the cheapest settings of each engine that keep all budgets, and verify them.
 
     For each method the fewest steps a frame are found by bisection, judged as `validate` judges,
-    consistency included. The cheapest is verified on trajectories of another seed; where it
-    fails there it gets the next shorter step, and another method its turn when that one is
-    cheaper by now.
+    consistency included, and by the limits of contact. The settings in use compete. The cheapest
+    is verified on trajectories of another seed; where it fails there it gets the next shorter
+    step, and another method its turn when that one is cheaper by now.
 
     Args:
         scene: What to simulate.
@@ -206,6 +216,7 @@ def match(
     ground = prepared(trajectories, seed)
     candidates = [_Candidate(curve) for curve in curves]
     used = _used(ground, {curve.engine for curve in curves})
+    candidates += [_in_use(scene, name, *tried) for name, tried in used.items()]
     _search(ground, candidates)
     proof = prepared(held_out, seed + 1)
     engines = list(dict.fromkeys(curve.engine for curve in curves))
@@ -240,6 +251,16 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
     trials = ground.run(asked)
     pairs = zip(asked, trials, strict=True)
     return {curve.engine: (found[curve.engine], trial) for (curve, _), trial in pairs}
+
+
+def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
+    """Let the settings in use compete, so that what is found is never dearer than they are."""
+    count = settings.substeps(scene.clock.frame)
+    curve = Curve(engine, settings.method, "in use", dict(settings.options), (count,))
+    own = registry.load_adapter(engine).methods[settings.method].own
+    search = Search(counts=(count,))
+    search.tell(count, trial.passed and own)
+    return _Candidate(curve, search, {count: trial} if own else {})
 
 
 def _search(ground: _Field, candidates: list[_Candidate]) -> None:
@@ -281,7 +302,7 @@ def _settle(
     used: tuple[Settings, Trial],
 ) -> Found:
     """Verify the cheapest; after a failure the next shorter step, or a method cheaper by now."""
-    queue = [(c.cost, place) for place, c in enumerate(candidates) if c.cost < math.inf]
+    queue = [(c.rank, place) for place, c in enumerate(candidates) if c.cost < math.inf]
     heapq.heapify(queue)
     while queue:
         _, place = heapq.heappop(queue)
@@ -296,7 +317,7 @@ def _settle(
             return _found(proof, candidate, count, trial, candidates, used)
         candidate.search.refuse(count)
         if candidate.cost * proof.scene.clock.duration <= proof.limit:
-            heapq.heappush(queue, (candidate.cost, place))
+            heapq.heappush(queue, (candidate.rank, place))
     return _best_effort(proof, candidates, used)
 
 
@@ -307,9 +328,11 @@ def _best_effort(
 
     How near is told by the held-out trajectories where they were tried.
     """
-    tried = [(trial.excess, trial.cpu_s, k, n) for k, c in enumerate(candidates)
+    tried = [(trial, k, n) for k, c in enumerate(candidates)
              for n, trial in (c.trials | c.proofs).items()]  # fmt: skip
-    _, _, place, count = min(tried)
+    most = _NEAR * min(trial.excess for trial, *_ in tried)
+    near = [what for what in tried if what[0].excess <= most]
+    _, place, count = min(near, key=lambda what: what[0].cpu_s)
     candidate = candidates[place]
     trial = candidate.proofs.get(count) or proof.run_spread(candidate.curve, count)
     if trial.passed:  # not on the starts of the search

@@ -1,4 +1,7 @@
-"""One trial of a search: some starts at one setting, judged as `validate` judges."""
+"""One trial of a search: some starts at one setting, judged as `validate` judges.
+
+On the ground it must keep the limits of contact too, which are narrower than the budgets.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
+from mbds_xsim import registry
 from mbds_xsim.campaign import Outcome, ReferenceOutcome, other_steps
+from mbds_xsim.checks import Finding
 from mbds_xsim.choice import Contender
 from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash
-from mbds_xsim.judge import judge
+from mbds_xsim.judge import Row, failed_lines, finding_result, judge
 from mbds_xsim.result import EngineResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch
+from mbds_xsim.study.contact_accuracy import contact_findings
 
 __all__ = ["Trial", "failed_trial", "joined", "part_of", "run_trial"]
 
@@ -70,17 +74,19 @@ def run_trial(
     outcome = Outcome(Contender(engine, "matched", settings), rows=[list(range(len(batch)))])
     simulation = simulate(scene, batch, engine, settings)
     outcome.parts.append(simulation)
-    outcome.sample = list(range(min(sample, len(batch))))
-    # Where a trajectory is lost, nothing that finer steps tell can mend it.
-    lost = any(failure is not None for failure in simulation.trajectory.failures)
-    for step in other_steps(scene, settings) if outcome.sample and not lost else []:
-        finer = Settings(settings.method, step, settings.options)
-        outcome.other_steps[step] = simulate(scene, batch[outcome.sample], engine, finer).trajectory
-    result = judge(scene, batch, outcome, reference).result
-    simulated = len(batch) * scene.clock.duration
+    row, limits = _judged(scene, batch, outcome, reference)
+    # Where it fails already, nothing that other steps tell can mend it.
+    if sample and _passed(row, limits):
+        outcome.sample = list(range(min(sample, len(batch))))
+        for step in other_steps(scene, settings):
+            other = Settings(settings.method, step, settings.options)
+            run = simulate(scene, batch[outcome.sample], engine, other)
+            outcome.other_steps[step] = run.trajectory
+        row, limits = _judged(scene, batch, outcome, reference)
+    result, simulated = row.result, len(batch) * scene.clock.duration
     return Trial(
-        reasons=result.reasons,
-        excess=math.inf if lost else _excess(result),
+        reasons=(*result.reasons, *failed_lines(batch, limits)),
+        excess=math.inf if result.failures else _excess(batch, result, limits),
         cpu_s=simulation.cpu_s / simulated,
         wall_s=simulation.rollout_s / simulated,
         error_1s_m=result.error_1s_m,
@@ -99,7 +105,11 @@ def failed_trial(crash: Crash) -> Trial:
 def joined(parts: Sequence[Trial]) -> Trial:
     """Put the parts of one setting's trajectories together: worst figures, mean times."""
     count = sum(part.trajectories for part in parts)
-    weights = [part.trajectories / count if count else 1.0 for part in parts]
+
+    def mean(name: str) -> float:
+        if not all(part.trajectories for part in parts):
+            return math.inf  # a process was lost
+        return sum(part.trajectories * float(getattr(part, name)) for part in parts) / count
 
     def worst(name: str) -> float | None:
         values = [getattr(part, name) for part in parts]
@@ -108,8 +118,8 @@ def joined(parts: Sequence[Trial]) -> Trial:
     return Trial(
         reasons=tuple(reason for part in parts for reason in part.reasons),
         excess=max(part.excess for part in parts),
-        cpu_s=float(np.dot(weights, [part.cpu_s for part in parts])),
-        wall_s=float(np.dot(weights, [part.wall_s for part in parts])),
+        cpu_s=mean("cpu_s"),
+        wall_s=mean("wall_s"),
         error_1s_m=worst("error_1s_m"),
         error_weighted_m=worst("error_weighted_m"),
         gap_m=worst("gap_m"),
@@ -129,7 +139,24 @@ def part_of(reference: ReferenceOutcome, rows: list[int]) -> ReferenceOutcome:
     )
 
 
-def _excess(result: EngineResult) -> float:
-    judged = [f for f in result.findings if f.budget]
+def _judged(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> tuple[Row, list[Finding]]:
+    """Judge as `validate` does, and by the limits of contact."""
+    row, contender = judge(scene, batch, outcome, reference), outcome.contender
+    if row.trajectory is None:
+        return row, []
+    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
+    momentum = row.series.get("momentum")
+    return row, contact_findings(scene, row.trajectory, reference, method, momentum)
+
+
+def _passed(row: Row, limits: Sequence[Finding]) -> bool:
+    return not row.result.reasons and all(limit.passed.all() for limit in limits)
+
+
+def _excess(batch: Batch, result: EngineResult, limits: Sequence[Finding]) -> float:
+    findings = [*result.findings, *(finding_result(batch, limit) for limit in limits)]
+    judged = [f for f in findings if f.budget]
     ratios = [f.figure / f.budget if f.budget else 0.0 for f in judged]
     return max((r if math.isfinite(r) else math.inf for r in ratios), default=0.0)

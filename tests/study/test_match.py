@@ -19,6 +19,7 @@ from mbds_xsim.matched import settings_for
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Budget, Clock, Scene
 from mbds_xsim.study import bisect
+from mbds_xsim.study import match as study
 from mbds_xsim.study.bisect import COUNTS, Search
 from mbds_xsim.study.match import Found, Match, match
 from mbds_xsim.study.matched_file import matched_toml
@@ -126,8 +127,50 @@ def test_where_no_step_is_good_enough_the_best_is_told(
     assert table["found"]["reason"] == found.reasons[0]
 
 
-def _few_counts(search: Search) -> None:
-    search.counts, search.failed, search.passed, search.closed = (1, 4), -1, None, False
+def _few_counts(search: Search, counts: tuple[int, ...] = (1, 4)) -> None:
+    search.counts, search.failed, search.passed, search.closed = counts, -1, None, False
+
+
+def test_what_is_found_is_not_dearer_than_the_settings_in_use(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the search tries too many steps only, they win."""
+    frame = scene.clock.frame
+    monkeypatch.setattr(bisect.Search, "__init__", _dear_counts)
+    monkeypatch.setattr(study, "settings_for", lambda *_: Settings("RK4", frame / 7))
+
+    (found,) = _match(scene, "mujoco").engines
+    assert found.meets_budget
+    assert (found.method, found.steps_per_frame) == ("RK4", 7)
+
+
+def _dear_counts(search: Search, counts: tuple[int, ...] = (80,)) -> None:
+    _few_counts(search, counts)
+
+
+@pytest.mark.parametrize(
+    ("name", "rigid", "steps", "enough", "limit"),
+    [
+        ("balldrop", "pybullet", 60, 200, "error before the first impact"),
+        ("balldrop", "dart", 60, 200, "error before the first impact"),
+        ("simplecubli", "dart", 100, 320, "turn in flight"),
+        ("simplecubli", "pybullet", 100, 320, "turn in flight"),
+    ],
+)
+def test_settings_that_keep_the_budgets_and_break_a_limit_of_contact_are_refused(
+    name: str, rigid: str, steps: int, enough: int, limit: str
+) -> None:
+    scene = msgspec.structs.replace(registry.load_scene(name), clock=Clock(0.02, 30))
+    batch = draw_batch(scene, range(3), seed=2)
+    reference = run_references(scene, batch, cache=True, workers=0)
+    options = settings_for(scene, registry.load_adapter(rigid), "matched").options
+
+    def tried(count: int) -> tuple[str, ...]:
+        settings = Settings("semi-implicit-euler", scene.clock.frame / count, options)
+        return run_trial(scene, batch, rigid, settings, reference, 0).reasons
+
+    assert [reason.partition(":")[0] for reason in tried(steps)] == [limit]
+    assert tried(enough) == ()
 
 
 def test_the_file_is_what_settings_are_read_from(scene: Scene) -> None:
