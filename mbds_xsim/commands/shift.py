@@ -1,0 +1,92 @@
+"""`mbds-xsim shift`: learned models under a change of the engine that made the data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mbds_xsim.commands.shared import (
+    CacheUse,
+    JsonFile,
+    WorkerCount,
+    app,
+    check_targets,
+    command_line,
+    console_for,
+    encoded,
+    progress_on,
+    write_json,
+)
+
+__all__ = ["shift"]
+
+_MODELS = typer.Argument(metavar="MODELS", help="Folder that train has written.")
+_DATA = typer.Argument(metavar="DATA", help="Folder that generate has written.")
+
+
+@app.command(
+    epilog="Examples:  mbds-xsim shift models data --html shift.html  ·  "
+    "mbds-xsim shift models data --scene 6pendulum --json - --workers 2"
+)
+def shift(
+    models: Annotated[Path, _MODELS],
+    data: Annotated[Path, _DATA],
+    scene: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this scene; may be repeated. All with models when left out."),
+    ] = None,
+    cache: CacheUse = True,
+    workers: WorkerCount = None,
+    json: JsonFile = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the figures of every trajectory as CSV."),
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
+    ] = None,
+) -> None:
+    """Test models that were trained on one engine's data on every other engine's."""
+    from mbds_xsim.learn.shift.study import study
+    from mbds_xsim.report.shift_files import write_files
+    from mbds_xsim.report.shift_terminal import print_shift
+
+    console = console_for(json)
+    check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    studies = []
+    for name in scene or _scenes(models, data):
+        with progress_on(console) as meter:
+            found = study(
+                models,
+                data,
+                name,
+                cache=cache,
+                workers=workers,
+                meter=meter,
+                command=command_line(),
+            )
+        print_shift(found.shift, console)
+        studies.append(found)
+    write_files(studies, csv=csv, html=html, png=png, markdown=markdown)
+    results = [found.shift for found in studies]
+    write_json(encoded(results[0] if len(results) == 1 else results), json)
+
+
+def _scenes(models: Path, data: Path) -> list[str]:
+    """Scenes that there are both models and data of."""
+    from mbds_xsim.errors import InputError
+    from mbds_xsim.learn.shift.domains import scenes_in
+
+    found = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]
+    if not found:
+        msg = (
+            f"no scene has both trained models in {models} and data in {data}; see train, generate"
+        )
+        raise InputError(msg)
+    return found

@@ -1,0 +1,224 @@
+"""Answers in words, computed from the figures."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.learn.shift.board import Board
+from mbds_xsim.learn.shift.bootstrap import bounds_of
+from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE, Draws, Training, trainings_of
+from mbds_xsim.learn.shift.result import Answer, Gap, values
+
+__all__ = ["answers_of"]
+
+Array = NDArray[np.float64]
+Look = Callable[[Training, str], Array]
+"""Errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
+
+_AT = 10  # the frame that answers are given at: early enough not to be chaos everywhere
+
+
+@dataclass(frozen=True)
+class _Ratio:
+    """A figure of 1 where nothing changes, with its interval, at the frames."""
+
+    value: Array
+    low: Array
+    high: Array
+
+    def told(self, place: int) -> str:
+        return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
+
+    def verdict(self, place: int, less: str, more: str, same: str) -> str:
+        if self.high[place] < 1.0:
+            return less
+        return more if self.low[place] > 1.0 else same
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Trainings of one model in one variant, and the domains of the variant."""
+
+    model: str
+    variant: str
+    singles: dict[str, Training]
+    """By the domain."""
+    without: dict[str, Training]
+    """Leave-one-out trainings, by the domain that is left out."""
+    everything: Training | None
+
+
+def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap]) -> Iterator[Answer]:
+    """Answer what can be answered from the trainings that there are."""
+    if not board.frames:
+        return
+    place = board.frames.index(_AT) if _AT in board.frames else len(board.frames) - 1
+    fields = [f for f in _fields(board) if len(f.singles) > 1]
+    yield _resolved(gaps, place, board.frames[place])
+    for variant in dict.fromkeys(field.variant for field in fields):
+        yield _most_robust(draws, [f for f in fields if f.variant == variant], place)
+    for field in fields:
+        yield from _several_engines(draws, field, place)
+    yield from _matched(draws, fields, place)
+
+
+def _fields(board: Board) -> list[_Field]:
+    variants = dict.fromkeys(domain.variant for domain in board.test.domains)
+    return [_field(board, *pair) for pair in itertools.product(board.models, variants)]
+
+
+def _field(board: Board, model: str, variant: str) -> _Field:
+    tests = [domain.name for domain in board.test.domains if domain.variant == variant]
+    trainings = [t for t in trainings_of(board, model) if t.variant == variant]
+    singles = {t.domains[0]: t for t in trainings if len(t.engines) == 1}
+    several = [t for t in trainings if len(t.engines) > 1]
+    absent = {t: [name for name in tests if name not in t.domains] for t in several}
+    return _Field(
+        model,
+        variant,
+        {name: t for name, t in singles.items() if name in tests},
+        {names[0]: t for t, names in absent.items() if len(names) == 1},
+        next((t for t, names in absent.items() if not names), None),
+    )
+
+
+def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
+    """How many shifts can be told at all."""
+    single = [gap for gap in gaps if gap.kind == SINGLE]
+    seen = sum(gap.resolved[place] for gap in single)
+    weak = sum("floor" in gap.why[place] for gap in single)
+    text = (
+        f"At t = {frame}, {seen} of {len(single)} shifts between single engines are resolved; "
+        f"{weak} are not because the model's own error exceeds the engine floor, "
+        f"{len(single) - seen - weak} because the interval of the difference contains 0"
+    )
+    return Answer("Is a shift resolvable?", text)
+
+
+def _most_robust(draws: Draws, fields: Sequence[_Field], place: int) -> Answer:
+    """The model of the smallest worst-engine gap."""
+    frame, variant = draws.board.frames[place], fields[0].variant
+    ratios = {f.model: _ratio(draws, functools.partial(_worst_gap, f)) for f in fields}
+    order = sorted(ratios, key=lambda model: ratios[model].value[place])
+    told = ", ".join(f"{model} {ratios[model].told(place)}" for model in order)
+    best = ratios[order[0]]
+    apart = [m for m in order[1:] if ratios[m].low[place] > best.high[place]]
+    sure = (
+        "its interval is apart from all others'"
+        if len(apart) == len(order) - 1
+        else ("its interval overlaps those of " + ", ".join(m for m in order[1:] if m not in apart))
+    )
+    if len(order) == 1:
+        sure = "there is no other to compare with"
+    text = (
+        f"At t = {frame} on {variant} data {order[0]} has the smallest worst-engine gap ({sure}). "
+        f"Worst ratio of error to that of the target-trained model: {told}"
+    )
+    return Answer(
+        f"Which model is most robust ({variant})?",
+        text,
+        {model: values(ratio.value) for model, ratio in ratios.items()},
+    )
+
+
+def _worst_gap(field: _Field, look: Look) -> Array:
+    """Largest ratio to the target-trained model over pairs of engines."""
+    pairs = itertools.permutations(field.singles, 2)
+    singles = field.singles
+    return np.max([_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs], axis=0)
+
+
+def _mean_gap(field: _Field, look: Look) -> Array:
+    """Geometric mean of the same."""
+    pairs = itertools.permutations(field.singles, 2)
+    singles = field.singles
+    ratios = [_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs]
+    return _geometric(ratios)
+
+
+def _several_engines(draws: Draws, field: _Field, place: int) -> Iterator[Answer]:
+    frame = draws.board.frames[place]
+    words = ("helps", "harms", "makes no difference that can be told")
+    shared = [name for name in field.without if name in field.singles]
+    if shared:
+        ratio = _ratio(draws, functools.partial(_left_out_ratio, field, shared))
+        text = (
+            f"At t = {frame} leaving one engine out {ratio.verdict(place, *words)} on the engine "
+            f"left out, against training on a single other engine: error ratio {ratio.told(place)}"
+        )
+        question = f"Does training on several others help {field.model} ({field.variant})?"
+        yield Answer(question, text, {LEAVE_ONE_OUT: values(ratio.value)})
+    if field.everything is not None:
+        ratio = _ratio(draws, functools.partial(_worst_of_all_ratio, field))
+        text = (
+            f"At t = {frame} training on all engines {ratio.verdict(place, *words)} on the worst "
+            "engine, against single-engine trainings on their worst: error ratio "
+            f"{ratio.told(place)}"
+        )
+        question = f"Does training on all engines help {field.model} ({field.variant})?"
+        yield Answer(question, text, {ALL: values(ratio.value)})
+
+
+def _left_out_ratio(field: _Field, targets: Sequence[str], look: Look) -> Array:
+    """Error without the target over that of single other engines, as geometric means."""
+    ratios = []
+    for test in targets:
+        others = [look(t, test) for name, t in field.singles.items() if name != test]
+        ratios.append(_over(look(field.without[test], test), _geometric(others)))
+    return _geometric(ratios)
+
+
+def _worst_of_all_ratio(field: _Field, look: Look) -> Array:
+    """Worst engine of the all-engine training over the mean worst of the single ones."""
+    assert field.everything is not None
+    tests = list(field.singles)
+    worst = np.max([look(field.everything, test) for test in tests], axis=0)
+    each = [np.max([look(t, test) for test in tests], axis=0) for t in field.singles.values()]
+    return _over(worst, _geometric(each))
+
+
+def _matched(draws: Draws, fields: Sequence[_Field], place: int) -> Iterator[Answer]:
+    """Compare the mean gaps of a model between variants."""
+    frame = draws.board.frames[place]
+    by_model: dict[str, dict[str, _Field]] = {}
+    for field in fields:
+        by_model.setdefault(field.model, {})[field.variant] = field
+    for model, variants in by_model.items():
+        if {"native", "matched"} <= set(variants):
+            native, matched = (
+                _ratio(draws, functools.partial(_mean_gap, variants[variant]))
+                for variant in ("native", "matched")
+            )
+            text = f"At t = {frame} {_removal(native, matched, place)}: mean gap ratio "
+            text += f"{native.told(place)} on native, {matched.told(place)} on matched data"
+            figures = {"native": values(native.value), "matched": values(matched.value)}
+            yield Answer(f"Does matched data remove the shift of {model}?", text, figures)
+
+
+def _removal(native: _Ratio, matched: _Ratio, place: int) -> str:
+    if not native.low[place] > 1.0:
+        return "native data show no shift that matched data could remove"
+    if matched.low[place] > 1.0:
+        less = matched.high[place] < native.low[place]
+        return "matched data lessen the shift" if less else "the shift is there on matched data too"
+    return "matched data show no shift any more"
+
+
+def _ratio(draws: Draws, figure: Callable[[Look], Array]) -> _Ratio:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return _Ratio(figure(draws.mean), *bounds_of(figure(draws.drawn)))
+
+
+def _over(here: Array, there: Array) -> Array:
+    """1 where both are 0: two perfect models do not differ."""
+    return np.asarray(np.where((here == 0.0) & (there == 0.0), 1.0, here / there))
+
+
+def _geometric(figures: Sequence[Array]) -> Array:
+    return np.asarray(np.exp(np.mean(np.log(figures), axis=0)))

@@ -1,0 +1,156 @@
+"""Roll models out on domains, side by side; what was done is kept and not done again."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.shift.domains import Domain
+from mbds_xsim.learn.shift.measure import Figures, measure, one_step_error, read_figures
+from mbds_xsim.learn.shift.roster import Entry
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.reference.cache import directory
+from mbds_xsim.scene import Scene
+
+__all__ = ["Plan", "evaluate", "figures_on"]
+
+_TIMEOUT = 4 * 3600.0
+_TOGETHER = 6  # models a process: starting one takes seconds
+# What makes models, not rollouts; all other modules of `learn` decide what a rollout is.
+_OTHER = ("campaign", "cost", "curves", "domains", "mixture", "progress", "recipe", "runs", "train")
+
+Tell = Callable[[Entry], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long to predict."""
+
+    horizon: int
+    """Frames of a rollout."""
+    stride: int = 8
+    """Frames from a window of the teacher-forced prediction to the next."""
+
+
+def evaluate(
+    scene: Scene,
+    entries: Sequence[Entry],
+    domains: Sequence[Domain],
+    plan: Plan,
+    *,
+    workers: int | None = None,
+    tell: Tell | None = None,
+) -> dict[tuple[Entry, str], Figures]:
+    """Test every model on every domain.
+
+    Args:
+        scene: Of the data.
+        entries: Models.
+        domains: Test domains.
+        plan: How long to predict.
+        workers: Processes at a time.
+        tell: Told of every model that is done now.
+
+    Raises:
+        InputError: A model cannot be tested; those tested before are kept.
+    """
+    missing = [entry for entry in entries if any(not _kept(entry, d, plan) for d in domains)]
+    parts = [missing[k : k + _TOGETHER] for k in range(0, len(missing), _TOGETHER)]
+    tasks = [Task(_carry_out, (scene, part, domains, plan), _TIMEOUT) for part in parts]
+
+    def finished(place: int, answer: object) -> None:
+        del answer
+        if tell is not None:
+            for entry in parts[place]:
+                tell(entry)
+
+    for part, answer in zip(
+        parts, run_tasks(tasks, workers=workers, finished=finished), strict=True
+    ):
+        if isinstance(answer, Crash):
+            msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
+            raise InputError(msg if not answer.refused else answer.reason)
+    return {
+        (entry, domain.name): _needed(entry, domain, plan)
+        for entry in entries
+        for domain in domains
+    }
+
+
+def figures_on(model: Model, motions: Motions, plan: Plan) -> Figures:
+    """Test one model; trajectories whose first window is not known are left unknown."""
+    start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
+    rows = torch.nonzero(start)[:, 0]
+    known = motions[rows]
+    rolled = rollout(model, known, steps=plan.horizon)
+    step = one_step_error(model, known, frames=plan.horizon, stride=plan.stride)
+    return _spread(measure(known, rolled.position, step), rows.numpy(), len(motions))
+
+
+def _spread(figures: Figures, rows: np.ndarray, count: int) -> Figures:
+    whole = {}
+    for name in Figures.__dataclass_fields__:
+        values = getattr(figures, name)
+        whole[name] = np.full((count, *values.shape[1:]), np.nan)
+        whole[name][rows] = values
+    return Figures(**whole)
+
+
+def _carry_out(
+    scene: Scene, entries: Sequence[Entry], domains: Sequence[Domain], plan: Plan
+) -> None:
+    torch.set_num_threads(1)
+    motions = functools.cache(lambda place, dtype: domains[place].motions(dtype))
+    for entry in entries:
+        model = entry.load(scene)
+        for place, domain in enumerate(domains):
+            if not _kept(entry, domain, plan):
+                figures = figures_on(model, motions(place, model.dtype), plan)
+                figures.write(_path(entry, domain, plan))
+
+
+def _kept(entry: Entry, domain: Domain, plan: Plan) -> bool:
+    return _path(entry, domain, plan).is_file()
+
+
+def _needed(entry: Entry, domain: Domain, plan: Plan) -> Figures:
+    path = _path(entry, domain, plan)
+    found = read_figures(path)
+    if found is None:
+        msg = f"{path}: cannot be read; remove it and run again"
+        raise InputError(msg)
+    return found
+
+
+def _path(entry: Entry, domain: Domain, plan: Plan) -> Path:
+    digest = hashlib.sha256(_source())
+    what = (entry.model, entry.content, domain.name, domain.content, _rows(domain), plan)
+    digest.update(repr(what).encode())
+    key = digest.hexdigest()
+    return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
+
+
+def _rows(domain: Domain) -> tuple[int, ...]:
+    return getattr(domain, "rows", ())
+
+
+@functools.cache
+def _source() -> bytes:
+    """Hash of the code that makes the figures."""
+    here = Path(__file__).parent
+    learning = [p for p in here.parent.glob("*.py") if p.stem not in _OTHER]
+    measuring = [here / name for name in ("evaluate.py", "measure.py", "rigid.py")]
+    digest = hashlib.sha256()
+    for path in sorted([*learning, *measuring]):
+        digest.update(path.read_bytes())
+    return digest.digest()

@@ -1,0 +1,193 @@
+"""What a shift study finds, as it is written to JSON; `docs/shift.md` defines every figure.
+
+Lists beside `frames` have one value a frame. Null stands for what is not known, does not exist, or
+is not finite.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import msgspec
+
+__all__ = [
+    "FRAMES",
+    "INTERVALS",
+    "SCHEMA",
+    "Agreement",
+    "Answer",
+    "Cell",
+    "DomainFacts",
+    "Floor",
+    "Gap",
+    "ModelFacts",
+    "Shift",
+    "Values",
+    "values",
+]
+
+SCHEMA = "mbds-xsim/shift/1"
+FRAMES = (1, 10, 20, 30, 40, 50, 60, 90, 100)
+"""Frames behind the last known one at which errors are told."""
+INTERVALS = ("all", "low", "medium", "high")
+
+Values = tuple[float | None, ...]
+
+
+class DomainFacts(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What a model can be tested on."""
+
+    name: str
+    engine: str
+    variant: str
+    content: str
+    """Checksum of the data."""
+
+
+class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A model that was tested."""
+
+    model: str
+    training: str
+    engines: tuple[str, ...]
+    seed: int
+    profile: str
+    ended: str
+    content: str
+    """Checksum of its file; its name for trivial models."""
+
+
+class Cell(msgspec.Struct, frozen=True):
+    """One model of one training and seed on one domain, over one interval."""
+
+    model: str
+    training: str
+    seed: int
+    test: str
+    interval: str
+    known: tuple[int, ...]
+    """Trajectories whose truth is known."""
+    finite: tuple[int, ...]
+    """Of them, those whose prediction is."""
+    diverged: tuple[int, ...]
+    """Of them, those that were not finite or had exploded by then."""
+    mse: Values
+    """Mean over the finite [m²]."""
+    median: Values
+    """Over the known, the others being infinite [m²]."""
+    energy: Values
+    """Median of the energy error."""
+    gap: Values
+    """Median of the constraint gap [m]."""
+    one_step: float | None
+    """Mean of the teacher-forced error [m²]."""
+    valid_s: float | None
+    """Median valid prediction time [s]; what never was lost counts with the horizon."""
+    never_lost: int
+    """Trajectories that stayed valid over the whole horizon."""
+    curve: Values = ()
+    """Median at every frame [m²]; of interval "all"."""
+
+
+class Floor(msgspec.Struct, frozen=True):
+    """What no figure on a domain can resolve below."""
+
+    kind: str
+    """"engine": one domain as the prediction of another; "noise"; "chaos"."""
+    first: str
+    test: str
+    interval: str
+    mse: Values
+    """Mean [m²]."""
+    median: Values
+    curve: Values = ()
+
+
+class Gap(msgspec.Struct, frozen=True):
+    """A training on a domain against the model trained there, both means over seeds."""
+
+    model: str
+    kind: str
+    """"single", "leave-one-out" or "all"."""
+    training: str
+    test: str
+    seeds: tuple[int, int]
+    """Of the training and of the target's."""
+    own: Values
+    """Error of the training on its own domain [m²]."""
+    transferred: Values
+    """Error of the training on the target [m²]."""
+    target: Values
+    """Error on the target of the model trained there [m²]."""
+    ratio: Values
+    ratio_low: Values
+    ratio_high: Values
+    difference: Values
+    """[m²]"""
+    difference_low: Values
+    difference_high: Values
+    engine_floor: Values
+    """Least D between the target and an engine of the training [m²]."""
+    noise_floor: Values
+    chaos_floor: Values
+    resolved: tuple[bool, ...]
+    why: tuple[str, ...]
+    """Why a shift is not resolvable; empty where it is."""
+
+
+class Agreement(msgspec.Struct, frozen=True):
+    """Whether two domains, or a domain and the paper, rank the models alike."""
+
+    first: str
+    second: str
+    frame: int
+    models: tuple[str, ...]
+    tau: float | None
+    """Kendall's τ-b."""
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """A question, and its answer from the figures."""
+
+    question: str
+    answer: str
+    figures: dict[str, Values] = {}
+
+
+class Shift(msgspec.Struct, frozen=True, kw_only=True):
+    """A study of one scene."""
+
+    schema: str = SCHEMA
+    scene: str
+    description: str
+    command: str
+    machine: str
+    versions: dict[str, str]
+    frame_s: float
+    length_m: float
+    history: int
+    horizon: int
+    stride: int
+    lost: float
+    exploded: float
+    draws: int
+    """Of the bootstrap."""
+    frames: tuple[int, ...]
+    index: tuple[int, ...]
+    """Numbers of the trajectories."""
+    noise: bool
+    domains: tuple[DomainFacts, ...]
+    left_out: dict[str, str]
+    models: tuple[ModelFacts, ...]
+    cells: tuple[Cell, ...]
+    floors: tuple[Floor, ...]
+    gaps: tuple[Gap, ...]
+    agreements: tuple[Agreement, ...]
+    answers: tuple[Answer, ...]
+    wall_s: float
+
+
+def values(numbers: Iterable[float]) -> Values:
+    """Write numbers; those that are not finite become None."""
+    return tuple(float(x) if math.isfinite(x) else None for x in numbers)

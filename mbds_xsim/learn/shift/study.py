@@ -1,0 +1,158 @@
+"""The whole study of a scene: domains, models, floors, gaps and answers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.learn.shift.agreement import agreements_of
+from mbds_xsim.learn.shift.answers import answers_of
+from mbds_xsim.learn.shift.board import Board, cells_of
+from mbds_xsim.learn.shift.bootstrap import DRAWS
+from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, load_paired
+from mbds_xsim.learn.shift.evaluate import Plan, evaluate
+from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, known_mean, noise_floor, oracles
+from mbds_xsim.learn.shift.gaps import Draws, gaps_of
+from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
+from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
+from mbds_xsim.learn.shift.roster import Entry, find_entries, trivial_entries
+from mbds_xsim.learn.shift.truth import read_truth, solve_domain
+from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.registry import package_version
+from mbds_xsim.study.identity import machine
+
+__all__ = ["Studied", "study"]
+
+Array = NDArray[np.float64]
+
+
+class Meter(Protocol):
+    """Is told how far a study is."""
+
+    def begin(self, total: int) -> None: ...
+    def advance(self, what: str) -> None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Studied:
+    """A study, and the raw figures that it was made from."""
+
+    shift: Shift
+    board: Board
+    domains: tuple[Domain, ...]
+
+
+def study(
+    models: Path,
+    data: Path,
+    scene: str,
+    *,
+    cache: bool = True,
+    workers: int | None = None,
+    meter: Meter | None = None,
+    command: str = "",
+) -> Studied:
+    """Test all models of a scene on all domains, and say what a change of engine does.
+
+    Args:
+        models: Folder of trained models.
+        data: Folder of data sets.
+        scene: Name of the scene in both.
+        cache: Whether stored reference solutions are used.
+        workers: Processes at a time.
+        meter: Told of every model that is done.
+        command: What was typed.
+
+    Raises:
+        InputError: Models or data are missing, or do not belong together.
+    """
+    began = time.perf_counter()
+    test = load_paired(data, scene)
+    entries = [*trivial_entries(), *find_entries(models, scene)]
+    plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
+    solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
+    domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
+    figures = _evaluated(test, entries, domains, plan, workers, meter)
+    board = Board(
+        test=test,
+        frames=tuple(frame for frame in FRAMES if frame <= plan.horizon),
+        figures=figures,
+        oracles=oracles(domains, plan.horizon),
+    )
+    noise = chaos = None
+    if solved is not None:
+        truth = read_truth(solved.path)
+        noise, chaos = noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
+    draws = Draws(board)
+    gaps = tuple(gaps_of(board, draws, _mean(board, noise), _mean(board, chaos)))
+    shift = Shift(
+        scene=test.scene.name,
+        description=test.scene.description,
+        command=command,
+        machine=machine(),
+        versions={name: package_version(name) for name in ("mbds-xsim", "torch", "numpy")},
+        frame_s=test.scene.clock.frame,
+        length_m=test.scene.length,
+        history=HISTORY,
+        horizon=plan.horizon,
+        stride=plan.stride,
+        lost=LOST,
+        exploded=EXPLODED,
+        draws=DRAWS,
+        frames=board.frames,
+        index=tuple(test.index.tolist()),
+        noise=test.noise,
+        domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
+        left_out={} if solved else {REFERENCE: reason},
+        models=tuple(map(_facts, entries)),
+        cells=tuple(cells_of(board)),
+        floors=tuple(floors_of(board, noise, chaos)),
+        gaps=gaps,
+        agreements=tuple(agreements_of(board, draws)),
+        answers=tuple(answers_of(board, draws, gaps)),
+        wall_s=time.perf_counter() - began,
+    )
+    return Studied(shift, board, domains)
+
+
+def _evaluated(
+    test: Paired,
+    entries: list[Entry],
+    domains: tuple[Domain, ...],
+    plan: Plan,
+    workers: int | None,
+    meter: Meter | None,
+) -> Mapping[tuple[Entry, str], Figures]:
+    if meter is None:
+        return evaluate(test.scene, entries, domains, plan, workers=workers)
+
+    def tell(entry: Entry) -> None:
+        meter.advance(f"{entry.model} {entry.training}")
+
+    meter.begin(len(entries))
+    return evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
+
+
+def _mean(board: Board, error: Array | None) -> Array:
+    """Over the known trajectories at the frames; NaN where there is nothing."""
+    if error is None:
+        return np.full(len(board.frames), np.nan)
+    return known_mean(board.counted(error))
+
+
+def _facts(entry: Entry) -> ModelFacts:
+    return ModelFacts(
+        model=entry.model,
+        training=entry.training,
+        engines=entry.engines,
+        seed=entry.seed,
+        profile=entry.profile,
+        ended=entry.ended,
+        content=entry.content,
+    )

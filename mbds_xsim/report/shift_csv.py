@@ -1,0 +1,59 @@
+"""Raw figures of shift studies: a row for every trajectory, so that statistics can be redone."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbds_xsim.learn.shift.board import ENGINE, Board
+from mbds_xsim.learn.shift.measure import Figures
+from mbds_xsim.learn.shift.result import INTERVALS
+from mbds_xsim.learn.shift.study import Studied
+
+__all__ = ["to_csv"]
+
+
+def to_csv(studies: Sequence[Studied]) -> bytes:
+    """Give the rows of all studies; `inf` is a lost prediction, empty what is not known."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    frames = list(dict.fromkeys(f for studied in studies for f in studied.shift.frames))
+    kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
+    writer.writerow(
+        ["scene", "model", "training", "seed", "test", "trajectory", "interval", "one_step_m2"]
+        + [f"{kind}_t{frame}" for kind in kinds for frame in frames]
+    )
+    for studied in studies:
+        writer.writerows(_rows(studied.board, frames))
+    return text.getvalue().encode()
+
+
+def _rows(board: Board, frames: Sequence[int]) -> Iterator[list[object]]:
+    scene = board.test.scene.name
+    for (entry, test), figures in board.figures.items():
+        key = [scene, entry.model, entry.training, entry.seed, test]
+        yield from _figures(board, key, figures, frames)
+    for (first, test), figures in board.oracles.items():
+        yield from _figures(board, [scene, ENGINE, first, 0, test], figures, frames)
+
+
+def _figures(
+    board: Board, key: list[object], figures: Figures, frames: Sequence[int]
+) -> Iterator[list[object]]:
+    series = (figures.error, figures.energy, figures.gap)
+    length = figures.error.shape[1]
+    for row, number in enumerate(board.test.index.tolist()):
+        told = [
+            _text(values[row, frame - 1]) if frame <= length else ""
+            for values in series
+            for frame in frames
+        ]
+        interval = INTERVALS[1 + number % (len(INTERVALS) - 1)]
+        yield [*key, number, interval, _text(figures.one_step[row]), *told]
+
+
+def _text(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.9g}"

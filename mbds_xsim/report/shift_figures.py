@@ -1,0 +1,123 @@
+"""Heat maps and curves of shift studies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mbds_xsim.learn.shift.result import INTERVALS, Shift
+from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.report import themed
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.quantity import number
+from mbds_xsim.report.shift_tables import Matrix, at, headline, matrix_of, trained_models
+
+__all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
+
+_CELL = (0.95, 0.34)  # width and height [in]
+_MARGIN = (2.4, 1.5)
+_MIDDLE = 0.55  # of the colours' range: darker cells have white text
+
+
+def to_png(studies: Sequence[Shift]) -> bytes:
+    """Give a picture: a row of heat maps for each study, a map for each model."""
+    columns = max(len(trained_models(shift)) for shift in studies)
+    sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, headline(s)))) for s in studies]
+    width = columns * max(size[0] for size in sizes)
+    height = sum(size[1] for size in sizes)
+
+    def draw(figure: Any) -> None:
+        rows = figure.subfigures(
+            len(studies), 1, squeeze=False, height_ratios=[size[1] for size in sizes]
+        )
+        for row, shift in zip(rows[:, 0], studies, strict=True):
+            _draw_row(row, shift, columns)
+
+    return themed.png(draw, (width, height))
+
+
+def map_size(matrix: Matrix) -> tuple[float, float]:
+    """Width and height of a heat map [in]."""
+    width = _MARGIN[0] + _CELL[0] * len(matrix.columns)
+    return width, _MARGIN[1] + _CELL[1] * len(matrix.rows)
+
+
+def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
+    """Draw the errors of a model, a training a row, a test domain a column.
+
+    Args:
+        axes: To draw on.
+        matrix: Errors [m²].
+        spread: Ends of the colours' scale, as logarithms to base 10.
+    """
+    logs = [[_log(value) for value in row] for row in matrix.values]
+    axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
+    axes.grid(visible=False)
+    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=35, ha="right")
+    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
+    axes.tick_params(length=0, labelsize=8)
+    for row, values in enumerate(matrix.values):
+        for column, value in enumerate(values):
+            bright = _log(value) > spread[0] + _MIDDLE * (spread[1] - spread[0])
+            home = matrix.rows[row] == matrix.columns[column]
+            axes.text(
+                column, row, number(value), ha="center", va="center", fontsize=7.5,
+                color="black" if bright else "white", weight="bold" if home else "normal",
+            )  # fmt: skip
+
+
+def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
+    """Ends of a scale of colours that maps share."""
+    logs = [_log(value) for m in matrices for row in m.values for value in row]
+    known = [x for x in logs if math.isfinite(x)] or [0.0]
+    return min(known), max(max(known), min(known) + 1e-3)
+
+
+def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
+    """Draw the error of all trainings on one domain over time, with trivial models and floors."""
+    time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
+    trainings = [c for c in shift.cells if (c.model, c.test, c.interval) == (model, test, "all")]
+    names = list(dict.fromkeys(cell.training for cell in trainings))
+    for cell in trainings:
+        colour = LIGHT[names.index(cell.training) % len(LIGHT)]
+        label = cell.training if cell.seed == trainings[0].seed else None
+        home = cell.training == test
+        axes.plot(time, _line(cell.curve), color=colour, lw=2.0 if home else 1.0, label=label)
+    for name, style in zip(TRIVIAL, (":", "--", "-."), strict=True):
+        for cell in shift.cells:
+            if (cell.model, cell.test, cell.interval) == (name, test, "all"):
+                label = name.replace("_", " ")
+                axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
+    for floor in shift.floors:
+        if floor.kind != "engine" and floor.interval == INTERVALS[0]:
+            dots = ":" if floor.kind == "noise" else "-."
+            label = f"{floor.kind} floor"
+            axes.plot(time, _line(floor.curve), dots, color=themed.INK, lw=1, label=label)
+    axes.set_yscale("log")
+    axes.set_title(f"{model} on {test}", fontsize=9, loc="left")
+    axes.set_xlabel("time since the last known frame [s]")
+    axes.set_ylabel("median squared error [m²]")
+
+
+def _draw_row(figure: Any, shift: Shift, columns: int) -> None:
+    frame = headline(shift)
+    maps = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    charts = figure.subplots(1, columns, squeeze=False)[0]
+    for axes, matrix in zip(charts, maps, strict=False):
+        draw_matrix(axes, matrix, spread_of(maps))
+        axes.set_title(matrix.model, fontsize=10, loc="left")
+    for axes in charts[len(maps) :]:
+        axes.set_axis_off()
+    title = f"{shift.scene}: mean squared position error at t = {frame} [m²]"
+    figure.suptitle(
+        f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
+    )
+
+
+def _line(curve: Sequence[float | None]) -> list[float]:
+    return [value or math.nan for value in curve]
+
+
+def _log(value: float | None) -> float:
+    return math.log10(value) if value is not None and value > 0 else math.nan

@@ -1,0 +1,55 @@
+"""Shift studies as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.report.shift_tables import Table, tables
+
+__all__ = ["to_markdown"]
+
+
+def to_markdown(studies: Sequence[Shift], picture: str = "") -> str:
+    """Give the tables and answers of all studies.
+
+    Args:
+        studies: One a scene.
+        picture: Link to the heat maps.
+    """
+    lines = [f"![Error by training and test domain]({picture})\n"] if picture else []
+    for shift in studies:
+        lines += _scene(shift)
+    return "\n".join(lines) + "\n"
+
+
+def _scene(shift: Shift) -> Iterator[str]:
+    yield f"# {shift.scene}: learned models under a change of engine\n"
+    yield f"{protocol(shift)}.\n"
+    yield from (f"- **{a.question}** {a.answer}." for a in shift.answers)
+    yield from (f"- {name} left out: {reason}." for name, reason in shift.left_out.items())
+    for table in tables(shift):
+        yield f"\n## {table.title}\n"
+        yield f"{table.note}.\n"
+        yield from _rows(table)
+    yield f"\nMade by `{shift.command}` in {shift.wall_s:.0f} s on {shift.machine}."
+
+
+def protocol(shift: Shift) -> str:
+    """Say what was done, in a line."""
+    seeds = sorted({m.seed for m in shift.models if m.engines})
+    profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
+    return (
+        f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
+        f"the same starts and inputs; the first {shift.history} frames are the test domain's own, "
+        f"then {shift.horizon} frames of {shift.frame_s:g} s are predicted. Seeds {seeds}, "
+        f"profile {profiles}; random forces {'act' if shift.noise else 'do not act'} and are "
+        "never told to a model"
+    )
+
+
+def _rows(table: Table) -> Iterator[str]:
+    yield f"| {' | '.join(table.heading)} |"
+    yield f"| :-- |{' --: |' * (len(table.heading) - 1)}"
+    for row in table.rows:
+        yield f"| {' | '.join(row)} |"

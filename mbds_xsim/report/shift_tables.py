@@ -1,0 +1,312 @@
+"""Tables of a shift study, ready for Markdown, pages and the terminal alike."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
+from mbds_xsim.learn.shift.board import ENGINE
+from mbds_xsim.learn.shift.domains import REFERENCE
+from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, Shift
+from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.report.quantity import NONE, number
+
+__all__ = [
+    "Matrix",
+    "Table",
+    "headline",
+    "matrix_of",
+    "tables",
+    "trained_models",
+]
+
+_HEADLINE = 10
+Pick = Callable[[Cell], float | None]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Texts in rows; the first column is words, the others figures."""
+
+    title: str
+    note: str
+    heading: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Trainings of a model by test domains: means over seeds."""
+
+    model: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    values: tuple[tuple[float | None, ...], ...]
+
+
+def headline(shift: Shift) -> int:
+    """The frame that tables are shown at."""
+    return _HEADLINE if _HEADLINE in shift.frames else shift.frames[-1]
+
+
+def trained_models(shift: Shift) -> list[str]:
+    """Names of the models that were trained."""
+    return list(dict.fromkeys(m.model for m in shift.models if m.engines))
+
+
+def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]) -> Matrix:
+    """Give one figure of all trainings of a model on all domains."""
+    cells = [c for c in shift.cells if c.model == model and c.interval == interval]
+    rows = tuple(dict.fromkeys(cell.training for cell in cells))
+    columns = tuple(domain.name for domain in shift.domains)
+    found: dict[tuple[str, str], list[float | None]] = {}
+    for cell in cells:
+        found.setdefault((cell.training, cell.test), []).append(pick(cell))
+    values = tuple(tuple(_mean(found.get((row, c), [])) for c in columns) for row in rows)
+    return Matrix(model, rows, columns, values)
+
+
+def at(shift: Shift, frame: int) -> Pick:
+    """Pick the mean squared error at a frame."""
+    place = shift.frames.index(frame)
+    return lambda cell: cell.mse[place]
+
+
+def tables(shift: Shift) -> Iterator[Table]:
+    """Give all tables."""
+    frame = headline(shift)
+    place = shift.frames.index(frame)
+    for model in trained_models(shift):
+        yield _errors(shift, model, frame)
+    for model in trained_models(shift):
+        yield _one_step(shift, model)
+    yield _gaps(shift, place)
+    yield _floors(shift)
+    yield _covariate(shift, frame)
+    yield _quality(shift, place)
+    if shift.agreements:
+        yield _agreements(shift)
+    if paper_errors(shift.scene):
+        yield _paper(shift)
+
+
+def _errors(shift: Shift, model: str, frame: int) -> Table:
+    pick = at(shift, frame)
+    rows = [*_rows(matrix_of(shift, model, pick)), *_comparison(shift, pick)]
+    rows += [_floor_row(shift, kind, frame) for kind in ("noise", "chaos")]
+    return Table(
+        f"{model}: position error at t = {frame}",
+        "Mean squared distance [m²] over trajectories whose prediction is finite, mean over seeds; "
+        "in brackets how many predictions, of all seeds, were lost or exploded. Rows are "
+        "trainings, columns test domains",
+        ("trained on", *(domain.name for domain in shift.domains)),
+        tuple(_with_lost(shift, model, rows, shift.frames.index(frame))),
+    )
+
+
+def _with_lost(
+    shift: Shift, model: str, rows: Sequence[tuple[str, ...]], place: int
+) -> Iterator[tuple[str, ...]]:
+    """Add the number of diverged predictions to the figures of trainings."""
+    lost: dict[tuple[str, str], int] = {}
+    for cell in shift.cells:
+        if cell.model == model and cell.interval == INTERVALS[0]:
+            key = (cell.training, cell.test)
+            lost[key] = lost.get(key, 0) + cell.diverged[place]
+    names = [domain.name for domain in shift.domains]
+    for label, *texts in rows:
+        counts = [lost.get((label, name), 0) for name in names]
+        marked = [f"{t} ({n})" if n else t for t, n in zip(texts, counts, strict=True)]
+        yield (label, *marked)
+
+
+def _one_step(shift: Shift, model: str) -> Table:
+    def pick(cell: Cell) -> float | None:
+        return cell.one_step
+
+    rows = list(_rows(matrix_of(shift, model, pick)))
+    for name in TRIVIAL:
+        rows += _rows(matrix_of(shift, name, pick), name)
+    return Table(
+        f"{model}: teacher-forced error",
+        f"Squared distance [m²] of predictions by one frame from true windows, every "
+        f"{shift.stride} frames: not chaotic. Engines have no row: their own motion is the window",
+        ("trained on", *(domain.name for domain in shift.domains)),
+        tuple(rows),
+    )
+
+
+def _comparison(shift: Shift, pick: Pick) -> Iterator[tuple[str, ...]]:
+    """Engines as models, and trivial models."""
+    for row in _rows(matrix_of(shift, ENGINE, pick)):
+        yield (f"engine {row[0]}", *row[1:])
+    for name in TRIVIAL:
+        yield from _rows(matrix_of(shift, name, pick), name)
+
+
+def _rows(matrix: Matrix, label: str = "") -> Iterator[tuple[str, ...]]:
+    for name, values in zip(matrix.rows, matrix.values, strict=True):
+        yield (label.replace("_", " ") or name, *map(number, values))
+
+
+def _floor_row(shift: Shift, kind: str, frame: int) -> tuple[str, ...]:
+    """A floor of the reference: the same for all domains."""
+    place = shift.frames.index(frame)
+    found = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
+    text = number(found[0].mse[place]) if found else NONE
+    return (f"{kind} floor", *(text for _ in shift.domains))
+
+
+def _gaps(shift: Shift, place: int) -> Table:
+    frame = shift.frames[place]
+    rows = [_gap_row(gap, place) for gap in shift.gaps]
+    return Table(
+        f"Gaps to the target-trained model at t = {frame}",
+        "Errors [m²] are means over trajectories and seeds, lost predictions counting as exploded; "
+        "ratio and its 95 % interval by paired bootstrap over trajectories and seeds. A shift is "
+        "resolved where the model's own error is below the engine floor and the interval of the "
+        "difference is without 0",
+        (
+            "model, trained on → tested on", "kind", "own error", "error", "target-trained",
+            "ratio", "95 %", "engine floor", "noise floor", "chaos floor", "shift",
+        ),
+        tuple(rows),
+    )  # fmt: skip
+
+
+def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
+    interval = f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}"
+    figures = (gap.own, gap.transferred, gap.target, gap.ratio)
+    floors = (gap.engine_floor, gap.noise_floor, gap.chaos_floor)
+    return (
+        f"{gap.model}, {gap.training} → {gap.test}",
+        gap.kind,
+        *(number(figure[place]) for figure in figures),
+        interval,
+        *(number(floor[place]) for floor in floors),
+        "resolved" if gap.resolved[place] else f"not resolvable: {gap.why[place]}",
+    )
+
+
+def _floors(shift: Shift) -> Table:
+    rows = [
+        (_floor_name(f.kind, f.first, f.test), *map(number, f.mse))
+        for f in shift.floors
+        if f.interval == INTERVALS[0]
+        # A distance is told once: it is the same both ways.
+        and (f.kind != ENGINE or f.test == REFERENCE or f.first < f.test)
+    ]
+    return Table(
+        "Floors",
+        "Mean squared distance [m²] of motions from identical starts (engines); of the reference "
+        "without noise from that with it; of two motions whose last known frame is 0.1 mm apart "
+        "(chaos, by linear growth). No error below them says anything of a model",
+        ("", *(f"t = {frame}" for frame in shift.frames)),
+        tuple(rows),
+    )
+
+
+def _floor_name(kind: str, first: str, test: str) -> str:
+    return f"{first} and {test}" if kind == ENGINE else kind
+
+
+def _covariate(shift: Shift, frame: int) -> Table:
+    """Each training at home, by interval: no change of engine."""
+    pick = at(shift, frame)
+    rows = []
+    for model in trained_models(shift):
+        by_interval = [matrix_of(shift, model, pick, name) for name in INTERVALS[1:]]
+        for training in by_interval[0].rows if by_interval else ():
+            if training in by_interval[0].columns:
+                texts = [number(_at_home(matrix, training)) for matrix in by_interval]
+                rows.append((f"{model}, {training}", *texts))
+    return Table(
+        f"The covariate axis: error at home by interval, t = {frame}",
+        "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
+        "and inputs matters, without any change of engine",
+        ("", *INTERVALS[1:]),
+        tuple(rows),
+    )
+
+
+def _at_home(matrix: Matrix, training: str) -> float | None:
+    if training not in matrix.rows:
+        return None
+    return matrix.values[matrix.rows.index(training)][matrix.columns.index(training)]
+
+
+def _quality(shift: Shift, place: int) -> Table:
+    """Other figures of each training at home."""
+    rows = []
+    for model in trained_models(shift):
+        picks: tuple[Pick, ...] = (
+            lambda cell: cell.valid_s,
+            lambda cell: cell.energy[place],
+            lambda cell: cell.gap[place],
+            lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
+        )
+        found = [matrix_of(shift, model, pick) for pick in picks]
+        for training in found[0].rows:
+            if training in found[0].columns:
+                texts = [number(_at_home(matrix, training)) for matrix in found]
+                rows.append((f"{model}, {training}", *texts))
+    return Table(
+        "What else rollouts keep, each training at home",
+        f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
+        f"length ({shift.length_m:.3g} m), median, at most {shift.horizon * shift.frame_s:.3g} s. "
+        f"Energy error and constraint gap: medians at t = {shift.frames[place]}. Diverged: share "
+        "of trajectories over the whole horizon",
+        ("", "valid [s]", "energy error", "constraint gap [m]", "diverged"),
+        tuple(rows),
+    )
+
+
+def _agreements(shift: Shift) -> Table:
+    pairs = dict.fromkeys((a.first, a.second) for a in shift.agreements)
+    found = {(a.first, a.second, a.frame): a.tau for a in shift.agreements}
+    rows = [
+        (f"{one}, {two}", *(number(found.get((one, two, frame))) for frame in shift.frames))
+        for one, two in pairs
+    ]
+    return Table(
+        "Rank agreement",
+        "Kendall's τ-b of the orders that two domains give the models, each trained where it is "
+        "tested: 1 the same, −1 reversed; from three models on",
+        ("", *(f"t = {frame}" for frame in shift.frames)),
+        tuple(rows),
+    )
+
+
+def _paper(shift: Shift) -> Table:
+    """The paper's figures beside ours, as data."""
+    paper = paper_errors(shift.scene)
+    frames = sorted({frame for _, frame in paper})
+    rows = []
+    for model in dict.fromkeys(model for model, _ in paper):
+        rows.append((f"{model}, {PAPER}", *(number(paper.get((model, f))) for f in frames)))
+    for model in trained_models(shift):
+        homes = {f: _home_mean(shift, model, f) for f in frames if f in shift.frames}
+        rows.append((f"{model}, here", *(number(homes.get(frame)) for frame in frames)))
+    return Table(
+        "The paper's figures beside these",
+        "Not comparable in absolute value: the paper's unit, averaging, masses, noise and test "
+        "part are not stated, its figures are of the set that steered training, and its values "
+        "at t = 1 are far above constant velocity's in metres. What can be compared is the order "
+        "of the models (rank agreement) and the growth with t. Here: mean over single-engine "
+        "trainings at home [m²]",
+        ("", *(f"t = {frame}" for frame in frames)),
+        tuple(rows),
+    )
+
+
+def _home_mean(shift: Shift, model: str, frame: int) -> float | None:
+    matrix = matrix_of(shift, model, at(shift, frame))
+    homes = [_at_home(matrix, row) for row in matrix.rows if row in matrix.columns]
+    return _mean(homes)
+
+
+def _mean(figures: Sequence[float | None]) -> float | None:
+    known = [x for x in figures if x is not None]
+    return statistics.fmean(known) if known else None

@@ -1,0 +1,200 @@
+"""The whole study on a tiny set: from data and models to tables, page and answers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.cli import app
+from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.learn.saved import save_model
+from mbds_xsim.learn.shift import evaluate, study
+from mbds_xsim.learn.shift.domains import load_paired
+from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.learn.shift.roster import find_entries
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Clock
+from tests.learn.conftest import Silence
+
+SCENE = "1pendulum"
+ENGINES = ("mujoco", "exudyn")
+STEPS, COUNT, SEEDS = 18, 40, 2
+TRAININGS = {"mujoco": ("mujoco",), "exudyn": ("exudyn",), "all": ENGINES}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data of two engines, and models of all trainings, not much trained."""
+    folder = tmp_path_factory.mktemp("shift")
+    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
+    choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
+    request = Request((scene,), choice, COUNT, folder / "data")
+    generate(request, workers=0, progress=Silence())
+    for training, engines in TRAININGS.items():
+        for seed in range(SEEDS):
+            _train(folder, training, engines, seed)
+    return folder
+
+
+def _train(folder: Path, training: str, engines: tuple[str, ...], seed: int) -> None:
+    files = [load_dataset(folder / "data" / SCENE / f"{name}-native.h5") for name in engines]
+    motions = Motions.joined([Motions.of(file, "train") for file in files])
+    statistics, settings = Statistics.of(motions), GNSSettings(width=8, steps=1)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        model = GNS(motions.graph, statistics, settings)
+    facts = {
+        "train_engines": ",".join(engines), "variant": "native", "training": training,
+        "seed": str(seed), "profile": "tiny", "ended": "steps",
+    }  # fmt: skip
+    path = folder / "models" / SCENE / "native" / "gns" / f"{training}-s{seed}.pt"
+    save_model(path, model, "gns", settings, statistics, **facts)
+
+
+@pytest.fixture(autouse=True)
+def cache(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Nothing is kept beside the test's own files."""
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(folder / "cache"))
+    return folder / "cache" / "shift"
+
+
+@pytest.fixture
+def shift(folder: Path) -> Shift:
+    return study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+
+
+def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
+    domains = [domain.name for domain in shift.domains]
+    assert domains == ["exudyn-native", "mujoco-native", "reference"]
+    cells = [c for c in shift.cells if c.interval == "all"]
+    trained = {(c.training, c.seed, c.test) for c in cells if c.model == "gns"}
+    assert len(trained) == len(TRAININGS) * SEEDS * len(domains)
+    trivial = {(c.model, c.test) for c in cells if c.training == "nothing"}
+    assert len(trivial) == 3 * len(domains)
+    assert {(c.training, c.test) for c in cells if c.model == "engine"} == {
+        (first, test) for first in domains[:2] for test in domains if first != test
+    }
+    assert {c.interval for c in shift.cells} == {"all", "low", "medium", "high"}
+    assert shift.frames == (1, 10)
+    assert shift.horizon == STEPS + 1 - HISTORY
+    assert [(g.kind, g.training, g.test) for g in shift.gaps] == [
+        ("all", "all-native", "exudyn-native"),
+        ("all", "all-native", "mujoco-native"),
+        ("single", "exudyn-native", "mujoco-native"),
+        ("single", "mujoco-native", "exudyn-native"),
+    ]
+
+
+def test_engine_floor_is_the_distance_of_the_data(folder: Path, shift: Shift) -> None:
+    files = [load_dataset(folder / "data" / SCENE / f"{name}-native.h5") for name in ENGINES]
+    one, two = (np.stack([file.position[int(r)] for r in file.rows_of("test")]) for file in files)
+    apart = ((one.astype(float) - two) ** 2).sum(-1).mean(axis=(0, 2))
+    floor = next(
+        f for f in shift.floors
+        if (f.first, f.test, f.interval) == ("mujoco-native", "exudyn-native", "all")
+    )  # fmt: skip
+    assert floor.mse == pytest.approx(tuple(apart[[HISTORY, HISTORY + 9]]), rel=1e-6)
+    gap = next(g for g in shift.gaps if g.kind == "single" and g.test == "exudyn-native")
+    assert gap.engine_floor == pytest.approx(floor.mse)
+    assert not any(gap.resolved)  # untrained models are far worse than engines differ
+    assert gap.noise_floor[1] is not None
+    assert 0.0 < gap.noise_floor[1] < 1e-3
+
+
+def test_what_was_tested_is_not_tested_again(
+    folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(evaluate, "figures_on", refuse)
+    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    assert again.cells == shift.cells
+    assert again.gaps == shift.gaps
+
+
+def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = {kind: str(folder / f"out.{kind}") for kind in ("json", "csv", "html", "png", "md")}
+    words = ["shift", str(folder / "models"), str(folder / "data"), "--workers", "2"]
+    words += ["--json", names["json"], "--csv", names["csv"], "--html", names["html"]]
+    words += ["--png", names["png"], "--markdown", names["md"]]
+    app(words, standalone_mode=False)
+    told = capsys.readouterr().out
+    assert "Is a shift resolvable?" in told
+    found = msgspec.json.decode(Path(names["json"]).read_bytes(), type=Shift)
+    assert found.schema == "mbds-xsim/shift/1"
+    with Path(names["csv"]).open() as file:
+        rows = list(csv.DictReader(file))
+    # Trained and trivial models on three domains, and four pairs of an engine and a domain.
+    assert len(rows) == len(found.index) * (3 * (len(TRAININGS) * SEEDS + 3) + 4)
+    cell = next(c for c in found.cells if c.model == "hold" and c.interval == "all")
+    same = [
+        float(row["squared_error_m2_t10"])
+        for row in rows
+        if row["model"] == "hold" and row["test"] == cell.test
+    ]
+    assert cell.mse[1] == pytest.approx(np.mean(same), rel=1e-6)
+    page = Path(names["html"]).read_text()
+    assert page.count("<svg") >= 3
+    assert "not resolvable: own error exceeds the engine floor" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "| engine mujoco-native |" in Path(names["md"]).read_text()
+    assert "![" in Path(names["md"]).read_text()
+    assert Path(names["png"]).read_bytes().startswith(b"\x89PNG")
+    assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
+
+
+def _copied(folder: Path, tmp_path: Path) -> Path:
+    shutil.copytree(folder / "data" / SCENE, tmp_path / SCENE)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["start/velocity", "input/force"])
+def test_unpaired_domains_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
+    data = _copied(folder, tmp_path)
+    paired = load_paired(data, SCENE)
+    shard = next((data / SCENE / "mujoco-native").glob("*.h5"))
+    with h5py.File(shard, "r+") as file:
+        file[name][int(paired.domains[1].rows[0]), ..., 0] += 1e-9
+    with pytest.raises(InputError, match=f"{name} of trajectory {paired.index[0]} is not that"):
+        load_paired(data, SCENE)
+
+
+def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
+    data = _copied(folder, tmp_path)
+    with h5py.File(data / SCENE / "mujoco-native.h5", "r+") as file:
+        file.attrs["seed"] = 7
+    with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
+        load_paired(data, SCENE)
+
+
+def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no data files"):
+        load_paired(tmp_path, SCENE)
+    with pytest.raises(InputError, match="no trained models"):
+        find_entries(tmp_path, SCENE)
+    path = tmp_path / SCENE / "native" / "gns" / "mujoco-s0.pt"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match="no trained model"):
+        find_entries(tmp_path, SCENE)
+
+
+def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
+    entry = find_entries(folder / "models", SCENE)[0]
+    with pytest.raises(InputError, match="a model of another scene"):
+        entry.load(load_scene(SCENE))
