@@ -22,6 +22,14 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
+def norm(v: Array) -> Array:
+    """Lengths along a short last axis: numpy's, bit for bit, without its detours."""
+    square = v[..., 0] ** 2
+    for k in range(1, v.shape[-1]):
+        square = square + v[..., k] ** 2
+    return np.sqrt(square)
+
+
 def multiply(p: Array, q: Array) -> Array:
     """Hamilton product p ⊗ q: the rotation q followed by p."""
     pw, px, py, pz = (p[..., k] for k in range(4))
@@ -123,3 +131,16 @@ def normal_to(axis: Array) -> tuple[Array, Array]:
     first = cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     return first, cross(axis, first)
+
+
+def normals_to(axes: Array) -> tuple[Array, Array]:
+    """`normal_to` of several axes, bit for bit, shapes (axis, 3)."""
+    axes = axes / _lengths(axes)
+    first = cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=-1)])
+    first /= _lengths(first)
+    return first, cross(axes, first)
+
+
+def _lengths(vectors: Array) -> Array:
+    """As numpy has them of single vectors, by dot products, which round otherwise than sums."""
+    return np.sqrt([[each @ each] for each in vectors])

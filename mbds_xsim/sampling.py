@@ -187,17 +187,60 @@ def _add_noise(drawing: _Drawing, switched_on: bool) -> None:
 
 
 def _swing(term: Swing, drawing: _Drawing) -> None:
-    mechanism = drawing.mechanism
+    hung = _hung(drawing.mechanism, term.bodies)
+    drawn = [
+        (
+            drawing.uniform(term.polar),
+            drawing.rng.uniform(0.0, 2.0 * np.pi),
+            drawing.uniform(term.speed),
+            drawing.rng.uniform(0.0, 2.0 * np.pi),
+        )
+        for _ in hung.body
+    ]
+    polar, azimuth, speed, heading = np.array(drawn).T.copy()[..., None]
+    # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
+    about = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
+    turn = rotation.from_vector(polar * about)
+    down = rotation.rotate(turn, hung.arm)
+    first, second = rotation.normals_to(down)
+    relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
+    rate = rotation.cross(down, relative) / np.array([[each @ each] for each in down])
+    reach, carried = _pivots(hung, drawing, turn, rate)
+    drawing.native[hung.body], drawing.angular_velocity[hung.body] = turn, rate
+    for k, (body, parent) in enumerate(zip(hung.body, hung.parent, strict=True)):
+        pivot, pivot_velocity = reach[k], carried[k]
+        if parent != WORLD_INDEX:
+            pivot = drawing.position[parent] + pivot
+            pivot_velocity = drawing.velocity[parent] + pivot_velocity
+        drawing.position[body] = pivot + down[k]
+        drawing.velocity[body] = pivot_velocity + relative[k]
+
+
+@dataclass(frozen=True, eq=False)
+class _Hung:
+    """Bodies that hang straight down from ball joints, as arrays."""
+
+    body: list[int]
+    parent: list[int]
+    above: NDArray[np.int64]
+    """Place of the parent among them; −1 where it is none of those before."""
+    arm: Array
+    """From the joint to the centre of mass [m], shape (hung, 3)."""
+    in_parent: Array
+    """The joint, from the parent's centre of mass [m], shape (hung, 3)."""
+
+
+@functools.lru_cache(maxsize=64)
+def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
+    """Find the joints, and that they are what swings."""
     names = [body.name for body in mechanism.scene.bodies]
     links = {link.body: link for link in mechanism.links}
-    for name in term.bodies:
-        body = names.index(name)
-        joint = links[body].joint
+    joints = []
+    for name in bodies:
+        joint = links[names.index(name)].joint
         if joint is None or joint.kind != "ball":
             msg = f"sampling: {name!r} hangs on no ball joint and cannot swing"
             raise SceneError(msg)
-        polar, azimuth = drawing.uniform(term.polar), drawing.rng.uniform(0.0, 2.0 * np.pi)
-        speed, heading = drawing.uniform(term.speed), drawing.rng.uniform(0.0, 2.0 * np.pi)
         arm = -joint.in_child
         if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
             msg = (
@@ -205,17 +248,32 @@ def _swing(term: Swing, drawing: _Drawing) -> None:
                 f"pose to swing, got the arm {arm.tolist()}"
             )
             raise SceneError(msg)
-        # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
-        about = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        turn = rotation.from_vector(polar * about)
-        down = rotation.rotate(turn, arm)
-        first, second = rotation.normal_to(down)
-        relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
-        pivot, pivot_velocity = _point_of(drawing, joint.parent, joint.in_parent)
-        drawing.native[body] = turn
-        drawing.position[body] = pivot + down
-        drawing.velocity[body] = pivot_velocity + relative
-        drawing.angular_velocity[body] = rotation.cross(down, relative) / (down @ down)
+        joints.append(joint)
+    body = [names.index(name) for name in bodies]
+    parent = [joint.parent for joint in joints]
+    before = [body[:k] for k in range(len(body))]
+    above = [
+        early.index(each) if each in early else -1
+        for early, each in zip(before, parent, strict=True)
+    ]
+    return _Hung(
+        body=body,
+        parent=parent,
+        above=np.array(above),
+        arm=np.array([-joint.in_child for joint in joints]),
+        in_parent=np.array([joint.in_parent for joint in joints]),
+    )
+
+
+def _pivots(hung: _Hung, drawing: _Drawing, turn: Array, rate: Array) -> tuple[Array, Array]:
+    """Joints from their parents' centres of mass, and what the parents' turning adds there."""
+    swung = hung.above[:, None] >= 0
+    native = np.where(swung, turn[hung.above], drawing.native[hung.parent])
+    spin = np.where(swung, rate[hung.above], drawing.angular_velocity[hung.parent])
+    arm = rotation.rotate(native, hung.in_parent)
+    swing = rotation.cross(spin, arm)
+    world = np.array(hung.parent)[:, None] == WORLD_INDEX
+    return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
 
 
 def _point_of(drawing: _Drawing, body: int, in_body: Array) -> tuple[Array, Array]:

@@ -83,9 +83,9 @@ def energy_of(record: Record) -> Energy:
     """Compute kinetic and potential energy at every frame."""
     mechanism, bodies = record.mechanism, record.bodies
     gravity = np.array(record.scene.gravity)
-    spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
-    turning = np.einsum("tfbi,bij,tfbj->tfb", spin, mechanism.inertia, spin, optimize=True)
-    kinetic = 0.5 * (mechanism.mass * np.sum(bodies.velocity**2, axis=-1) + turning)
+    moving = np.einsum("tfbi,tfbi->tfb", bodies.velocity, bodies.velocity)
+    turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
+    kinetic = 0.5 * (mechanism.mass * moving + turning)
     weight = -mechanism.mass * (bodies.position @ gravity)
     stored = np.zeros(record.finite.shape)
     if mechanism.springs:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim import rotation
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.engine import Method
 from mbds_xsim.joint_space import BodyStates
@@ -78,6 +79,21 @@ class Record:
                 )
             )
         )
+
+    @functools.cached_property
+    def spin(self) -> Array:
+        """Angular velocities in the native frames [rad/s], shape (trajectory, frame, body, 3)."""
+        back = rotation.conjugate(self.bodies.native)
+        return rotation.rotate(back, self.bodies.angular_velocity)
+
+    @functools.cached_property
+    def turning(self) -> Array:
+        """Angular momenta about centres of mass in the native frames [kg·m²/s], shape as spin."""
+        inertia, (x, y, z) = self.mechanism.inertia, np.moveaxis(self.spin, -1, 0)
+        found = np.empty(self.spin.shape)
+        for k, row in enumerate(np.moveaxis(inertia, 1, 0)):  # einsum takes four times as long
+            np.add(row[:, 0] * x + row[:, 1] * y, row[:, 2] * z, out=found[..., k])
+        return found
 
     @functools.cached_property
     def mismatch(self) -> Mismatch:

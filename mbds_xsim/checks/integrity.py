@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
 
 __all__ = ["finite", "planarity", "start"]
@@ -17,7 +18,7 @@ _SAME_START = 1e-12
 
 def finite(record: Record) -> Finding:
     """Find numbers that are not finite (figure ∞) and quaternions that are not unit."""
-    length = np.linalg.norm(record.trajectory.orientation, axis=-1)
+    length = rotation.norm(record.trajectory.orientation)
     off = np.where(record.finite[:, :, None], np.abs(length - 1.0), np.inf)
     reasons = [failure.reason for failure in record.trajectory.failures if failure is not None]
     return Finding.of(

@@ -28,7 +28,7 @@ def gap(record: Record) -> Finding | None:
     joints = [j for j in mechanism.joints if j.kind != "slider"]
     sliders = [j for j in mechanism.joints if j.kind == "slider"]
     parts = [
-        np.linalg.norm(_apart(states, joints), axis=-1),
+        rotation.norm(_apart(states, joints)),
         _off_axis(states, sliders),
         np.abs(pair_distance(states, mechanism.distances) - _lengths(mechanism.distances)),
     ]

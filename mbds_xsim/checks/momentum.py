@@ -54,11 +54,11 @@ def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array,
     state, scale = (_angular if balance.angular else _linear)(record, balance)
     load = record.batch.force[:, : record.steps, bodies]
     load = load + record.mechanism.mass[bodies, None] * np.array(record.scene.gravity)
-    impulse, blur = np.sum(load, axis=2) * record.frame, np.zeros(load.shape[:2])
+    impulse, blur = _total(load) * record.frame, np.zeros(load.shape[:2])
     if balance.angular:
         impulse, blur = _moments(record, balance, load)
     left = (np.diff(state, axis=1) - impulse) @ balance.directions.T
-    drift = np.linalg.norm(summed(left, flights), axis=-1)
+    drift = rotation.norm(summed(left, flights))
     error = np.where(np.isfinite(blur) & flights, blur, 0.0).sum(axis=1)
     found = np.concatenate([np.zeros((len(drift), 1)), drift], axis=1)
     found[~record.finite] = np.nan
@@ -68,23 +68,18 @@ def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array,
 def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
     bodies, mass = list(balance.bodies), record.mechanism.mass[list(balance.bodies)]
     each = mass[:, None] * record.bodies.velocity[:, :, bodies]
-    return each.sum(axis=2), _scale(record, balance, each, 1.0)
+    return _total(each), _scale(record, balance, each, 1.0)
 
 
 def _angular(record: Record, balance: Balance) -> tuple[Array, Array]:
     """Angular momentum about the balance's point, (trajectory, frame, 3), and its scale."""
     mechanism, states, bodies = record.mechanism, record.bodies, list(balance.bodies)
-    native, spin = states.native[:, :, bodies], states.angular_velocity[:, :, bodies]
-    own = np.einsum(
-        "bij,tfbj->tfbi",
-        mechanism.inertia[bodies],
-        rotation.rotate(rotation.conjugate(native), spin),
-    )
     mass, velocity = mechanism.mass[bodies], states.velocity[:, :, bodies]
     drift = 0.0 if balance.about is not None else _mean(mass, velocity)
     carried = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
-    each = rotation.rotate(native, own) + carried
-    return each.sum(axis=2), _scale(record, balance, each, record.scene.length)
+    own = rotation.rotate(states.native[:, :, bodies], record.turning[:, :, bodies])
+    each = own + carried
+    return _total(each), _scale(record, balance, each, record.scene.length)
 
 
 def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
@@ -92,7 +87,7 @@ def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
 
     At least 1e-3 of what the group has at the speed of a fall through the scene's length.
     """
-    sizes = np.linalg.norm(each, axis=-1).sum(axis=2)
+    sizes = rotation.norm(each).sum(axis=2)
     pull = float(np.linalg.norm(record.scene.gravity)) or _EARTH
     speed = np.sqrt(pull * record.scene.length)
     floor = _FLOOR * float(record.mechanism.mass[list(balance.bodies)].sum()) * speed * arm
@@ -111,12 +106,12 @@ def _moments(record: Record, balance: Balance, load: Array) -> tuple[Array, Arra
     frame = record.frame
     held = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     held = held + record.lag * (arm[:, 1:] - arm[:, :-1])
-    impulse = rotation.cross(held, load).sum(axis=2) + frame * _driving(record, balance)
+    impulse = _total(rotation.cross(held, load)) + frame * _driving(record, balance)
     # What a parabola leaves of the step's displacement shows the third derivative of the place;
     # the integral is off by H⁵/720 of the fourth.
     bend = np.diff(arm, axis=1) - frame / 2 * (speed[:, 1:] + speed[:, :-1])
     change = np.diff(bend, axis=1, prepend=bend[:, 1:2] if bend.shape[1] > 1 else 0.0)
-    error = frame / 60 * np.linalg.norm(change, axis=-1) * np.linalg.norm(load, axis=-1)
+    error = frame / 60 * rotation.norm(change) * rotation.norm(load)
     return impulse, error.sum(axis=2)
 
 
@@ -138,6 +133,11 @@ def _arms(record: Record, balance: Balance) -> Array:
     if balance.about is not None:
         return places - balance.about
     return places - _mean(record.mechanism.mass[list(balance.bodies)], places)
+
+
+def _total(each: Array) -> Array:
+    """Sum over the bodies, shape (trajectory, frame, 3): as numpy's sum, in a fifth of its time."""
+    return np.asarray(np.einsum("tfbi->tfi", each))
 
 
 def _mean(mass: Array, values: Array) -> Array:

@@ -6,14 +6,13 @@ import os
 import socket
 from pathlib import Path
 
+from mbds_xsim.dataset.disk import reads_back, write_through
 from mbds_xsim.errors import InputError
 
 __all__ = ["PART", "clean", "put"]
 
 PART = ".part"
 """Ending of files that are being written."""
-
-_PIECE = 2**20  # bytes; one call for tens of megabytes costs the kernel ten times as much
 
 
 def put(path: Path, content: bytes) -> None:
@@ -25,8 +24,8 @@ def put(path: Path, content: bytes) -> None:
     part = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(part, content)
-        if not _reads_back(part, content):
+        write_through(part, content)
+        if not reads_back(part, content):
             msg = f"cannot write {path}: what was written does not read back; check the disk"
             raise InputError(msg)
         os.replace(part, path)
@@ -45,24 +44,6 @@ def clean(folder: Path) -> None:
     """Remove what writers left behind that were killed."""
     for part in folder.glob(f".*{PART}"):
         part.unlink(missing_ok=True)
-
-
-def _write(path: Path, content: bytes) -> None:
-    rest = memoryview(content)
-    with path.open("wb", buffering=0) as file:
-        while rest:
-            rest = rest[file.write(rest[:_PIECE]) :]
-        os.fsync(file.fileno())
-
-
-def _reads_back(path: Path, content: bytes) -> bool:
-    place = 0
-    with path.open("rb", buffering=0) as file:
-        while piece := file.read(_PIECE):
-            if not content.startswith(piece, place):
-                return False
-            place += len(piece)
-    return place == len(content)
 
 
 def _flush_folder(folder: Path) -> None:

@@ -24,11 +24,11 @@ Array = NDArray[np.float64]
 
 # The checks make many passes over arrays: pieces that stay in a core's cache are twice as fast,
 # and bound the memory.
-_BODY_FRAMES = 50_000
+_BODY_FRAMES = 100_000
 
 # Holding displacements against velocities costs more than all other checks together, and what it
 # finds, frames that belong to another time, is in all of a trajectory.
-_SPARSE = 32
+_SPARSE = 64
 _MANY = 128  # steps; of shorter trajectories all frames are looked at
 
 _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
@@ -134,7 +134,7 @@ def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArr
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
-    """Every 32nd step, others in each group: together they take in all frames."""
+    """Every 64th step, others in each group: together they take in all frames."""
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE

@@ -58,8 +58,8 @@ def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
         return counted
 
-    write = durable._write
-    monkeypatch.setattr(durable, "_write", count(write))
+    write = durable.write_through
+    monkeypatch.setattr(durable, "write_through", count(write))
     monkeypatch.setattr(os, "replace", count(os.replace))
     monkeypatch.setattr(durable, "_flush_folder", count(durable._flush_folder))
     monkeypatch.setattr(shard, "_log", count(shard._log))
