@@ -14,6 +14,7 @@ from mbds_xsim.commands import (
     shift,
     stability,
     tradeoff,
+    train,
     validate,
     verify,
 )
@@ -32,6 +33,7 @@ __all__ = [
     "shift",
     "stability",
     "tradeoff",
+    "train",
     "validate",
     "verify",
 ]

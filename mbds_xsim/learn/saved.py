@@ -18,13 +18,13 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.write import write_whole
 
-__all__ = ["read_model", "save_model"]
+__all__ = ["read_facts", "read_model", "save_model"]
 
 _FORMAT = "mbds-xsim model 1"
 
 
 def save_model(
-    path: Path, model: Model, name: str, settings: Any, statistics: Statistics, **facts: str
+    path: Path, model: Model, name: str, settings: Any, statistics: Statistics, /, **facts: str
 ) -> None:
     """Write a model, and how it was made.
 
@@ -68,6 +68,16 @@ def read_model(path: Path) -> tuple[Model, dict[str, str]]:
     model = kind(Graph.of(scene), statistics, settings).to(kind.dtype)
     model.load_state_dict(whole["parameters"])
     return model, whole["facts"]
+
+
+def read_facts(path: Path) -> dict[str, str]:
+    """Read only the facts of a model's file.
+
+    Raises:
+        InputError: It is no file of a model.
+    """
+    facts: dict[str, str] = _read(path)["facts"]
+    return facts
 
 
 def _read(path: Path) -> dict[str, Any]:

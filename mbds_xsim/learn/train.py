@@ -9,7 +9,8 @@ from __future__ import annotations
 import copy
 import io
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -20,13 +21,23 @@ from torch import Tensor
 
 from mbds_xsim import bounds
 from mbds_xsim.errors import InputError
+from mbds_xsim.learn.accelerate import compile_networks, precision
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import roll
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
 
-__all__ = ["PROFILES", "Point", "Profile", "Training", "train", "validation_error"]
+__all__ = [
+    "PROFILES",
+    "Point",
+    "Profile",
+    "Training",
+    "check_identity",
+    "read_identity",
+    "train",
+    "validation_error",
+]
 
 
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,6 +57,10 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What is too little, as a part of the error."""
     least: int = 5
     """Validations before the first such stop."""
+    mixed_precision: bool = False
+    """On a GPU: networks of float32 models compute in bfloat16 where that is safe."""
+    compiled: bool = False
+    """On a GPU: networks of float32 models are compiled and replayed as CUDA graphs."""
 
     def __post_init__(self) -> None:
         for key in ("steps", "every", "windows", "horizon", "least"):
@@ -78,6 +93,10 @@ class Training:
     curve: list[Point] = field(default_factory=list)
     ended: Literal["", "steps", "level", "diverged"] = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
+    wall_s: float = 0.0
+    """Spent on it, in all processes that were at it [s]."""
+    cpu_s: float = 0.0
+    """Processor time of these [s]."""
 
     @property
     def best(self) -> Point:
@@ -94,7 +113,7 @@ class Training:
         return 1.0 - self.best.error / least if least > 0 else 0.0
 
 
-Tell = Callable[[Point], None]
+Tell = Callable[[Training], None]
 
 
 def train(
@@ -107,6 +126,7 @@ def train(
     seed: int = 0,
     checkpoint: Path | None = None,
     tell: Tell | None = None,
+    identity: Mapping[str, str] | None = None,
 ) -> Training:
     """Train a model in place.
 
@@ -118,7 +138,8 @@ def train(
         profile: How long.
         seed: Of the windows drawn and of the noise.
         checkpoint: File to save to at every validation, and to go on from if it is there.
-        tell: Is told every point of the curve.
+        tell: Is told of every new point of the curve, when the checkpoint has it.
+        identity: What else a run is known by, besides seed, recipe and profile: its data.
 
     Raises:
         InputError: The parts are not training and validation, or the checkpoint is of another run.
@@ -127,17 +148,17 @@ def train(
         if motions.split != needed:
             msg = f"train: got the part {motions.split!r}, allowed here is {needed!r}"
             raise InputError(msg)
-    run = _Run(model, recipe, profile, seed)
+    run = _Run(model, recipe, profile, seed, identity or {})
     if checkpoint is not None and checkpoint.exists():
         run.restore(checkpoint)
     judged = _judged(validation, profile)
     while not run.training.ended:
         run.learn(training)
-        point = run.judge(judged)
-        if tell is not None:
-            tell(point)
+        run.judge(judged)
         if checkpoint is not None:
             run.save(checkpoint)
+        if tell is not None:
+            tell(run.training)
     model.load_state_dict(run.best_state)
     return run.training
 
@@ -147,8 +168,11 @@ def validation_error(model: Model, sample: Sample) -> float:
 
     Infinite where a prediction failed.
     """
-    with torch.no_grad():
-        predicted = roll(model, sample.start, sample.inputs)
+    try:
+        with torch.no_grad():
+            predicted = roll(model, sample.start, sample.inputs)
+    except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
+        return math.inf
     error = float(((predicted - sample.position) ** 2).sum(-1).mean())
     return error if math.isfinite(error) else math.inf
 
@@ -156,10 +180,21 @@ def validation_error(model: Model, sample: Sample) -> float:
 class _Run:
     """All that changes while a model trains."""
 
-    def __init__(self, model: Model, recipe: Recipe, profile: Profile, seed: int) -> None:
+    def __init__(
+        self,
+        model: Model,
+        recipe: Recipe,
+        profile: Profile,
+        seed: int,
+        identity: Mapping[str, str],
+    ) -> None:
         self.training = Training(model)
         self.recipe, self.profile = recipe, profile
-        self.identity = {"seed": seed, "recipe": repr(recipe), "profile": repr(profile)}
+        own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
+        self.identity = {**own, **identity}
+        self.clock = _Clock()
+        if profile.compiled and next(model.parameters()).is_cuda:
+            compile_networks(model)
         self.step, self.rate = 0, recipe.rate
         self.best_state = copy.deepcopy(model.state_dict())
         self.generator = torch.Generator().manual_seed(seed)
@@ -180,7 +215,8 @@ class _Run:
 
     def _descend(self, sample: Sample) -> Tensor:
         self.adam.zero_grad()
-        loss = self.training.model.loss(sample, self.generator)
+        with precision(sample.position.device, mixed=self.profile.mixed_precision):
+            loss = self.training.model.loss(sample, self.generator)
         torch.autograd.backward(loss)
         if self.recipe.clip is not None:
             torch.nn.utils.clip_grad_norm_(self.training.model.parameters(), self.recipe.clip)
@@ -189,7 +225,7 @@ class _Run:
         self.adam.step()
         return loss.detach()
 
-    def judge(self, sample: Sample) -> Point:
+    def judge(self, sample: Sample) -> None:
         """Validate, keep the best parameters, lower the rate, find out whether it is over."""
         model, curve = self.training.model, self.training.curve
         loss = float(self.total) / (self.step - self.from_step)
@@ -198,10 +234,10 @@ class _Run:
             self.best_state = copy.deepcopy(model.state_dict())
         point = Point(self.step, loss, error, self.rate)
         curve.append(point)
+        self.clock.read_into(self.training)
         if isinstance(self.recipe.schedule, Plateau):
             self._set_rate(_on_plateau(self.recipe.rate, self.recipe.schedule, curve))
         self.training.ended = self._end(loss)
-        return point
 
     def _end(self, loss: float) -> Literal["", "steps", "level", "diverged"]:
         training, profile = self.training, self.profile
@@ -231,6 +267,8 @@ class _Run:
             "generator": self.generator.get_state(),
             "curve": msgspec.to_builtins(self.training.curve),
             "ended": self.training.ended,
+            "wall_s": self.training.wall_s,
+            "cpu_s": self.training.cpu_s,
         }
         torch.save(state, content)
         write_whole(path, content.getvalue())
@@ -238,12 +276,7 @@ class _Run:
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint."""
         state = _read(path)
-        if state["identity"] != self.identity:
-            msg = (
-                f"{path}: a checkpoint of another seed, recipe or profile; name another file, or "
-                "remove it to start anew"
-            )
-            raise InputError(msg)
+        check_identity(path, "a checkpoint", state["identity"], self.identity)
         try:
             self.training.model.load_state_dict(state["model"])
         except RuntimeError as error:
@@ -256,6 +289,44 @@ class _Run:
         self.generator.set_state(state["generator"])
         self.training.curve = msgspec.convert(state["curve"], list[Point])
         self.training.ended = state["ended"]
+        self.training.wall_s, self.training.cpu_s = state["wall_s"], state["cpu_s"]
+
+
+class _Clock:
+    """Adds up the time spent."""
+
+    def __init__(self) -> None:
+        self._last = self._now()
+
+    def read_into(self, training: Training) -> None:
+        now = self._now()
+        training.wall_s += now[0] - self._last[0]
+        training.cpu_s += now[1] - self._last[1]
+        self._last = now
+
+    def _now(self) -> tuple[float, float]:
+        return time.monotonic(), time.process_time()
+
+
+def check_identity(path: Path, what: str, found: Mapping[str, str], own: Mapping[str, str]) -> None:
+    """Raise InputError where a file is of another run, saying what differs."""
+    differing = [key for key in own if found.get(key) != own[key]]
+    if differing:
+        msg = (
+            f"{path}: {what} of another {', '.join(differing)}; name another place, or remove it "
+            "to start anew"
+        )
+        raise InputError(msg)
+
+
+def read_identity(path: Path) -> dict[str, str]:
+    """Read what the run of a checkpoint is known by.
+
+    Raises:
+        InputError: It is no checkpoint.
+    """
+    found: dict[str, str] = _read(path)["identity"]
+    return found
 
 
 def _read(path: Path) -> dict[str, Any]:

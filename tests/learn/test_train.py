@@ -60,8 +60,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(
     whole, halted = _model(parts[0]), _model(parts[0])
     curve = train(whole, *parts, RECIPE, SHORT).curve
 
-    def halt(point: Point) -> None:
-        if point.step == 30:
+    def halt(training: Training) -> None:
+        if training.curve[-1].step == 30:
             raise KeyboardInterrupt
 
     path = scratch / "run.pt"
@@ -69,11 +69,15 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(
         train(halted, *parts, RECIPE, SHORT, checkpoint=path, tell=halt)
     fresh = _model(parts[0])
     told: list[int] = []
-    resumed = train(
-        fresh, *parts, RECIPE, SHORT, checkpoint=path, tell=lambda point: told.append(point.step)
-    )
-    assert told == [30, 40]
+    spent = torch.load(path, weights_only=True)["wall_s"]
+
+    def note(training: Training) -> None:
+        told.append(training.curve[-1].step)
+
+    resumed = train(fresh, *parts, RECIPE, SHORT, checkpoint=path, tell=note)
+    assert told == [40]
     assert resumed.curve == curve
+    assert resumed.wall_s > spent > 0
     assert _same(whole.state_dict(), fresh.state_dict())
 
 
@@ -81,7 +85,7 @@ def test_a_finished_run_is_not_run_again(parts: tuple[Motions, Motions], scratch
     path = scratch / "run.pt"
     first, again = _model(parts[0]), _model(parts[0])
     train(first, *parts, RECIPE, SHORT, checkpoint=path)
-    told: list[Point] = []
+    told: list[Training] = []
     train(again, *parts, RECIPE, SHORT, checkpoint=path, tell=told.append)
     assert told == []
     assert _same(first.state_dict(), again.state_dict())
@@ -92,8 +96,11 @@ def test_a_checkpoint_of_another_run_is_refused(
 ) -> None:
     path = scratch / "run.pt"
     train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
-    with pytest.raises(InputError, match="another seed, recipe or profile"):
+    with pytest.raises(InputError, match="a checkpoint of another seed; name another place"):
         train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path, seed=1)
+    other = msgspec.structs.replace(SHORT, steps=80)
+    with pytest.raises(InputError, match="of another profile, data;"):
+        train(_model(parts[0]), *parts, RECIPE, other, checkpoint=path, identity={"data": "other"})
     path.write_bytes(b"no checkpoint")
     with pytest.raises(InputError, match="remove it to start anew"):
         train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)

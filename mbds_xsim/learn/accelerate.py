@@ -1,0 +1,66 @@
+"""What a GPU can do faster: bfloat16 in the networks, and networks replayed as CUDA graphs."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+
+import torch
+from torch import nn
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.model import Model, PointModel
+
+__all__ = ["check_device", "compile_networks", "precision", "put"]
+
+
+def check_device(device: str, *, here: bool = True) -> None:
+    """Raise InputError for a device that is not known or, if it is to be here, is not there."""
+    if device not in ("cpu", "cuda"):
+        msg = f"--device: got {device!r}, allowed is cpu or cuda"
+        raise InputError(msg)
+    if here and device == "cuda" and not torch.cuda.is_available():
+        msg = "--device: got 'cuda', but torch finds no GPU here; allowed is cpu"
+        raise InputError(msg)
+
+
+def put(model: Model, device: str) -> None:
+    """Move a model, and the graph that it asks in every step."""
+    model.to(device)
+    model.graph = model.graph.to(device)
+
+
+def precision(device: torch.device, *, mixed: bool) -> AbstractContextManager[object]:
+    """Give the block in which a loss is computed.
+
+    Parameters, optimiser and integration stay float32, and so do the sums and norms that torch
+    keeps there. bfloat16 has float32's range: no gradient needs scaling. float64 is not touched.
+    """
+    if not mixed or device.type != "cuda":
+        return nullcontext()
+    return torch.autocast(device.type, dtype=torch.bfloat16)
+
+
+def compile_networks(model: Model, *, backend: str | None = None) -> None:
+    """Have a model's networks compiled at their first use; its parameters keep their names.
+
+    Shapes never change in a run, so that the kernels of a step are recorded once, as a CUDA graph,
+    and replayed. Models of an energy are left as they are: torch does not compile through the
+    second derivatives that their training needs.
+
+    Args:
+        model: On its device.
+        backend: Another than torch's own, without CUDA graphs.
+    """
+    if not isinstance(model, PointModel):
+        return
+    networks = [model] if _has_forward(model) else [*filter(_has_forward, model.children())]
+    for network in networks:
+        if any(True for _ in network.parameters()):
+            if backend is None:
+                network.compile(mode="reduce-overhead", dynamic=False)
+            else:
+                network.compile(backend=backend, dynamic=False)
+
+
+def _has_forward(module: nn.Module) -> bool:
+    return type(module).forward is not nn.Module.forward

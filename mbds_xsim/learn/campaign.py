@@ -1,0 +1,225 @@
+"""Many trainings: which there are, what they cost, and their carrying out side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from mbds_xsim.dataset.work import Carrier
+from mbds_xsim.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.isolate import Crash, Task
+from mbds_xsim.learn.channels import CHANNELS
+from mbds_xsim.learn.cost import Cost, measure
+from mbds_xsim.learn.domains import Group
+from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.mixture import trainings
+from mbds_xsim.learn.model import build, load_model, model_names
+from mbds_xsim.learn.progress import TrainingSink, watched
+from mbds_xsim.learn.runs import Run, carry_out, finished
+from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.train import PROFILES, Profile
+
+__all__ = ["LONG", "Campaign", "Outcome", "Request", "carry", "costs", "planned", "profile_named"]
+
+_MEASURING = 600.0  # of one model [s]
+LONG = 1000
+"""Steps of a run from which its cost is to be told first."""
+_TRACKS = {"smoke": "lite", "lite": "lite", "paper": "paper"}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be trained."""
+
+    groups: Sequence[Group]
+    models: Sequence[str]
+    on: str
+    """Words of `mixture.trainings`."""
+    seeds: int
+    profile_name: str
+    profile: Profile
+    out: Path
+    track: str | None = None
+    """That of the profile when left out."""
+    device: str = "cpu"
+    events: Path | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The runs of a request."""
+
+    runs: tuple[Run, ...]
+    """Still to be carried out, wholly or in part."""
+    found: dict[str, dict[str, str]]
+    """Facts of those that have been, by their name."""
+    left_out: dict[str, str]
+    """Why a model is not trained on a scene, by scene, variant and model."""
+
+
+@dataclass
+class Outcome:
+    """What came of the runs of a campaign."""
+
+    trained: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Facts of each run that was carried out now, by its name."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Why a run's process ended without a result; asked for again, it goes on."""
+
+
+def profile_named(name: str) -> Profile:
+    """Give a profile.
+
+    Raises:
+        UnknownName: There is none of that name.
+    """
+    if name not in PROFILES:
+        raise UnknownName.of("profile", name, list(PROFILES))
+    return PROFILES[name]
+
+
+def trainable() -> list[str]:
+    """Names of the models that have something to learn."""
+    return [name for name in model_names() if load_model(name).tracks]
+
+
+def planned(request: Request) -> Campaign:
+    """List the runs.
+
+    Raises:
+        InputError: A model, track or training is not there, or in the place of a run there is
+            another.
+    """
+    track = request.track or _TRACKS[request.profile_name]
+    _check_models(request.models, track)
+    pairs = [(group, model) for group in request.groups for model in request.models]
+    reasons = {(group, model): _why_not(group, model, track) for group, model in pairs}
+    runs = [
+        run
+        for (group, model), reason in reasons.items()
+        if reason is None
+        for run in _runs(request, group, model, track)
+    ]
+    known = {run.name: finished(run) for run in runs}
+    return Campaign(
+        runs=tuple(run for run in runs if known[run.name] is None),
+        found={name: facts for name, facts in known.items() if facts is not None},
+        left_out={
+            f"{group.name}/{model}": reason
+            for (group, model), reason in reasons.items()
+            if reason is not None
+        },
+    )
+
+
+def _check_models(models: Sequence[str], track: str) -> None:
+    for model in models:
+        if model not in trainable():
+            raise UnknownName.of("model to train", model, trainable())
+        if track not in load_model(model).tracks:
+            msg = f"--track: got {track!r}, allowed is {', '.join(load_model(model).tracks)}"
+            raise InputError(msg)
+
+
+def _runs(request: Request, group: Group, model: str, track: str) -> Iterator[Run]:
+    for seed in range(request.seeds):
+        for training, engines in trainings(group, request.on).items():
+            yield Run(
+                group=group,
+                training=training,
+                engines=engines,
+                model=model,
+                track=track,
+                profile_name=request.profile_name,
+                profile=request.profile,
+                seed=seed,
+                out=request.out.absolute(),
+                device=request.device,
+                events=request.events and request.events.absolute(),
+            )
+
+
+def _why_not(group: Group, model: str, track: str) -> str | None:
+    """Say why a model cannot represent a scene, or None where it can."""
+    one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
+    unit = Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
+    try:
+        build(model, Graph.of(group.scene), unit, track=track)
+    except Unsupported as error:
+        return str(error)
+    return None
+
+
+def costs(campaign: Campaign, *, workers: int | None, carrier: Carrier) -> list[Cost]:
+    """Measure one run of each model on each group, as many at a time as will train.
+
+    Raises:
+        InputError: A model cannot be tried.
+    """
+    first = {(run.group.name, run.model): run for run in reversed(campaign.runs)}
+    runs = [first[key] for key in reversed(first)]
+    answers = carrier([Task(measure, (run,), _MEASURING) for run in runs], workers=workers)
+    for run, answer in zip(runs, answers, strict=True):
+        if isinstance(answer, Crash):
+            msg = f"{run.name} cannot be tried: {answer.reason}"
+            raise InputError(msg)
+    return answers
+
+
+def carry(
+    campaign: Campaign,
+    *,
+    workers: int | None,
+    carrier: Carrier,
+    progress: TrainingSink,
+    costs: Iterable[Cost] = (),
+) -> Outcome:
+    """Carry out the runs that are still to be, the longest first; interrupted ones go on.
+
+    Raises:
+        InputError: Nothing can be written.
+    """
+    outcome = Outcome()
+    hours = {(cost.group, cost.model): cost.hours for cost in costs}
+    runs = sorted(campaign.runs, key=lambda run: -hours.get((run.group.name, run.model), 0.0))
+    progress.begin(len(campaign.found), [run.profile.steps for run in runs])
+    tasks = [Task(carry_out, (run,), math.inf) for run in runs]
+    with watched(runs, progress):
+        carrier(tasks, workers=workers, finished=_noted(runs, outcome, progress))
+    return outcome
+
+
+def _noted(
+    runs: Sequence[Run], outcome: Outcome, progress: TrainingSink
+) -> Callable[[int, object], None]:
+    """Make what is called at the end of each run."""
+
+    def note(place: int, answer: object) -> None:
+        run = runs[place]
+        if isinstance(answer, Crash):
+            if answer.refused:
+                raise InputError(answer.reason)
+            outcome.failed[run.name] = answer.reason
+            progress.ended(run.name, run.profile.steps, f"failed: {answer.reason}")
+            return
+        assert isinstance(answer, dict)
+        outcome.trained[run.name] = answer
+        progress.ended(run.name, run.profile.steps, told(answer))
+
+    return note
+
+
+def told(facts: dict[str, str]) -> str:
+    """Say in a few words how a run ended."""
+    ways = {
+        "level": "level after {steps} steps",
+        "steps": "all {steps} steps",
+        "diverged": "diverged at step {steps}",
+    }
+    error, rate = float(facts["best_error"]), float(facts["steps_per_s"])
+    way = ways[facts["ended"]].format(steps=facts["steps"])
+    return f"{way}, best error {error:.3g} m² ({float(facts['wall_s']):.0f} s, {rate:.3g} steps/s)"

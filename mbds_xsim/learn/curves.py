@@ -1,0 +1,101 @@
+"""Learning curves as files: one of JSON beside a model, and what TensorBoard reads."""
+
+from __future__ import annotations
+
+import importlib
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.train import Point
+
+__all__ = ["Curve", "EventLog", "check_events", "read_curve", "write_curve"]
+
+
+class Curve(msgspec.Struct, frozen=True):
+    """How a run went so far."""
+
+    run: str
+    most_steps: int
+    """It may take."""
+    ended: str
+    """Why; empty while it goes on."""
+    points: list[Point]
+
+
+class _FilePoint(msgspec.Struct):
+    """JSON has no infinity: an error of a prediction that failed is null there."""
+
+    step: int
+    loss: float | None
+    error: float | None
+    rate: float
+
+
+class _FileCurve(msgspec.Struct):
+    run: str
+    most_steps: int
+    ended: str
+    points: list[_FilePoint]
+
+
+def write_curve(curve: Curve) -> bytes:
+    """Give JSON; see `docs/train.md`."""
+    return msgspec.json.encode(curve) + b"\n"
+
+
+def read_curve(path: Path) -> Curve:
+    """Read what `write_curve` wrote.
+
+    Raises:
+        InputError: It is no such file.
+    """
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=_FileCurve)
+    except (OSError, msgspec.MsgspecError) as error:
+        msg = f"{path}: no learning curve ({error}); give a file that training has written"
+        raise InputError(msg) from error
+    points = [Point(p.step, _number(p.loss), _number(p.error), p.rate) for p in found.points]
+    return Curve(found.run, found.most_steps, found.ended, points)
+
+
+def _number(value: float | None) -> float:
+    return float("inf") if value is None else value
+
+
+def check_events() -> None:
+    """Raise InputError where TensorBoard is not installed."""
+    _writer()
+
+
+class EventLog(AbstractContextManager["EventLog"]):
+    """Tells TensorBoard, or nobody where there is no folder."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._to: Any = None
+
+    def add(self, point: Point) -> None:
+        """Tell of a point; those of an interrupted process that lie behind it are forgotten."""
+        if self._folder is None:
+            return
+        if self._to is None:
+            self._to = _writer()(str(self._folder), purge_step=point.step)
+        for name in ("loss", "error", "rate"):
+            self._to.add_scalar(name, getattr(point, name), point.step)
+        self._to.flush()
+
+    def __exit__(self, *_: object) -> None:
+        if self._to is not None:
+            self._to.close()
+
+
+def _writer() -> Any:
+    try:
+        return importlib.import_module("torch.utils.tensorboard").SummaryWriter
+    except ImportError as error:
+        msg = f"--tensorboard needs TensorBoard: pip install 'mbds-xsim[learn]' ({error})"
+        raise InputError(msg) from error

@@ -1,0 +1,103 @@
+"""What a model trains on: one engine, all but one, or all, always to one budget.
+
+Of several engines each trajectory is taken from one, in turn: as many distinct trajectories as of
+a single engine, from the same starts and in the same order, so that the same seed draws the same
+windows in every training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.domains import Group
+from mbds_xsim.learn.window import Motions
+from mbds_xsim.sampling_terms import INTERVALS
+
+__all__ = ["mixed", "trainings", "turns"]
+
+_SEVERAL = ("all", "leave-one-out")
+
+
+def trainings(group: Group, on: str) -> dict[str, tuple[str, ...]]:
+    """Give the engines of each training, by its name: `mujoco`, `not-mujoco`, `all`.
+
+    Args:
+        group: The engines that there are.
+        on: Comma-separated: `each`, `leave-one-out`, `all`, or engines.
+
+    Raises:
+        InputError: A word is none of these, or there are too few engines.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for word in (word.strip() for word in on.split(",")):
+        found |= dict(_of_word(group, word))
+    return found
+
+
+def _of_word(group: Group, word: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    engines = tuple(group.files)
+    ways: dict[str, dict[str, tuple[str, ...]]] = {
+        "each": {engine: (engine,) for engine in engines},
+        "leave-one-out": {f"not-{out}": tuple(e for e in engines if e != out) for out in engines},
+        "all": {"all": engines},
+        **{engine: {engine: (engine,)} for engine in engines},
+    }
+    if word not in ways:
+        msg = f"--on: got {word!r}, allowed for {group.name} is {', '.join(ways)}"
+        raise InputError(msg)
+    if word in _SEVERAL and len(engines) < 2:
+        msg = (
+            f"--on: {word} needs data of at least 2 engines, {group.name} has {engines[0]} only; "
+            "give more data, or --on each"
+        )
+        raise InputError(msg)
+    yield from ways[word].items()
+
+
+def turns(numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Which of so many engines each trajectory is taken from.
+
+    The interval of speed is the number modulo 3, so whole triples are taken in turn: with three
+    engines each would otherwise be seen at one speed only.
+    """
+    return numbers // len(INTERVALS) % count
+
+
+def mixed(
+    group: Group,
+    engines: Sequence[str],
+    split: str,
+    *,
+    bodies: bool = False,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float32,
+    most: int | None = None,
+) -> Motions:
+    """Read a part of a training's data, in ascending order of the trajectories' numbers.
+
+    Args:
+        group: Only trajectories that every engine of it has are taken.
+        engines: Of the training.
+        split: "train" or "validation".
+        bodies: Whether to read the bodies' states too.
+        device: Where to put them.
+        dtype: Of positions, velocities and inputs.
+        most: The first so many trajectories; all when left out.
+    """
+    numbers = group.numbers(split)[:most]
+    turn = turns(numbers, len(engines))
+    parts = []
+    for k, engine in enumerate(engines):
+        data = group.data[engine]
+        rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
+        if len(rows):
+            parts.append(
+                Motions.of(data, split, rows=rows, bodies=bodies, device=device, dtype=dtype)
+            )
+    whole = Motions.joined(parts)
+    return whole[torch.from_numpy(np.argsort(whole.index))]

@@ -1,0 +1,144 @@
+"""Training on the terminal: what it will cost, how far it is, and what came of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from mbds_xsim.learn.campaign import Campaign, Outcome
+    from mbds_xsim.learn.cost import Cost
+
+__all__ = ["TrainingBar", "print_costs", "print_left_out", "print_outcome"]
+
+_SPEED_OVER = 600.0  # rate and time left look back over so long [s]
+
+
+class TrainingBar:
+    """Shows steps, runs done, steps a second, time left, and the last validation."""
+
+    def __init__(self, console: Console) -> None:
+        columns = (
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[runs]}"),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("left at most"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[last]}"),
+        )
+        self._console = console
+        self._progress = Progress(
+            *columns,
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+            speed_estimate_period=_SPEED_OVER,
+        )
+        self._task = self._progress.add_task("", total=None, runs="", rate="", last="")
+        self._steps: dict[str, int] = {}
+        self._taken, self._begin = 0, time.monotonic()
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> TrainingBar:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def begin(self, done: int, most_steps: Sequence[int]) -> None:
+        """Say how many runs are done, and the most steps of each that is not."""
+        self._runs, self._done = done + len(most_steps), done
+        self._begin = time.monotonic()
+        self._progress.update(self._task, total=sum(most_steps), runs=self._count())
+
+    def reached(self, name: str, step: int, error: float, *, before: bool) -> None:
+        """Tell how far a run is; steps of an earlier process are no speed of this one."""
+        with self._lock:
+            new = step - self._steps.get(name, 0)
+            self._steps[name] = step
+            self._taken += 0 if before else new
+            rate = self._taken / max(time.monotonic() - self._begin, 1e-9)
+            self._progress.update(
+                self._task,
+                advance=new,
+                rate=f"{rate:.3g} steps/s",
+                last=f"{name}: {error:.3g} m² at {step}",
+            )
+
+    def ended(self, name: str, most_steps: int, how: str) -> None:
+        """Tell of a run that is over, whose other steps need not be taken."""
+        with self._lock:
+            self._done += 1
+            left = most_steps - self._steps.get(name, 0)
+            self._steps[name] = most_steps
+            self._progress.update(self._task, advance=left, runs=self._count())
+        self._console.print(f"{name}: {how}", highlight=False, soft_wrap=True)
+
+    def _count(self) -> str:
+        return f"{self._done}/{self._runs} runs"
+
+
+def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console: Console) -> None:
+    """Print what each model's runs take, and all together."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    for column in ("data", "model"):
+        table.add_column(column)
+    for column in ("runs", "steps each", "steps/s", "a run [h]", "all [h]"):
+        table.add_column(column, justify="right")
+    total = 0.0
+    for cost in costs:
+        runs = [r for r in campaign.runs if (r.group.name, r.model) == (cost.group, cost.model)]
+        hours = cost.hours * len(runs)
+        total += hours
+        numbers = (len(runs), runs[0].profile.steps, *_brief(cost.steps_per_s, cost.hours, hours))
+        table.add_row(cost.group, cost.model, *map(str, numbers))
+    console.print(table)
+    console.print(
+        f"{len(campaign.runs)} runs, at most {total:.3g} h of one process, {total / workers:.3g} h "
+        f"with {workers}; measured on a few steps, runs that are level end before",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def print_left_out(campaign: Campaign, console: Console) -> None:
+    """Print what a model cannot represent."""
+    for name, reason in campaign.left_out.items():
+        console.print(f"{name} left out: {reason}", highlight=False, soft_wrap=True)
+
+
+def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> None:
+    """Print how many runs ended how, and which did not."""
+    facts = [*outcome.trained.values(), *campaign.found.values()]
+    ways = {
+        "level": "ended level",
+        "steps": "took all their steps",
+        "diverged": "diverged",
+    }
+    counts = [
+        f"{sum(fact['ended'] == way for fact in facts)} {words}" for way, words in ways.items()
+    ]
+    console.print(
+        f"{len(facts)} runs done, {len(campaign.found)} of them before, {len(outcome.failed)} "
+        f"failed; {', '.join(counts)}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _brief(*values: float) -> list[str]:
+    return [f"{value:.3g}" for value in values]

@@ -1,0 +1,81 @@
+"""Learning curves as a picture: a panel a model and data, a colour a training, a line a seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mbds_xsim.learn.curves import Curve
+from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.themed import INK, png
+
+__all__ = ["to_png"]
+
+_PANEL = (4.2, 3.0)  # [in]
+_ABREAST = 4
+_DASHES = ("-", "--", ":", "-.")  # for trainings beyond the colours
+_MARK = {"level": "o", "steps": "|", "diverged": "x", "": ">"}
+
+
+def to_png(curves: Sequence[Curve]) -> bytes:
+    """Draw the validation errors over the steps; a mark at the end says why it ended there."""
+    panels: dict[str, list[Curve]] = {}
+    for curve in curves:
+        panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
+    trainings = sorted({_training(curve) for curve in curves})
+    columns = max(1, min(_ABREAST, len(panels)))
+    rows = max(1, math.ceil(len(panels) / columns))
+
+    def draw(figure: Any) -> None:
+        grid = figure.subplots(rows, columns, squeeze=False).flat
+        for axes, (name, members) in zip(grid, panels.items(), strict=False):
+            _panel(axes, name, members, trainings)
+        for axes in list(grid)[len(panels) :]:
+            axes.remove()
+        _legend(figure, trainings)
+
+    return png(draw, (_PANEL[0] * columns, _PANEL[1] * rows + 0.5))
+
+
+def _panel(axes: Any, name: str, curves: Sequence[Curve], trainings: Sequence[str]) -> None:
+    axes.set_title(name, fontsize=10, loc="left", color=INK)
+    axes.set_xlabel("steps")
+    axes.set_ylabel("validation error [m²]")
+    axes.set_yscale("log")
+    for curve in curves:
+        colour, dash = _look(trainings.index(_training(curve)))
+        steps = [point.step for point in curve.points]
+        errors = [point.error for point in curve.points]
+        axes.plot(steps, errors, color=colour, linestyle=dash, linewidth=1.1)
+        finite = [k for k, error in enumerate(errors) if math.isfinite(error)]
+        if finite:
+            last = finite[-1]
+            mark = _MARK[curve.ended]
+            axes.plot(steps[last], errors[last], color=colour, marker=mark, markersize=5)
+
+
+def _legend(figure: Any, trainings: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    entries = [
+        Line2D([], [], color=_look(k)[0], linestyle=_look(k)[1], label=training)
+        for k, training in enumerate(trainings)
+    ]
+    words = {"level": "level", "steps": "all steps taken", "diverged": "diverged"}
+    entries += [
+        Line2D([], [], color=INK, linestyle="", marker=_MARK[way], label=text)
+        for way, text in words.items()
+    ]
+    figure.legend(
+        handles=entries, loc="outside lower center", ncols=min(6, len(entries)), frameon=False
+    )
+
+
+def _look(place: int) -> tuple[str, str]:
+    return LIGHT[place % len(LIGHT)], _DASHES[place // len(LIGHT) % len(_DASHES)]
+
+
+def _training(curve: Curve) -> str:
+    """As in `mujoco` of `6pendulum/native/gns/mujoco-s0`."""
+    return curve.run.rpartition("/")[2].rpartition("-s")[0]

@@ -1,0 +1,346 @@
+"""`mbds-xsim train`: which data each training sees, what it leaves, and how it goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.cli import main
+from mbds_xsim.dataset.generate import Request as DataRequest
+from mbds_xsim.dataset.generate import generate
+from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import run_tasks
+from mbds_xsim.learn import campaign, runs
+from mbds_xsim.learn.campaign import Request, carry, planned
+from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
+from mbds_xsim.learn.domains import Group, groups
+from mbds_xsim.learn.mixture import mixed, trainings, turns
+from mbds_xsim.learn.saved import read_facts, read_model
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.train import PROFILES, Point, Profile, Training
+from mbds_xsim.learn.window import Motions
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Clock
+from tests.learn.conftest import Silence
+
+TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False)
+ENGINES = "mujoco,pybullet"
+
+
+class Deaf:
+    """Is told how far training is."""
+
+    def begin(self, done: int, most_steps: object) -> None:
+        pass
+
+    def reached(self, name: str, step: int, error: float, *, before: bool) -> None:
+        pass
+
+    def ended(self, name: str, most_steps: int, how: str) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of a short chain in two engines."""
+    scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
+    out = tmp_path_factory.mktemp("made")
+    choice = Choice.parse(engines=ENGINES, profiles="native")
+    generate(DataRequest((scene,), choice, 40, out), workers=0, progress=Silence())
+    return out
+
+
+@pytest.fixture(scope="module")
+def group(made: Path) -> Group:
+    (found,) = groups([made])
+    return found
+
+
+Ask = Callable[..., Request]
+
+
+@pytest.fixture
+def ask(group: Group, tmp_path: Path) -> Ask:
+    def make(*models: str, on: str = "all", seeds: int = 1, out: str = "models") -> Request:
+        return Request(
+            groups=[group],
+            models=models or ("gns",),
+            on=on,
+            seeds=seeds,
+            profile_name="smoke",
+            profile=TINY,
+            out=tmp_path / out,
+        )
+
+    return make
+
+
+def _carry(request: Request) -> campaign.Outcome:
+    return carry(planned(request), workers=0, carrier=run_tasks, progress=Deaf())
+
+
+def _end(words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr(sys, "argv", ["mbds-xsim", "train", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return int(ended.value.code or 0)
+
+
+# What each training sees.
+
+
+def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(group: Group) -> None:
+    engines = tuple(group.files)
+    mixture = mixed(group, engines, "train")
+    alone = {engine: mixed(group, (engine,), "train") for engine in engines}
+    assert engines == ("mujoco", "pybullet")
+    for motions in alone.values():
+        assert np.array_equal(motions.index, mixture.index)
+    assert not torch.equal(alone["mujoco"].position[:, 1:], alone["pybullet"].position[:, 1:])
+    for row, number in enumerate(mixture.index):
+        own = alone[engines[(number // 3) % 2]]
+        assert torch.equal(mixture.position[row], own.position[row])
+        assert torch.equal(mixture.velocity[row], own.velocity[row])
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_every_engine_of_a_mixture_is_seen_at_every_speed(count: int) -> None:
+    numbers = np.arange(3 * count * 10)
+    turn = turns(numbers, count)
+    for engine in range(count):
+        speeds = numbers[turn == engine] % 3
+        assert np.bincount(speeds, minlength=3).tolist() == [10, 10, 10]
+
+
+def test_what_one_engine_lacks_no_training_sees(group: Group) -> None:
+    short = dict(group.data)
+    data = short["pybullet"]
+    keep = np.isin(data.index, [0, 7], invert=True)
+    small = {
+        name: values[keep] for name, values in data.small.items() if name in ("index", "split")
+    }
+    short["pybullet"] = dataclasses.replace(data, small={**data.small, **small})
+    lacking = Group(group.scene_name, group.variant, group.files)
+    vars(lacking)["data"] = short
+    numbers = lacking.numbers("train")
+    assert set(group.numbers("train")) - set(numbers) == {0, 7}
+    assert np.array_equal(mixed(lacking, ("mujoco",), "train").index, numbers)
+
+
+def test_leave_one_out_leaves_it_out(group: Group) -> None:
+    found = trainings(group, "leave-one-out,mujoco,all")
+    assert found == {
+        "not-mujoco": ("pybullet",),
+        "not-pybullet": ("mujoco",),
+        "mujoco": ("mujoco",),
+        "all": ("mujoco", "pybullet"),
+    }
+
+
+def test_statistics_are_of_the_training_part_and_engine(ask: Ask, group: Group) -> None:
+    (run,) = planned(ask(on="pybullet")).runs
+    _, statistics, _ = runs.prepared(run)
+    data: Dataset = group.data["pybullet"]
+    own = Statistics.of(Motions.of(data, "train"))
+    whole = np.array([data.position[int(row)] for row in range(len(data))])
+    assert torch.equal(statistics.position.mean, own.position.mean)
+    x = Motions.of(data, "train").graph.embed(torch.from_numpy(whole)).double().mean((0, 1, 2))
+    assert not torch.allclose(statistics.position.mean, x, rtol=1e-6)
+
+
+# What a run leaves.
+
+
+def test_end_to_end(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through the command, and in processes of its own; the second time nothing is left to do."""
+    out = tmp_path / "models"
+    words = [str(made), "--models", "gns", "--on", "each,all", "--seeds", "1"]
+    words += ["--profile", "smoke", "--out", str(out), "--json", str(tmp_path / "told.json")]
+    monkeypatch.setitem(PROFILES, "smoke", TINY)
+    assert _end([*words, "--png", str(tmp_path / "curves.png")], monkeypatch) == 0
+    told = json.loads((tmp_path / "told.json").read_bytes())
+    trainings = ("mujoco", "pybullet", "all")
+    names = {f"2pendulum/native/gns/{training}-s0" for training in trainings}
+    assert set(told["runs"]) == names
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+    for name in names:
+        model, facts = read_model(out / f"{name}.pt")
+        assert facts == told["runs"][name]
+        assert facts["ended"] == "steps"
+        assert all(bool(value.isfinite().all()) for value in model.state_dict().values())
+        curve = read_curve(out / f"{name}.curve.json")
+        assert [point.step for point in curve.points] == [4, 8, 12]
+        assert float(facts["best_error"]) == min(point.error for point in curve.points)
+        assert not (out / f"{name}.checkpoint").exists()
+    each = told["runs"]["2pendulum/native/gns/mujoco-s0"]
+    both = told["runs"]["2pendulum/native/gns/all-s0"]
+    assert (each["train_engines"], both["train_engines"]) == ("mujoco", "mujoco,pybullet")
+    assert (each["variant"], each["seed"]) == ("native", "0")
+    for key in ("steps", "train_trajectories", "validation_trajectories", "starts"):
+        assert each[key] == both[key]
+    capsys.readouterr()
+    stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
+    assert _end(words, monkeypatch) == 0
+    assert "3 runs done, 3 of them before, 0 failed" in capsys.readouterr().out
+    assert stamps == {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
+
+
+@pytest.mark.parametrize("model", ["gns", "sgnn", "hgnn"])
+def test_an_interrupted_campaign_goes_on_to_the_same_bits(
+    ask: Ask, model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _carry(ask(model, out="whole"))
+
+    def halt(curve: Curve) -> bytes:
+        if curve.points[-1].step == 8:
+            raise KeyboardInterrupt
+        return write_curve(curve)
+
+    monkeypatch.setattr("mbds_xsim.learn.runs.write_curve", halt)
+    with pytest.raises(KeyboardInterrupt):
+        _carry(ask(model, out="halted"))
+    monkeypatch.undo()
+    (run,) = planned(ask(model, out="halted")).runs
+    assert run.checkpoint.exists()
+    assert not run.path.exists()
+    _carry(ask(model, out="halted"))
+    whole = read_model(ask(model, out="whole").out / f"{run.name}.pt")[0].state_dict()
+    resumed = read_model(run.path)[0].state_dict()
+    assert all(torch.equal(value, resumed[key]) for key, value in whole.items())
+    curves = [
+        read_curve(ask(out=out).out / f"{run.name}.curve.json") for out in ("whole", "halted")
+    ]
+    assert curves[0] == curves[1]
+
+
+def test_divergence_is_a_result(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = runs.recipe_of
+
+    def wild(run: runs.Run) -> object:
+        return msgspec.structs.replace(recipe(run), rate=1e30)
+
+    monkeypatch.setattr(runs, "recipe_of", wild)
+    outcome = _carry(ask("gns"))
+    (facts,) = outcome.trained.values()
+    assert outcome.failed == {}
+    assert (facts["ended"], facts["level"]) == ("diverged", "no")
+    assert read_facts(ask().out / "2pendulum/native/gns/all-s0.pt")["ended"] == "diverged"
+
+
+def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset], ask: Ask) -> None:
+    (ball,) = groups([data("balldrop").path])
+    request = dataclasses.replace(ask("gns", "hgnn", on="each"), groups=[ball])
+    found = planned(request)
+    assert [run.model for run in found.runs] == ["gns"]
+    assert list(found.left_out) == ["balldrop/native/hgnn"]
+    assert "contact" in found.left_out["balldrop/native/hgnn"]
+
+
+def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
+    _carry(ask())
+    longer = msgspec.structs.replace(TINY, steps=16)
+    with pytest.raises(InputError, match=r"all-s0.pt: a model of another profile; name another"):
+        planned(dataclasses.replace(ask(), profile=longer))
+    with pytest.raises(InputError, match=r"a model of another track, settings;"):
+        planned(dataclasses.replace(ask(), track="native"))
+
+
+def test_tensorboard_is_told(tmp_path: Path) -> None:
+    reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    with EventLog(tmp_path) as log:
+        for step in (10, 20):
+            log.add(Point(step, 1.0 / step, 2.0 / step, 1e-3))
+    read = reading.EventAccumulator(str(tmp_path))
+    read.Reload()
+    assert [(e.step, e.value) for e in read.Scalars("error")] == [
+        (10, pytest.approx(0.2)),
+        (20, pytest.approx(0.1)),
+    ]
+
+
+# What cannot be.
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["nothing"], "nothing: there is no such file or folder"),
+        (["empty"], "empty holds no data set; name a folder that mbds-xsim generate has finished"),
+        (["DATA", "--models", "gsn"], "no model to train is called 'gsn'; there are: gns, sgnn,"),
+        (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
+        (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),
+        (["ONE", "--on", "all"], "--on: all needs data of at least 2 engines"),
+        (["ONE", "COPY"], "are both 2pendulum of mujoco native; give one of them"),
+        (["ONE", "OTHER"], "the seed of pybullet is not that of mujoco, so their trajectories"),
+        (["DATA", "--profile", "light"], "no profile is called 'light'; there are: smoke, lite,"),
+        (["DATA", "--track", "fast"], "--track: got 'fast', allowed is paper, native, lite"),
+        (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
+        (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
+        (["DATA", "--profile", "smoke", "--out", "a-file"], "cannot write"),
+        (["SHARD"], "is one shard; the split is in the file that joins the shards"),
+        (["FEW"], "0 trajectories of 13 frames for validation that all engines have, needed"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    words: list[str],
+    line: str,
+    places: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(places["EMPTY"])
+    given = [places.get(word, word) for word in words]
+    assert _end(given, monkeypatch) == 2
+    told = capsys.readouterr().err
+    assert line in told
+    assert len(told.strip().splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def places(made: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Paths of data that cannot be trained on as they are, or not together."""
+    scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
+    folder = tmp_path_factory.mktemp("places")
+
+    def also(name: str, engine: str, trajectories: int, seed: int) -> str:
+        choice = Choice.parse(engines=engine, profiles="native")
+        request = DataRequest((scene,), choice, trajectories, folder / name, seed=seed)
+        generate(request, workers=0, progress=Silence())
+        return str(folder / name)
+
+    (folder / "cwd" / "empty").mkdir(parents=True)
+    (folder / "cwd" / "a-file").write_text("")
+    one = made / "2pendulum/mujoco-native.h5"
+    return {
+        "EMPTY": str(folder / "cwd"),
+        "DATA": str(made),
+        "ONE": str(one),
+        "COPY": also("copy", "mujoco", 12, 0),
+        "OTHER": also("other", "pybullet", 40, 1),
+        "FEW": also("few", "mujoco", 3, 0),
+        "SHARD": str(next((made / "2pendulum/mujoco-native").glob("*.h5"))),
+    }
+
+
+def test_the_telling_of_level_follows_the_curve(ask: Ask) -> None:
+    (run,) = planned(ask()).runs
+    model, _, parts = runs.prepared(run)
+    level = [
+        Point(4 * k + 4, 1.0, error, 1e-3) for k, error in enumerate((4.0, 2.0, 1.0, 1.0, 0.99))
+    ]
+    falling = [*level[:-1], Point(20, 1.0, 0.5, 1e-3)]
+    for curve, word in ((level, "yes"), (falling, "no")):
+        training = Training(model, curve, ended="steps", wall_s=1.0)
+        assert runs.facts_of(run, training, parts)["level"] == word
