@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbds_xsim.learn.shift.board import ENGINE, Board
+from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board
 from mbds_xsim.learn.shift.measure import Figures
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import Studied
@@ -38,6 +38,8 @@ def _rows(board: Board, frames: Sequence[int]) -> Iterator[list[object]]:
         yield from _figures(board, key, figures, frames)
     for (first, test), figures in board.oracles.items():
         yield from _figures(board, [scene, ENGINE, first, 0, test], figures, frames)
+    for (first, test), figures in board.restarted.items():
+        yield from _figures(board, [scene, RESTART, first, 0, test], figures, frames)
 
 
 def _figures(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
-from mbds_xsim.learn.shift.board import ENGINE
+from mbds_xsim.learn.shift.board import ENGINE, RESTART
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
@@ -101,7 +101,7 @@ def _errors(shift: Shift, model: str, frame: int) -> Table:
         "Mean squared distance [m²] over trajectories whose prediction is finite, mean over seeds; "
         "in brackets how many predictions, of all seeds, were lost or exploded. Rows are "
         "trainings, columns test domains",
-        ("trained on", *(domain.name for domain in shift.domains)),
+        ("trained on", *_headings(shift, shift.frames.index(frame))),
         tuple(_with_lost(shift, model, rows, shift.frames.index(frame))),
     )
 
@@ -122,17 +122,29 @@ def _with_lost(
         yield (label, *marked)
 
 
+def _headings(shift: Shift, place: int) -> Iterator[str]:
+    """Names of the domains, with the number of trajectories where not all are known."""
+    for domain in shift.domains:
+        known = next(
+            c.known[place] for c in shift.cells if (c.test, c.interval) == (domain.name, "all")
+        )
+        whole = len(shift.index)
+        yield domain.name if known == whole else f"{domain.name} ({known} of {whole} known)"
+
+
 def _one_step(shift: Shift, model: str) -> Table:
     def pick(cell: Cell) -> float | None:
         return cell.one_step
 
     rows = list(_rows(matrix_of(shift, model, pick)))
+    for row in _rows(matrix_of(shift, RESTART, pick)):
+        rows.append((f"{RESTART} {row[0]}", *row[1:]))
     for name in TRIVIAL:
         rows += _rows(matrix_of(shift, name, pick), name)
     return Table(
         f"{model}: teacher-forced error",
         f"Squared distance [m²] of predictions by one frame from true windows, every "
-        f"{shift.stride} frames: not chaotic. Engines have no row: their own motion is the window",
+        f"{shift.stride} frames: not chaotic. Restarted engines: of the first window only",
         ("trained on", *(domain.name for domain in shift.domains)),
         tuple(rows),
     )
@@ -140,8 +152,9 @@ def _one_step(shift: Shift, model: str) -> Table:
 
 def _comparison(shift: Shift, pick: Pick) -> Iterator[tuple[str, ...]]:
     """Engines as models, and trivial models."""
-    for row in _rows(matrix_of(shift, ENGINE, pick)):
-        yield (f"engine {row[0]}", *row[1:])
+    for kind in (ENGINE, RESTART):
+        for row in _rows(matrix_of(shift, kind, pick)):
+            yield (f"{kind} {row[0]}", *row[1:])
     for name in TRIVIAL:
         yield from _rows(matrix_of(shift, name, pick), name)
 
@@ -200,16 +213,19 @@ def _floors(shift: Shift) -> Table:
     ]
     return Table(
         "Floors",
-        "Mean squared distance [m²] of motions from identical starts (engines); of the reference "
-        "without noise from that with it; of two motions whose last known frame is 0.1 mm apart "
-        "(chaos, by linear growth). No error below them says anything of a model",
+        "Mean squared distance [m²] of the published motions of two domains, from identical "
+        "starts; of an engine that goes on from a domain's last known frame from that domain "
+        "(its own: what restarting costs); of the reference without noise from that with it; of "
+        "two motions whose last known frame is 0.1 mm apart (chaos, by linear growth). No error "
+        "below them says anything of a model",
         ("", *(f"t = {frame}" for frame in shift.frames)),
         tuple(rows),
     )
 
 
 def _floor_name(kind: str, first: str, test: str) -> str:
-    return f"{first} and {test}" if kind == ENGINE else kind
+    names = {ENGINE: f"{first} and {test}", RESTART: f"{first} gone on from {test}"}
+    return names.get(kind, kind)
 
 
 def _covariate(shift: Shift, frame: int) -> Table:

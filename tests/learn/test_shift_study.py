@@ -105,11 +105,17 @@ def test_engine_floor_is_the_distance_of_the_data(folder: Path, shift: Shift) ->
     apart = ((one.astype(float) - two) ** 2).sum(-1).mean(axis=(0, 2))
     floor = next(
         f for f in shift.floors
-        if (f.first, f.test, f.interval) == ("mujoco-native", "exudyn-native", "all")
+        if (f.kind, f.first, f.test, f.interval)
+        == ("engine", "mujoco-native", "exudyn-native", "all")
     )  # fmt: skip
     assert floor.mse == pytest.approx(tuple(apart[[HISTORY, HISTORY + 9]]), rel=1e-6)
     gap = next(g for g in shift.gaps if g.kind == "single" and g.test == "exudyn-native")
-    assert gap.engine_floor == pytest.approx(floor.mse)
+    gone_on = next(
+        f for f in shift.floors
+        if (f.kind, f.first, f.test, f.interval)
+        == ("restarted engine", "mujoco-native", "exudyn-native", "all")
+    )  # fmt: skip
+    assert gap.engine_floor == pytest.approx(gone_on.mse)
     assert not any(gap.resolved)  # untrained models are far worse than engines differ
     assert gap.noise_floor[1] is not None
     assert 0.0 < gap.noise_floor[1] < 1e-3
@@ -139,8 +145,8 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     assert found.schema == "mbds-xsim/shift/1"
     with Path(names["csv"]).open() as file:
         rows = list(csv.DictReader(file))
-    # Trained and trivial models on three domains, and four pairs of an engine and a domain.
-    assert len(rows) == len(found.index) * (3 * (len(TRAININGS) * SEEDS + 3) + 4)
+    # Trained and trivial models on three domains; engines on two others, restarted on all three.
+    assert len(rows) == len(found.index) * (3 * (len(TRAININGS) * SEEDS + 3) + 4 + 6)
     cell = next(c for c in found.cells if c.model == "hold" and c.interval == "all")
     same = [
         float(row["squared_error_m2_t10"])
@@ -198,3 +204,29 @@ def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
     entry = find_entries(folder / "models", SCENE)[0]
     with pytest.raises(InputError, match="a model of another scene"):
         entry.load(load_scene(SCENE))
+
+
+def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
+    """Going on from its own frame, an engine repeats what it published, to float32."""
+    found = {
+        (c.training, c.test): c
+        for c in shift.cells
+        if c.model == "restarted engine" and c.interval == "all"
+    }
+    assert len(found) == 2 * 3
+    for (first, test), cell in found.items():
+        assert cell.mse[1] is not None
+        if first == test:
+            assert cell.mse[1] < 1e-12
+        assert cell.one_step == pytest.approx(cell.mse[0])
+    apart = next(
+        c for c in shift.cells
+        if (c.model, c.training, c.test, c.interval)
+        == ("engine", "mujoco-native", "exudyn-native", "all")
+    )  # fmt: skip
+    gone_on = found["mujoco-native", "exudyn-native"]
+    # The published motions have parted for six frames more.
+    assert gone_on.mse[0] is not None
+    assert apart.mse[0] is not None
+    assert gone_on.mse[0] < 0.5 * apart.mse[0]
+    assert shift.left_out == {}

@@ -62,7 +62,7 @@ def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap]) -> Iterator[Answ
     fields = [f for f in _fields(board) if len(f.singles) > 1]
     yield _resolved(gaps, place, board.frames[place])
     for variant in dict.fromkeys(field.variant for field in fields):
-        yield _most_robust(draws, [f for f in fields if f.variant == variant], place)
+        yield _most_robust(draws, [f for f in fields if f.variant == variant], gaps, place)
     for field in fields:
         yield from _several_engines(draws, field, place)
     yield from _matched(draws, fields, place)
@@ -101,7 +101,7 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     return Answer("Is a shift resolvable?", text)
 
 
-def _most_robust(draws: Draws, fields: Sequence[_Field], place: int) -> Answer:
+def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
     """The model of the smallest worst-engine gap."""
     frame, variant = draws.board.frames[place], fields[0].variant
     ratios = {f.model: _ratio(draws, functools.partial(_worst_gap, f)) for f in fields}
@@ -118,13 +118,30 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], place: int) -> Answer:
         sure = "there is no other to compare with"
     text = (
         f"At t = {frame} on {variant} data {order[0]} has the smallest worst-engine gap ({sure}). "
-        f"Worst ratio of error to that of the target-trained model: {told}"
+        f"Worst ratio of error to that of the target-trained model: {told}. "
+        f"{_caution(fields, gaps, place)}"
     )
     return Answer(
         f"Which model is most robust ({variant})?",
         text,
         {model: values(ratio.value) for model, ratio in ratios.items()},
     )
+
+
+def _caution(fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> str:
+    """How many of the gaps that this is about tell anything of a shift."""
+    trainings = {(f.model, t.name) for f in fields for t in f.singles.values()}
+    targets = {name for field in fields for name in field.singles}
+    told = [
+        gap
+        for gap in gaps
+        if gap.kind == SINGLE and (gap.model, gap.training) in trainings and gap.test in targets
+    ]
+    seen = sum(gap.resolved[place] for gap in told)
+    text = f"Of these gaps {seen} of {len(told)} are resolved"
+    if not seen:
+        text += ": these ratios tell how well trainings went, not what a change of engine does"
+    return text + "; the worst of several ratios is above 1 even without a shift"
 
 
 def _worst_gap(field: _Field, look: Look) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,14 @@ from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
 from mbds_xsim.learn.shift.result import INTERVALS, Cell, Values, values
 from mbds_xsim.learn.shift.roster import Entry
 
-__all__ = ["ENGINE", "Board", "cells_of", "median", "valid_time"]
+__all__ = ["ENGINE", "RESTART", "Board", "cells_of", "median", "valid_time"]
 
 Array = NDArray[np.float64]
 
 ENGINE = "engine"
 """Stands for a model where an engine's own motion is the prediction."""
+RESTART = "restarted engine"
+"""The same where the engine goes on from the last known frame of the domain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class Board:
     """By model and domain."""
     oracles: Mapping[tuple[str, str], Figures]
     """By the domain that is taken as the prediction, and the domain it is held against."""
+    restarted: Mapping[tuple[str, str], Figures] = field(default_factory=dict)
+    """The same, where engines go on from the domain's last known frame."""
 
     @property
     def at(self) -> NDArray[np.int64]:
@@ -67,8 +71,12 @@ class Board:
         return self.counted(np.stack(found))
 
     def floor(self, first: str, test: str) -> Array:
-        """Distance of two domains at `frames` [m²], shape (trajectory, frame)."""
-        return self.counted(self.oracles[first, test].error)
+        """Distance of an engine from a domain at `frames` [m²], shape (trajectory, frame).
+
+        From the same window where the engine could be restarted, else from the same start.
+        """
+        found = self.restarted.get((first, test)) or self.oracles[first, test]
+        return self.counted(found.error)
 
     def counted(self, error: Array) -> Array:
         """Errors at `frames` with lost ones counted."""
@@ -86,6 +94,8 @@ def cells_of(board: Board) -> Iterator[Cell]:
         yield from _cells(board, (entry.model, entry.training, entry.seed, test), figures)
     for (first, test), figures in board.oracles.items():
         yield from _cells(board, (ENGINE, first, 0, test), figures)
+    for (first, test), figures in board.restarted.items():
+        yield from _cells(board, (RESTART, first, 0, test), figures)
 
 
 def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, NDArray[np.bool_]]:

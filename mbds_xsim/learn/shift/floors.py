@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mbds_xsim.learn.shift.board import Board, median
+from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board, median
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired
 from mbds_xsim.learn.shift.measure import EXPLODED, Figures, measure
 from mbds_xsim.learn.shift.result import INTERVALS, Floor, values
@@ -63,7 +63,9 @@ def chaos_floor(test: Paired, truth: Truth, horizon: int) -> Array:
 def floors_of(board: Board, noise: Array | None, chaos: Array | None) -> Iterator[Floor]:
     """Give all floors of all intervals."""
     for (first, test), figures in board.oracles.items():
-        yield from _floors(board, ("engine", first, test), figures.error)
+        yield from _floors(board, (ENGINE, first, test), figures.error)
+    for (first, test), figures in board.restarted.items():
+        yield from _floors(board, (RESTART, first, test), figures.error)
     for kind, error in (("noise", noise), ("chaos", chaos)):
         if error is not None:
             yield from _floors(board, (kind, REFERENCE, REFERENCE), error)

@@ -94,7 +94,8 @@ class Floor(msgspec.Struct, frozen=True):
     """What no figure on a domain can resolve below."""
 
     kind: str
-    """"engine": one domain as the prediction of another; "noise"; "chaos"."""
+    """"engine": one domain as the prediction of another; "restarted engine": an engine that goes on
+    from the domain's last known frame; "noise"; "chaos"."""
     first: str
     test: str
     interval: str
@@ -128,7 +129,7 @@ class Gap(msgspec.Struct, frozen=True):
     difference_low: Values
     difference_high: Values
     engine_floor: Values
-    """Least D between the target and an engine of the training [m²]."""
+    """Least D of an engine of the training, gone on from the target's last known frame [m²]."""
     noise_floor: Values
     chaos_floor: Values
     resolved: tuple[bool, ...]

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
-from mbds_xsim.learn.shift.board import Board, cells_of
+from mbds_xsim.learn.shift.board import RESTART, Board, cells_of
 from mbds_xsim.learn.shift.bootstrap import DRAWS
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, load_paired
 from mbds_xsim.learn.shift.evaluate import Plan, evaluate
 from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, known_mean, noise_floor, oracles
 from mbds_xsim.learn.shift.gaps import Draws, gaps_of
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
+from mbds_xsim.learn.shift.restart import restarted
 from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
 from mbds_xsim.learn.shift.roster import Entry, find_entries, trivial_entries
 from mbds_xsim.learn.shift.truth import read_truth, solve_domain
@@ -79,11 +80,13 @@ def study(
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
     figures = _evaluated(test, entries, domains, plan, workers, meter)
+    oracle = restarted(test, domains, plan.horizon, workers=workers)
     board = Board(
         test=test,
         frames=tuple(frame for frame in FRAMES if frame <= plan.horizon),
         figures=figures,
         oracles=oracles(domains, plan.horizon),
+        restarted=oracle[0],
     )
     noise = chaos = None
     if solved is not None:
@@ -109,7 +112,8 @@ def study(
         index=tuple(test.index.tolist()),
         noise=test.noise,
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
-        left_out={} if solved else {REFERENCE: reason},
+        left_out=({} if solved else {REFERENCE: reason})
+        | {f"{RESTART} {name}": why for name, why in oracle[1].items()},
         models=tuple(map(_facts, entries)),
         cells=tuple(cells_of(board)),
         floors=tuple(floors_of(board, noise, chaos)),

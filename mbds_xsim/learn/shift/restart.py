@@ -1,0 +1,134 @@
+"""Engines as models: each starts from the last known frame of every domain, and goes on.
+
+Unlike the published motions, which part from frame 0 on, these share the window with a learned
+model: their distance from the domain is what a model that knows its engine by heart would get
+wrong. An engine on its own domain tells what restarting alone costs (velocities that belong to
+another time than positions, solvers that start cold).
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.plan import attributes_of
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.engine import Settings
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
+from mbds_xsim.learn.shift.measure import Figures, measure, read_figures
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.reference.cache import directory
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch
+
+__all__ = ["restarted"]
+
+Array = NDArray[np.float64]
+
+_LAST = HISTORY - 1
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One engine on one domain."""
+
+    engine: Recorded
+    domain: Domain
+    horizon: int
+
+    @property
+    def path(self) -> Path:
+        """Where its figures are kept."""
+        version = load_adapter(self.engine.engine).version()
+        rows = getattr(self.domain, "rows", ())
+        what = (self.engine.content, version, self.domain.content, rows, self.horizon)
+        key = hashlib.sha256(_source() + repr(what).encode()).hexdigest()
+        return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
+
+
+def restarted(
+    test: Paired, domains: Sequence[Domain], horizon: int, *, workers: int | None = None
+) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
+    """Let every engine go on from every domain.
+
+    Returns:
+        Figures by engine and domain, and by engine why there are none.
+    """
+    jobs = {engine: [_Job(engine, d, horizon) for d in domains] for engine in test.domains}
+    missing, lost = [], {}
+    for engine, each in jobs.items():
+        try:
+            if not all(job.path.is_file() for job in each):
+                missing.append(engine)
+        except Exception as error:  # an engine that is not installed, or does not load
+            lost[engine.name] = str(error)
+    tasks = [Task(_carry_out, (test.batch, jobs[engine])) for engine in missing]
+    for engine, answer in zip(missing, run_tasks(tasks, workers=workers), strict=True):
+        if isinstance(answer, Crash):
+            lost[engine.name] = answer.reason
+    found = {}
+    for engine, each in jobs.items():
+        for job in each if engine.name not in lost else ():
+            figures = read_figures(job.path)
+            if figures is not None:
+                found[engine.name, job.domain.name] = figures
+    return found, lost
+
+
+def _carry_out(inputs: Batch, jobs: Sequence[_Job]) -> None:
+    for job in jobs:
+        motions = job.domain.motions(torch.float64)
+        predicted = _predicted(job, motions, inputs)
+        error = measure(motions, predicted)
+        figures = Figures(error.error, error.energy, error.gap, error.error[:, 0])
+        figures.write(job.path)
+
+
+def _predicted(job: _Job, motions: Motions, inputs: Batch) -> torch.Tensor:
+    """Positions from frame `HISTORY` on, shape (trajectory, frame, particle, 3)."""
+    assert motions.body is not None
+    state = motions.body[:, _LAST].numpy()
+    known = np.flatnonzero(np.isfinite(state).all(axis=(1, 2)))
+    start = _start(state[known], inputs[known], job.horizon)
+    scene = motions.graph.scene
+    trajectory = simulate(scene, start, job.engine.engine, _settings(job.engine)).trajectory
+    position, _ = Points.of(scene).motion(trajectory)
+    whole = torch.full((len(state), job.horizon, motions.graph.particle_count, 3), torch.nan)
+    whole = whole.double()
+    whole[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
+    return whole
+
+
+def _start(state: Array, inputs: Batch, horizon: int) -> Batch:
+    return Batch(
+        index=inputs.index,
+        position=state[..., :3].copy(),
+        orientation=state[..., 3:7].copy(),
+        velocity=state[..., 7:10].copy(),
+        angular_velocity=state[..., 10:].copy(),
+        force=inputs.force[:, _LAST : _LAST + horizon],
+        torque=inputs.torque[:, _LAST : _LAST + horizon],
+    )
+
+
+def _settings(engine: Recorded) -> Settings:
+    told = attributes_of(engine.path)
+    return Settings(told["method"], told["step_s"], msgspec.json.decode(told["options"]))
+
+
+@functools.cache
+def _source() -> bytes:
+    """Hash of the code that makes the figures; an engine's adapter counts by its version."""
+    here = Path(__file__).parent
+    files = [here / name for name in ("restart.py", "measure.py", "rigid.py")]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
