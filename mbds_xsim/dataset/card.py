@@ -17,7 +17,7 @@ from mbds_xsim.dataset.layout import SUFFIX
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 
-__all__ = ["CARD", "CROISSANT", "write_card"]
+__all__ = ["CARD", "CROISSANT", "descriptions", "write_card"]
 
 CARD = "README.md"
 CROISSANT = "croissant.json"
@@ -29,10 +29,20 @@ def write_card(folder: Path) -> None:
     Raises:
         InputError: They cannot be written.
     """
+    for name, content in descriptions(folder).items():
+        put(folder / name, content)
+
+
+def descriptions(folder: Path) -> dict[str, bytes]:
+    """Give the card and the metadata that the data in a folder have.
+
+    Raises:
+        InputError: The data cannot be read.
+    """
     files = (path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT)
     sets = [load_dataset(path) for path in files]
-    put(folder / CARD, _card(sets, folder / JOINT).encode())
-    put(folder / CROISSANT, croissant(sets, folder / JOINT))
+    joint = folder / JOINT
+    return {CARD: _card(sets, joint).encode(), CROISSANT: croissant(sets, joint)}
 
 
 def _card(sets: Sequence[Dataset], joint: Path) -> str:

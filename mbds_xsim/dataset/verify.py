@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.layout import SUFFIX
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
+from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metadata
 from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
@@ -19,6 +21,7 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 __all__ = ["Verified", "verify"]
 
 _TIMEOUT = 3600.0  # [s]
+_TEXTS = {CARD: "card", CROISSANT: "metadata"}
 _AGAIN = 3  # trajectories of a shard that are simulated again
 _SHARDS_AGAIN = 3  # shards of a variant of which some are
 
@@ -72,7 +75,8 @@ def _files(path: Path) -> list[Path]:
         if not found:
             msg = f"{path} holds no {SUFFIX} file; name a folder that mbds-xsim generate has made"
             raise InputError(msg)
-        return found
+        joined = [file for file in found if _kind(file) == "joined"]
+        return [*found, *described(joined)]
     if not path.exists():
         msg = f"{path}: there is no such file"
         raise InputError(msg)
@@ -85,6 +89,8 @@ def _files(path: Path) -> list[Path]:
 
 
 def _kind(path: Path) -> str:
+    if path.name in _TEXTS:
+        return _TEXTS[path.name]
     try:
         return str(attributes_of(path).get("kind"))
     except InputError:
@@ -104,6 +110,8 @@ def _task(file: Path, kind: str, again: set[Path]) -> Task:
     others: dict[str, Callable[[Path], FileReport]] = {
         "joined": recheck_joined,
         "joint": recheck_joint,
+        "card": recheck_card,
+        "metadata": recheck_metadata,
     }
     path = file.resolve()
     if kind in others:

@@ -61,7 +61,7 @@ def test_verify_tells_what_the_data_are(made: Ended, folder: Path) -> None:
     assert "certified; 4 of 4 published, with noise, seed 0" in ended.stdout
     assert "uncertified; 4 of 4 published" in ended.stdout
     assert "3 simulated again: the same bits (2 files)" in ended.stdout
-    assert "5 files, 8 trajectories checked: everything holds what it says" in ended.stdout
+    assert "7 files, 8 trajectories checked: everything holds what it says" in ended.stdout
 
 
 def test_verify_ends_with_1_where_something_is_wrong(made: Ended, folder: Path) -> None:

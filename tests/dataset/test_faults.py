@@ -18,7 +18,7 @@ from typing import Any
 import h5py
 import pytest
 
-from mbds_xsim.dataset import durable, shard
+from mbds_xsim.dataset import disk, durable, shard
 from mbds_xsim.dataset.content import check_content
 from mbds_xsim.dataset.lock import locked
 from mbds_xsim.errors import InputError
@@ -58,7 +58,7 @@ def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
         return counted
 
-    write = durable.write_through
+    write = disk.write_through
     monkeypatch.setattr(durable, "write_through", count(write))
     monkeypatch.setattr(os, "replace", count(os.replace))
     monkeypatch.setattr(durable, "_flush_folder", count(durable._flush_folder))

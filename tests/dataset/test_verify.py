@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -16,13 +17,14 @@ from mbds_xsim.dataset.content import CONTENT, encode
 from mbds_xsim.dataset.held import Held
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.reaudit import reaudit
+from mbds_xsim.dataset.redescribe import recheck_card, recheck_metadata
 from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.dataset.verify import Verified, verify
 from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
 
 from .conftest import Make
 
+TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
 FILE = "1pendulum/mujoco-matched.h5"
 JOINT = "1pendulum/joint.h5"
@@ -63,6 +65,8 @@ def test_a_finished_set_is_sound(few: Path) -> None:
         "shard": 8,
         "joined": 8,
         "joint": 8,
+        "card": 0,
+        "metadata": 0,
     }
     notes = [note for report in verified.files for note in report.notes]
     assert sorted(notes) == ["3 simulated again: the same bits", "train 6, validation 1, test 1"]
@@ -224,6 +228,10 @@ _FOUND, _HARMLESS, _MISSED = 0, 1, 2
 
 def _everything(path: Path) -> dict[str, Any]:
     """All that can be read from a file."""
+    if path.suffix == ".md":
+        return {"text": path.read_bytes()}
+    if path.suffix == ".json":
+        return dict(json.loads(path.read_bytes()))
     found: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
 
@@ -266,26 +274,61 @@ def _flipped(
     return found
 
 
-@pytest.mark.parametrize("name", [SHARD, FILE, JOINT])
+_CHECKS: dict[str, Callable[[Path], Any]] = {
+    SHARD: lambda path: reaudit(path, 0),
+    FILE: recheck_joined,
+    JOINT: recheck_joint,
+    TEXTS[0]: recheck_card,
+    TEXTS[1]: recheck_metadata,
+}
+
+
+@pytest.mark.parametrize("name", list(_CHECKS))
 def test_flipped_bits_are_found_or_harmless(name: str, copy: Path) -> None:
-    checks: dict[str, Callable[[Path], Any]] = {
-        SHARD: lambda path: reaudit(path, 0),
-        FILE: recheck_joined,
-        JOINT: recheck_joint,
-    }
-    found = _flipped(copy / name, checks[name], 20, 1)
+    found = _flipped(copy / name, _CHECKS[name], 20, 1)
     assert found[_MISSED] == []
     assert len(found[_FOUND]) >= 2
 
 
 @pytest.mark.slow
-def test_200_flipped_bits(make: Make, rod: Scene, tmp_path: Path) -> None:
-    """In a file of a common size, where nearly all bytes are numbers."""
-    del rod
+@pytest.mark.parametrize(
+    ("name", "at_least"),
+    [(SHARD, 180), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
+)
+def test_200_flipped_bits(name: str, at_least: int, make: Make, tmp_path: Path) -> None:
+    """Of each kind of file; in shards of a common size nearly all bytes are numbers."""
     make(tmp_path, trajectories=300)
-    found = _flipped(tmp_path / SHARD, lambda path: reaudit(path, 0), 200, 2)
+    found = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
     assert found[_MISSED] == []
-    assert len(found[_FOUND]) >= 180
+    assert len(found[_FOUND]) >= at_least
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        (TEXTS[0], "8 of 8 are", "9 of 9 are", "does not say what the data give, first line"),
+        (TEXTS[0], "| 8 | 8 | 0 |", "| 8 | 7 | 1 |", "does not say what the data give, first li"),
+        (TEXTS[1], '"sha256": "', '"sha256": "0', "distribution: mujoco-matched.h5: sha256: not "),
+        (TEXTS[1], '"counts/trajectories": 2', '"counts/trajectories": 3', "recordSet: not what"),
+        (TEXTS[1], '"keywords"', '"words"', "keywords is missing"),
+    ],
+)
+def test_texts_must_agree_with_the_data(
+    name: str, old: str, new: str, says: str, copy: Path
+) -> None:
+    text = (copy / name).read_text("utf-8")
+    assert old in text
+    (copy / name).write_text(text.replace(old, new, 1), "utf-8")
+    (problem,) = _problems(_verify(copy))
+    assert problem.startswith(says)
+
+
+def test_a_publisher_may_add_to_the_texts(copy: Path) -> None:
+    card, metadata = (copy / name for name in TEXTS)
+    card.write_text(card.read_text("utf-8") + "\n## Licence\n\nCC BY 4.0\n", "utf-8")
+    told = {**json.loads(metadata.read_text("utf-8")), "license": "CC-BY-4.0"}
+    metadata.write_text(json.dumps(told), "utf-8")
+    assert _verify(copy).sound
 
 
 def test_the_table_knows_what_it_is_about(few: Path) -> None:
