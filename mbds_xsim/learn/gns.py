@@ -93,7 +93,10 @@ class GNS(PointModel):
             self.register_buffer(f"{name}_mean", moments.mean.float())
             self.register_buffer(f"{name}_std", std.float())
         self.register_buffer("channel_size", statistics.channels.float())
-        mass = graph.mass / graph.mass[: graph.particle_count].mean()
+        own = graph.mass[: graph.particle_count]
+        # Found out once: to ask a tensor in every step would hold up a GPU, and CUDA graphs.
+        self._masses_differ = bool((own - own[0]).abs().max() > 1e-9 * own[0])
+        mass = graph.mass / own.mean()
         fixed = {
             "kind": graph.static.long(),
             "mass": mass.float(),
@@ -111,11 +114,6 @@ class GNS(PointModel):
         channels = DIMENSION * len(CHANNELS)
         kinds = 0 if self.embedding is None else _EMBEDDING
         return velocities + channels + kinds + int(self._masses_differ) + int(self.graph.ground)
-
-    @property
-    def _masses_differ(self) -> bool:
-        mass = self.graph.mass[: self.graph.particle_count]
-        return bool((mass - mass[0]).abs().max() > 1e-9 * mass[0])
 
     def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
         return self(history, inputs) * self.acceleration_std + self.acceleration_mean
