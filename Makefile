@@ -11,7 +11,8 @@ export OPENBLAS_NUM_THREADS = 1
 # One at a time: the reports take times.
 .NOTPARALLEL:
 .PHONY: validate test lint package clean reports reports-validate reports-contact \
-	reports-tradeoff reports-stability reports-ablation reports-overhead reports-pages readme
+	reports-tradeoff reports-stability reports-ablation reports-overhead reports-data \
+	reports-data-full reports-pages readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -51,7 +52,7 @@ files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-contact reports-tradeoff reports-stability reports-ablation \
-	reports-overhead reports-pages readme
+	reports-overhead reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready
@@ -84,6 +85,35 @@ reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
 	$(BIN)/python -m benchmarks.yardstick > $(REPORTS)/yardstick.md
+
+# Every scene in every engine, and one set of the paper's size; what is there is gone on with.
+ENGINES ?= mujoco,pybullet,dart,exudyn
+DATA ?= out/data
+EACH ?= 200
+FULL ?= 15000
+data = $(DATA)/$(1)/data
+result = --json $(DATA)/$(1)/$(2).json
+made = { $(BIN)/mbds-xsim generate $(2) --trajectories $(3) --out $(call data,$(1)) \
+		$(call result,$(1),generate) || [ $$? -eq 1 ]; } && { $(BIN)/mbds-xsim verify \
+		$(call data,$(1)) $(call result,$(1),verify) || [ $$? -eq 1 ]; }
+said = mkdir -p $(DATA)/$(1) $(REPORTS) && printf '%s\n' \
+	"mbds-xsim generate $(2) --trajectories $(3) --out data" "mbds-xsim verify data" \
+	$(4) > $(DATA)/$(1)/commands
+page = $(BIN)/python benchmarks/acceptance.py \
+	$$(for name in each full; do [ ! -f $(DATA)/$$name/verify.json ] || echo $(DATA)/$$name; done) \
+	> $(REPORTS)/data.md
+
+reports-data: $(VENV)/ready
+	$(call said,each,$(SCENES) --engines $(ENGINES),$(EACH),"mbds-xsim export data --out npz --format npz")
+	$(call made,each,$(SCENES) --engines $(ENGINES),$(EACH))
+	$(BIN)/mbds-xsim export $(call data,each) --out $(DATA)/each/npz --format npz \
+		$(call result,each,export)
+	$(page)
+
+reports-data-full: $(VENV)/ready
+	$(call said,full,6pendulum --engines mujoco,$(FULL))
+	$(call made,full,6pendulum --engines mujoco,$(FULL))
+	$(page)
 
 # The page that lists the reports.
 reports-pages: $(VENV)/ready

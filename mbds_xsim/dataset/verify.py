@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ class Verified:
     files: tuple[FileReport, ...]
     about: tuple[dict[str, Any], ...]
     """What is to be known of each variant."""
+    wall_s: float
 
     @property
     def sound(self) -> bool:
@@ -47,6 +49,7 @@ def verify(path: Path, *, workers: int | None = None, progress: ProgressSink) ->
     Raises:
         InputError: There is nothing to check.
     """
+    begin = time.perf_counter()
     files = _files(path)
     kinds = {file: _kind(file) for file in files}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
@@ -65,7 +68,8 @@ def verify(path: Path, *, workers: int | None = None, progress: ProgressSink) ->
     joined = [file for file, kind in kinds.items() if kind == "joined"]
     loose = _loose(shards, joined) if path.is_dir() else set()
     reports = [_with_loose(report, loose) for report in reports]
-    return Verified(str(path), tuple(reports), tuple(_about(file) for file in joined or shards[:1]))
+    about = tuple(_about(file) for file in joined or shards[:1])
+    return Verified(str(path), tuple(reports), about, time.perf_counter() - begin)
 
 
 def _files(path: Path) -> list[Path]:
