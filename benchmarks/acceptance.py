@@ -27,8 +27,9 @@ HEAD = """\
 Every trajectory that was drawn is checked, and only what passes is published; rejected ones are
 counted by the check that failed first, and not replaced. Times are of one core, from the logs of
 the shards: drawing, simulating, checking (and the reference of the audit sample), writing and
-reading back; `of it engine` is the simulation's part. `verify` reads all of it again from the files alone. What is published and how is
-told in [Data sets: files and layout](../docs/dataset-layout.md).
+reading back; `of it engine` is the simulation's part. `verify` reads all of it again from the files
+alone. What is published and how is told in
+[Data sets: files and layout](../docs/dataset-layout.md).
 """
 
 TABLE = """\
