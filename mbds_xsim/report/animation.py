@@ -17,7 +17,7 @@ from mbds_xsim.report.palette import Style
 from mbds_xsim.report.skeleton import Skeleton, skeleton
 from mbds_xsim.result import Evidence
 
-__all__ = ["pack"]
+__all__ = ["encoded", "pack", "packed_base", "packed_entry"]
 
 Array = NDArray[np.float64]
 
@@ -51,8 +51,8 @@ def pack(
     reach = _REACH * size
     errors = (None, *evidence.errors)
     entries = [
-        _entry(name, style, motion, base, reach)
-        | {"error": None if error is None else _base64(error[:count, ::stride], "<f4")}
+        packed_entry(name, style, motion, base, reach)
+        | {"error": None if error is None else encoded(error[:count, ::stride], "<f4")}
         for name, style, motion, error in zip(
             ("reference", *names), (None, *styles), motions, errors, strict=True
         )
@@ -63,7 +63,7 @@ def pack(
         "step": float(evidence.reference.time[1] - evidence.reference.time[0]) * stride,
         "low": low.tolist(),
         "high": high.tolist(),
-        "base": _base64(65535 * (base - low) / np.where(high > low, high - low, 1.0), "<u2"),
+        "base": packed_base(base, low, high),
         "reach": reach,
         "entries": entries,
     }
@@ -95,9 +95,23 @@ def _finite(positions: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(positions).all(axis=(-1, -2)))
 
 
-def _entry(
+def packed_base(base: Array, low: Array, high: Array) -> str:
+    """Pack the common motion (trajectory, frame, point, 3) [m] over the box that holds it."""
+    return encoded(65535 * (base - low) / np.where(high > low, high - low, 1.0), "<u2")
+
+
+def packed_entry(
     name: str, style: Style | None, motion: Array, base: Array, reach: float
 ) -> dict[str, Any]:
+    """Pack a motion as its deviation from the common one; without a style it is that one.
+
+    Args:
+        name: By which it is shown.
+        style: How it is drawn.
+        motion: [m], shape (trajectory, frame, point, 3); NaN from where it ends.
+        base: The common motion, of the same shape.
+        reach: Largest deviation that is shown [m].
+    """
     deviation = motion - base
     with np.errstate(invalid="ignore"):
         seen = (np.abs(deviation) <= reach).all(axis=(-1, -2))
@@ -108,7 +122,7 @@ def _entry(
         "colour": None if style is None else style.colour,
         "dashed": style is not None and style.dashed,
         "shown": shown.sum(axis=1).tolist(),
-        "deviation": None if style is None else _base64(32767 * scaled, "<i2"),
+        "deviation": None if style is None else encoded(32767 * scaled, "<i2"),
     }
 
 
@@ -129,6 +143,7 @@ def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
     }
 
 
-def _base64(values: Array, kind: str) -> str:
+def encoded(values: Array, kind: str) -> str:
+    """Give numbers as base64, rounded where the kind is one of integers."""
     array = values if kind.endswith("f4") else np.rint(values)
     return base64.b64encode(np.ascontiguousarray(array.astype(kind)).tobytes()).decode()

@@ -9,15 +9,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.learn.shift.samples import Samples, samples_of
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report import palette, themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol
+from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, styles_of
 from mbds_xsim.report.shift_tables import at, headline, matrix_of, tables, trained_models
 
 __all__ = ["to_html"]
 
 _CURVES = (6.0, 3.8)
+_PICTURE = (11.0, 2.1)
 
 
 def to_html(studies: Sequence[Studied]) -> str:
@@ -29,20 +32,26 @@ def to_html(studies: Sequence[Studied]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    samples = [samples_of(studied.board) for studied in studies]
     return environment.get_template("shift.html").render(
-        studies=[_view(studied.shift) for studied in studies],
+        studies=[_view(each.shift, some) for each, some in zip(studies, samples, strict=True)],
+        # The page has one viewer, so only a scene of its own has one.
+        viewer=pack(samples[0]) if len(studies) == 1 else None,
+        styles=list(zip(map(name_of, samples[0].models), styles_of(samples[0]), strict=True)),
         names=", ".join(studied.shift.scene for studied in studies),
         light=palette.LIGHT,
         dark=palette.DARK,
     )
 
 
-def _view(shift: Shift) -> dict[str, Any]:
+def _view(shift: Shift, samples: Samples) -> dict[str, Any]:
     return {
         "s": shift,
         "protocol": protocol(shift),
         "tables": list(tables(shift)),
         "maps": [(frame, _maps(shift, frame), frame == headline(shift)) for frame in shift.frames],
+        "picture": _picture(samples),
+        "domain": samples.domain.name,
         "curves": [_curves(shift, model) for model in trained_models(shift)],
     }
 
@@ -62,6 +71,14 @@ def _maps(shift: Shift, frame: int) -> list[Markup]:
 
         drawn.append(themed.svg(title, draw, map_size(matrix), {}))
     return drawn
+
+
+def _picture(samples: Samples) -> Markup:
+    def draw(figure: Any) -> None:
+        draw_samples(figure, samples)
+
+    size = (_PICTURE[0], _PICTURE[1] * len(samples.index) + 0.6)
+    return themed.svg("rollouts over the truth", draw, size, {})
 
 
 def _curves(shift: Shift, model: str) -> Markup:

@@ -167,7 +167,7 @@ def _figures(error: Array) -> Figures:
 
 def _entry(training: str, seed: int, engines: tuple[str, ...]) -> Entry:
     name = f"{training}-native"
-    return Entry("gns", name, engines, "native", seed, Path(f"{training}{seed}"), name)
+    return Entry("gns", name, engines, "native", seed, Path(f"{training}{seed}"), name, "")
 
 
 def _board(error: Callable[[str, str, int], Array], floor: float) -> Board:

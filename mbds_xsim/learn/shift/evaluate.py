@@ -18,6 +18,7 @@ from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.shift.domains import Domain
 from mbds_xsim.learn.shift.measure import Figures, measure, one_step_error, read_figures
 from mbds_xsim.learn.shift.roster import Entry
+from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.scene import Scene
@@ -26,9 +27,6 @@ __all__ = ["Plan", "evaluate", "figures_on"]
 
 _TIMEOUT = 4 * 3600.0
 _TOGETHER = 6  # models a process: starting one takes seconds
-# What makes models, not rollouts; all other modules of `learn` decide what a rollout is.
-_OTHER = ("campaign", "cost", "curves", "domains", "mixture", "progress", "recipe", "runs", "train")
-
 Tell = Callable[[Entry], None]
 
 
@@ -133,7 +131,7 @@ def _needed(entry: Entry, domain: Domain, plan: Plan) -> Figures:
 
 
 def _path(entry: Entry, domain: Domain, plan: Plan) -> Path:
-    digest = hashlib.sha256(_source())
+    digest = hashlib.sha256(_source(entry.module))
     what = (entry.model, entry.content, domain.name, domain.content, _rows(domain), plan)
     digest.update(repr(what).encode())
     key = digest.hexdigest()
@@ -145,12 +143,6 @@ def _rows(domain: Domain) -> tuple[int, ...]:
 
 
 @functools.cache
-def _source() -> bytes:
-    """Hash of the code that makes the figures."""
-    here = Path(__file__).parent
-    learning = [p for p in here.parent.glob("*.py") if p.stem not in _OTHER]
-    measuring = [here / name for name in ("evaluate.py", "measure.py", "rigid.py")]
-    digest = hashlib.sha256()
-    for path in sorted([*learning, *measuring]):
-        digest.update(path.read_bytes())
-    return digest.digest()
+def _source(module: str) -> bytes:
+    """Hash of the code that makes the figures of a model: that of others may change."""
+    return sources(module, "mbds_xsim.learn.saved", __name__)

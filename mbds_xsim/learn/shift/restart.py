@@ -25,6 +25,7 @@ from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.shift.measure import Figures, measure, read_figures
+from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.registry import load_adapter
@@ -129,6 +130,4 @@ def _settings(engine: Recorded) -> Settings:
 @functools.cache
 def _source() -> bytes:
     """Hash of the code that makes the figures; an engine's adapter counts by its version."""
-    here = Path(__file__).parent
-    files = [here / name for name in ("restart.py", "measure.py", "rigid.py")]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
+    return sources(__name__)

@@ -18,6 +18,7 @@ __all__ = ["TRIVIAL", "Entry", "find_entries", "trivial_entries"]
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
 
+_TRIVIAL_MODULE = "mbds_xsim.learn.trivial"
 _FACTS = ("train_engines", "variant", "training", "seed")
 
 
@@ -26,7 +27,7 @@ class Entry:
     """A model to test."""
 
     model: str
-    """By which it is registered."""
+    """By which it is told from others: the name of its folder."""
     training: str
     """What it was trained on and the variant of that: "mujoco-native", "all-matched"."""
     engines: tuple[str, ...]
@@ -37,6 +38,8 @@ class Entry:
     """None: a trivial one."""
     content: str
     """Checksum of the file."""
+    module: str
+    """That the model is made in."""
     profile: str = ""
     ended: str = ""
 
@@ -88,11 +91,11 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
 
 def trivial_entries() -> list[Entry]:
     """Give the models that learn nothing."""
-    return [Entry(name, "nothing", (), "", 0, None, name) for name in TRIVIAL]
+    return [Entry(name, "nothing", (), "", 0, None, name, _TRIVIAL_MODULE) for name in TRIVIAL]
 
 
 def _entry(path: Path) -> Entry:
-    _, facts = read_model(path)
+    model, facts = read_model(path)
     missing = [key for key in _FACTS if not facts.get(key)]
     if missing:
         msg = f"{path}: does not say its {', '.join(missing)}; train it with mbds-xsim train"
@@ -105,6 +108,7 @@ def _entry(path: Path) -> Entry:
         seed=int(facts["seed"]),
         path=path.resolve(),
         content=hashlib.sha256(path.read_bytes()).hexdigest(),
+        module=type(model).__module__,
         profile=facts.get("profile", ""),
         ended=facts.get("ended", ""),
     )

@@ -1,0 +1,126 @@
+"""Rollouts over the truth: packed for the viewer in the page, and as a picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.learn.shift.samples import Sample, Samples
+from mbds_xsim.report import themed
+from mbds_xsim.report.animation import encoded, packed_base, packed_entry
+from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.sampling_terms import INTERVALS
+
+__all__ = ["draw_samples", "name_of", "pack", "styles_of"]
+
+Array = NDArray[np.float64]
+
+_REACH = 4.0
+"""A point further from the truth than this many times the motion's extent has left the view."""
+_ROOM = 0.6  # half a side of a picture, of the truth's extent
+_SHOTS = 5  # frames of a picture
+
+
+def name_of(sample: Sample) -> str:
+    """How a rollout is told from the others."""
+    return f"{sample.model}, trained on {sample.training}"
+
+
+def styles_of(samples: Samples) -> tuple[Style, ...]:
+    """A colour a model; dashed where it was trained elsewhere."""
+    models = list(dict.fromkeys(sample.model for sample in samples.models))
+    return tuple(
+        Style(models.index(sample.model) % len(LIGHT), not sample.at_home)
+        for sample in samples.models
+    )
+
+
+def pack(samples: Samples) -> dict[str, Any]:
+    """Give what the viewer reads, ready for JSON."""
+    graph, truth = samples.board.test.graph, samples.truth
+    low, high = truth.min(axis=(0, 1, 2)), truth.max(axis=(0, 1, 2))
+    reach = _REACH * max(float(np.linalg.norm(high - low)), graph.length)
+    styles = (None, *styles_of(samples))
+    motions = [("truth", truth), *((name_of(s), s.position) for s in samples.models)]
+    edges = np.stack([graph.senders.numpy(), graph.receivers.numpy()], axis=1)
+    return {
+        "frames": truth.shape[1],
+        "step": graph.frame_s,
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "base": packed_base(truth, low, high),
+        "reach": reach,
+        "entries": [
+            packed_entry(name, style, motion, truth, reach) | {"error": _error(motion, truth)}
+            for (name, motion), style in zip(motions, styles, strict=True)
+        ],
+        "trajectories": [
+            {"index": int(k), "interval": INTERVALS[int(k) % len(INTERVALS)]} for k in samples.index
+        ],
+        "left_out": 0,
+        "points": graph.particle_count,
+        "radius": [0.0] * graph.particle_count,
+        "fixed": graph.anchor_positions.tolist(),
+        "edges": edges[edges[:, 0] < edges[:, 1]].tolist(),
+        "ground": graph.ground,
+        "dimension": samples.board.test.scene.dimension,
+    }
+
+
+def _error(motion: Array, truth: Array) -> str:
+    """Root mean square distance of the particles, frame by frame."""
+    return encoded(np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)), "<f4")
+
+
+def draw_samples(figure: Any, samples: Samples) -> None:
+    """Draw x and z of the particles: a row a trajectory, a few frames from left to right."""
+    graph = samples.board.test.graph
+    shots = np.linspace(0, samples.truth.shape[1] - 1, _SHOTS).round().astype(int)
+    charts = figure.subplots(len(samples.index), _SHOTS, squeeze=False)
+    motions = [(samples.truth, themed.INK, "-", "truth", 3.0)]
+    for sample, style in zip(samples.models, styles_of(samples), strict=True):
+        line = "--" if style.dashed else "-"
+        motions.append((sample.position, LIGHT[style.colour], line, name_of(sample), 1.3))
+    fixed = graph.anchor_positions.numpy()
+    for row, number in enumerate(samples.index.tolist()):
+        for axes, shot in zip(charts[row], shots, strict=True):
+            for position, colour, line, label, width in motions:
+                nodes = np.concatenate([position[row, shot], fixed])
+                look = {"color": colour, "ls": line, "lw": width, "alpha": 0.85}
+                _draw_nodes(axes, graph.senders.numpy(), graph.receivers.numpy(), nodes, look)
+                axes.plot([], [], label=label, **look)
+            _frame(axes, np.concatenate([samples.truth[row].reshape(-1, 3), fixed]))
+            if not row:
+                axes.set_title(f"t = {shot}", fontsize=9)
+        charts[row, 0].set_ylabel(f"trajectory {number}: z [m]")
+    figure.legend(
+        *charts[0, 0].get_legend_handles_labels(),
+        loc="outside lower center", ncols=3, fontsize=8, frameon=False,
+    )  # fmt: skip
+
+
+def _frame(axes: Any, points: Array) -> None:
+    """Show the truth's whole motion, however far a rollout goes."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = _ROOM * max(float((high - low).max()), 1e-3)
+    middle = 0.5 * (low + high)
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[2] - half, middle[2] + half)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=7)
+
+
+def _draw_nodes(
+    axes: Any,
+    senders: NDArray[np.int64],
+    receivers: NDArray[np.int64],
+    nodes: Array,
+    look: dict[str, Any],
+) -> None:
+    for one, two in zip(senders, receivers, strict=True):
+        if one < two:
+            axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
+    if not len(senders):
+        axes.plot(nodes[:, 0], nodes[:, 2], "o", ms=4, color=look["color"], alpha=0.85)
