@@ -48,6 +48,10 @@ def train(
     profile: Annotated[
         str, typer.Option(help="How long: smoke (minutes), lite (hours), paper (GPU).")
     ] = "lite",
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Exactly so many for every run, in place of the profile's.", min=1),
+    ] = None,
     track: Annotated[
         str | None,
         typer.Option(help="Hyper-parameters: lite, native or paper; the profile's when left out."),
@@ -100,7 +104,7 @@ def train(
         on=on,
         seeds=seeds,
         profile_name=profile,
-        profile=_profile(profile, bf16=bf16, compiled=compiled),
+        profile=_profile(profile, steps, bf16=bf16, compiled=compiled),
         out=out,
         track=track,
         device=device,
@@ -150,12 +154,16 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
         check_events()
 
 
-def _profile(name: str, *, bf16: bool, compiled: bool) -> Profile:
+def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Profile:
     import msgspec
 
     from mbds_xsim.learn.campaign import profile_named
 
-    return msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
+    found = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
+    if steps is None:
+        return found
+    every = min(found.every, steps)
+    return msgspec.structs.replace(found, steps=steps, every=every, until_level=False)
 
 
 def _carrier(

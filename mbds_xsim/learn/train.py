@@ -55,8 +55,8 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether to stop once the last fifth of the steps has improved validation too little."""
     improvement: float = 0.02
     """What is too little, as a part of the error."""
-    least: int = 5
-    """Validations before the first such stop."""
+    least: int = 20
+    """Validations before the first such stop: a fifth of fewer is at the mercy of one of them."""
     mixed_precision: bool = False
     """On a GPU: networks of float32 models compute in bfloat16 where that is safe."""
     compiled: bool = False

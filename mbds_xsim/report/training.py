@@ -87,6 +87,7 @@ class TrainingBar:
             self._steps[name] = most_steps
             self._progress.update(self._task, advance=left, runs=self._count())
         self._console.print(f"{name}: {how}", highlight=False, soft_wrap=True)
+        self._console.file.flush()  # a log of days is read while it grows
 
     def _count(self) -> str:
         return f"{self._done}/{self._runs} runs"

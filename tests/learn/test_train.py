@@ -139,7 +139,7 @@ def test_only_training_and_validation_are_let_in(
 def test_it_stops_where_the_last_fifth_improved_too_little(
     parts: tuple[Motions, Motions],
 ) -> None:
-    level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True)
+    level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=5)
     frozen = Recipe(rate=1e-12, batch=2)
     found = train(_model(parts[0]), *parts, frozen, level)
     assert found.ended == "level"

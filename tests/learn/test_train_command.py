@@ -33,7 +33,7 @@ from mbds_xsim.registry import load_scene
 from mbds_xsim.scene import Clock
 from tests.learn.conftest import Silence
 
-TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False)
+TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False, least=5)
 ENGINES = "mujoco,pybullet"
 
 
@@ -96,9 +96,6 @@ def _end(words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
     return int(ended.value.code or 0)
 
 
-# What each training sees.
-
-
 def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(group: Group) -> None:
     engines = tuple(group.files)
     mixture = mixed(group, engines, "train")
@@ -158,21 +155,18 @@ def test_statistics_are_of_the_training_part_and_engine(ask: Ask, group: Group) 
     assert not torch.allclose(statistics.position.mean, x, rtol=1e-6)
 
 
-# What a run leaves.
-
-
 def test_end_to_end(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Through the command, and in processes of its own; the second time nothing is left to do."""
     out = tmp_path / "models"
-    words = [str(made), "--models", "gns", "--on", "each,all", "--seeds", "1"]
-    words += ["--profile", "smoke", "--out", str(out), "--json", str(tmp_path / "told.json")]
+    words = [str(made), "--models", "gns", "--on", "mujoco,all", "--seeds", "1"]
+    words += ["--profile", "smoke", "--steps", "10", "--out", str(out)]
+    words += ["--json", str(tmp_path / "told.json")]
     monkeypatch.setitem(PROFILES, "smoke", TINY)
     assert _end([*words, "--png", str(tmp_path / "curves.png")], monkeypatch) == 0
     told = json.loads((tmp_path / "told.json").read_bytes())
-    trainings = ("mujoco", "pybullet", "all")
-    names = {f"2pendulum/native/gns/{training}-s0" for training in trainings}
+    names = {f"2pendulum/native/gns/{training}-s0" for training in ("mujoco", "all")}
     assert set(told["runs"]) == names
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     for name in names:
@@ -181,7 +175,7 @@ def test_end_to_end(
         assert facts["ended"] == "steps"
         assert all(bool(value.isfinite().all()) for value in model.state_dict().values())
         curve = read_curve(out / f"{name}.curve.json")
-        assert [point.step for point in curve.points] == [4, 8, 12]
+        assert [point.step for point in curve.points] == [4, 8, 10]
         assert float(facts["best_error"]) == min(point.error for point in curve.points)
         assert not (out / f"{name}.checkpoint").exists()
     each = told["runs"]["2pendulum/native/gns/mujoco-s0"]
@@ -193,7 +187,7 @@ def test_end_to_end(
     capsys.readouterr()
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
     assert _end(words, monkeypatch) == 0
-    assert "3 runs done, 3 of them before, 0 failed" in capsys.readouterr().out
+    assert "2 runs done, 2 of them before, 0 failed" in capsys.readouterr().out
     assert stamps == {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
 
 
@@ -268,9 +262,6 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
         (10, pytest.approx(0.2)),
         (20, pytest.approx(0.1)),
     ]
-
-
-# What cannot be.
 
 
 @pytest.mark.parametrize(
