@@ -17,10 +17,11 @@ from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.dataset.foreign import Foreign, read_foreign
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.pooled import Pooled
 from mbds_xsim.dataset.recover import recover
 from mbds_xsim.engine import Method
 from mbds_xsim.errors import InputError
-from mbds_xsim.judge import error_findings, failed_lines, finding_result
+from mbds_xsim.judge import error_findings
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import FindingResult
 from mbds_xsim.sampling import draw_batch
@@ -84,22 +85,28 @@ def audit_file(path: Path, scene: Scene | None, told: Told) -> Audited:
     Raises:
         InputError: The file, or what is told of it, cannot be used.
     """
-    foreign = read_foreign(path, scene)
-    case = _Case.of(foreign, told)
-    findings = case.findings()
-    reasons = tuple(failed_lines(case.batch, findings))
+    pooled, taken, not_checked = Pooled(), dict[str, None](), dict[str, str]()
+    first: _Case | None = None
+    for foreign in read_foreign(path, scene):
+        case = _Case.of(foreign, told)
+        first = first or case
+        pooled.add(case.batch, case.findings())
+        taken |= dict.fromkeys(case.taken)
+        not_checked |= case.not_checked
+    assert first is not None  # no trajectory is refused
+    start = _names_of(first, case) if case.named else "start: frame 0 of the file"
     return Audited(
         file=str(path),
         scene=foreign.scene.name,
-        verdict="fail" if reasons else "pass",
-        trajectories=foreign.count,
+        verdict="fail" if pooled.reasons else "pass",
+        trajectories=foreign.total,
         steps=foreign.steps,
         frame_s=foreign.scene.clock.frame,
         given=tuple(foreign.arrays),
-        taken=tuple(case.taken),
-        findings=tuple(finding_result(case.batch, finding) for finding in findings),
-        reasons=reasons,
-        not_checked=case.not_checked,
+        taken=(start, *taken),
+        findings=pooled.results,
+        reasons=pooled.reasons,
+        not_checked={name: why for name, why in not_checked.items() if name not in pooled.checks},
     )
 
 
@@ -125,11 +132,6 @@ class _Case:
             batch = _unnamed(foreign, taken)
         else:
             batch = _drawn(foreign, foreign.asked, index, told)
-            noise = "with" if told.noise is not False else "without"
-            numbers = f"{index[0]}" if len(index) == 1 else f"{index[0]} … {index[-1]}"
-            taken.append(
-                f"start and inputs: those of seed {told.seed}, index {numbers}, {noise} noise"
-            )
         return _Case(foreign, batch, index is not None, told, taken, {})
 
     def findings(self) -> list[Finding]:
@@ -273,13 +275,15 @@ class _Case:
 
     def _errors(self) -> list[Finding]:
         """Hold some of the trajectories against the reference, by their points."""
-        rows = list(range(min(len(self.batch), _MOST_COMPARED)))
+        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))
+        if not rows:
+            return []
         scene, batch = self.foreign.scene, self.batch[rows]
         points = Points.of(scene)
         truth = reference.solve(scene, batch)
         growth = reference.sensitivity(scene, batch)
         growth[~np.isfinite(truth.position).all(axis=(2, 3))] = np.nan
-        if len(rows) < len(self.batch):
+        if len(rows) < self.foreign.total:
             self.taken.append(f"reference: compared with the first {len(rows)} trajectories only")
         apart = self._positions()[rows] - points.motion(truth)[0]
         error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
@@ -334,13 +338,21 @@ def _index(foreign: Foreign, told: Told) -> list[int] | None:
     if told.index is None:
         named = foreign.index is not None and told.seed is not None
         return foreign.index.tolist() if named and foreign.index is not None else None
-    if len(told.index) != foreign.count:
+    if len(told.index) != foreign.total:
         msg = (
             f"--index: got {len(told.index)} numbers, allowed for {foreign.source} are "
-            f"{foreign.count}, one a trajectory"
+            f"{foreign.total}, one a trajectory"
         )
         raise InputError(msg)
-    return list(told.index)
+    return list(told.index[foreign.first : foreign.first + foreign.count])
+
+
+def _names_of(first: _Case, last: _Case) -> str:
+    """Say which starts they are, from the first trajectory to the last."""
+    told, ends = first.told, (int(first.batch.index[0]), int(last.batch.index[-1]))
+    noise = "with" if told.noise is not False else "without"
+    numbers = f"{ends[0]}" if first.foreign.total == 1 else f"{ends[0]} … {ends[1]}"
+    return f"start and inputs: those of seed {told.seed}, index {numbers}, {noise} noise"
 
 
 def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], told: Told) -> Batch:
@@ -369,5 +381,4 @@ def _unnamed(foreign: Foreign, taken: list[str]) -> Batch:
         if getattr(batch, key).size:
             what = "none but what the scene lists" if given is None else "those of the file"
             taken.append(f"{key}s: {what}")
-    taken.append("start: frame 0 of the file")
     return dataclasses.replace(batch, index=np.arange(count), **inputs)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import csv
 import tomllib
 import zipfile
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import h5py
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.columns import HELD, TIME, groups, sort_columns
 from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.streams import RANKS, Piece, read_hdf5, read_npz
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Clock, Scene
 
@@ -56,10 +57,14 @@ class Foreign:
     """Numbers of the trajectories, if the file tells them."""
     facts: dict[str, Any]
     """Those of `FACTS` that are there."""
+    first: int
+    """Place in the file of the first of these trajectories."""
+    total: int
+    """Trajectories of the file."""
 
     @property
     def count(self) -> int:
-        """How many trajectories."""
+        """How many trajectories these are."""
         return next(len(values) for name, values in self.arrays.items() if name != TIME)
 
     @property
@@ -75,10 +80,12 @@ class _Raw:
     arrays: dict[str, NDArray[Any]]
     rounding: dict[str, float]
     facts: dict[str, Any]
+    first: int = 0
+    total: int = 1
 
 
-def read_foreign(path: Path, scene: Scene | None) -> Foreign:
-    """Read a file of trajectories.
+def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
+    """Read a file of trajectories, some at a time.
 
     Args:
         path: `.csv`: one trajectory; `.npz`, `.h5` or `.hdf5`: one or more.
@@ -95,14 +102,14 @@ def read_foreign(path: Path, scene: Scene | None) -> Foreign:
         msg = f"{path}: there is no such file"
         raise InputError(msg)
     try:
-        raw = readers[path.suffix](path, scene)
-    except (OSError, zipfile.BadZipFile, UnicodeDecodeError, EOFError) as error:
+        for raw in readers[path.suffix](path, scene):
+            yield _checked(raw, scene or _own_scene(raw, path), str(path))
+    except (OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError) as error:
         msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
         raise InputError(msg) from error
-    return _checked(raw, scene or _own_scene(raw, path), str(path))
 
 
-def _read_csv(path: Path, scene: Scene | None) -> _Raw:
+def _read_csv(path: Path, scene: Scene | None) -> Iterator[_Raw]:
     """Rows of columns, and before them facts, as `# seed: 0`."""
     if scene is None:
         msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
@@ -132,7 +139,7 @@ def _read_csv(path: Path, scene: Scene | None) -> _Raw:
         arrays["input/torque"] = arrays["input/torque"][..., 0]
     if "index" in facts:
         arrays["index"] = np.array([_fact("index", facts["index"], int, str(path))])
-    return _Raw(arrays, rounding, facts)
+    yield _Raw(arrays, rounding, facts)
 
 
 def _column(
@@ -167,37 +174,17 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_npz(path: Path, _scene: Scene | None) -> _Raw:
-    with np.load(path, allow_pickle=False) as file:
-        try:
-            values = {name: file[name] for name in file.files}
-        except ValueError as error:
-            msg = f"{path}: holds Python objects; allowed are arrays of numbers"
-            raise InputError(msg) from error
-    facts = {name: values.pop(name).item() for name in list(values) if values[name].ndim == 0}
-    return _named(values, facts, path)
+def _read_npz(path: Path, _scene: Scene | None) -> Iterator[_Raw]:
+    yield from (_named(piece, path) for piece in read_npz(path))
 
 
-def _read_hdf5(path: Path, _scene: Scene | None) -> _Raw:
-    values: dict[str, Any] = {}
-    wanted = {*_ARRAYS, "index"}
-    with h5py.File(path, "r") as file:
-        names: list[str] = []
-        file.visititems(
-            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
-        )
-        for name in names:
-            values[name] = file[name][()] if name in wanted else np.empty(0)
-        facts = {key: _plain(value) for key, value in file.attrs.items()}
-    return _named(values, facts, path)
+def _read_hdf5(path: Path, _scene: Scene | None) -> Iterator[_Raw]:
+    yield from (_named(piece, path) for piece in read_hdf5(path))
 
 
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _named(values: dict[str, Any], facts: dict[str, Any], path: Path) -> _Raw:
+def _named(piece: Piece, path: Path) -> _Raw:
     """Sort arrays by name; what belongs to a data set but not to its motion is passed over."""
+    values = piece.values
     strange = [name for name in values if name not in known_names()]
     if strange or TIME not in values:
         got = f"an array {strange[0]!r}" if strange else "no array 'time'"
@@ -209,7 +196,7 @@ def _named(values: dict[str, Any], facts: dict[str, Any], path: Path) -> _Raw:
             msg = f"{path}: {name}: got values of the type {array.dtype}, allowed are numbers"
             raise InputError(msg)
     rounding = {name: _rounding(array) for name, array in arrays.items()}
-    return _Raw(arrays, rounding, facts)
+    return _Raw(arrays, rounding, piece.facts, piece.first, piece.total)
 
 
 def _rounding(values: NDArray[Any]) -> float:
@@ -218,16 +205,7 @@ def _rounding(values: NDArray[Any]) -> float:
     return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))
 
 
-_ARRAYS = (
-    TIME,
-    "position",
-    "velocity",
-    "body/position",
-    "body/orientation",
-    "body/velocity",
-    "body/angular_velocity",
-    *HELD,
-)
+_ARRAYS = (TIME, *(name for name in RANKS if name != "index"))
 
 
 def _own_scene(raw: _Raw, path: Path) -> Scene:
@@ -255,7 +233,7 @@ def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:
     clock = _clock(np.asarray(raw.arrays[TIME], dtype=np.float64), scene, source)
     frames = np.arange(clock.steps + 1, dtype=np.float64)
     arrays: dict[str, Array] = {TIME: np.asarray(clock.frame * frames)}
-    arrays |= _shaped(raw.arrays, scene, clock, source)
+    arrays |= _shaped(raw, scene, clock, source)
     facts = {
         key: _fact(key, raw.facts[key], kind, source)
         for key, kind in FACTS.items()
@@ -263,7 +241,7 @@ def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:
     }
     index = np.asarray(raw.arrays["index"], dtype=np.int64) if "index" in raw.arrays else None
     found = msgspec.structs.replace(scene, clock=clock)
-    return Foreign(source, scene, found, arrays, raw.rounding, index, facts)
+    return Foreign(source, scene, found, arrays, raw.rounding, index, facts, raw.first, raw.total)
 
 
 def _clock(time: Array, scene: Scene, source: str) -> Clock:
@@ -285,15 +263,13 @@ def _clock(time: Array, scene: Scene, source: str) -> Clock:
     return Clock(frame=frame if same else usual, steps=len(steps))
 
 
-def _shaped(
-    raw: Mapping[str, NDArray[Any]], scene: Scene, clock: Clock, source: str
-) -> dict[str, Array]:
+def _shaped(raw: _Raw, scene: Scene, clock: Clock, source: str) -> dict[str, Array]:
     """Give the arrays a first axis of trajectories and hold their shapes against the scene."""
     found: dict[str, Array] = {}
     for group in groups(scene):
-        if group.name not in raw:
+        if group.name not in raw.arrays:
             continue
-        values = np.asarray(raw[group.name], dtype=np.float64)
+        values = np.asarray(raw.arrays[group.name], dtype=np.float64)
         held = group.name in HELD
         own = group.columns.shape[:1] if group.name == "input/torque" else group.columns.shape
         wanted = (clock.steps + (not held), *own)
@@ -305,7 +281,7 @@ def _shaped(
                 f"(trajectories, {shape}): {'steps' if held else 'frames'}, then {group.span}"
             )
             raise InputError(msg)
-        _refuse_nan(values, group.name, source)
+        _refuse_nan(values, group.name, source, raw.first)
         found[group.name] = values
     counts = {len(values) for values in found.values()}
     if len(counts) > 1:
@@ -315,13 +291,13 @@ def _shaped(
     return found
 
 
-def _refuse_nan(values: Array, name: str, source: str) -> None:
+def _refuse_nan(values: Array, name: str, source: str, first: int) -> None:
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, frame = bad[0][:2]
         value = values[tuple(bad[0])]
         msg = (
-            f"{source}: {name}: got {value} in trajectory {row}, frame {frame}; "
+            f"{source}: {name}: got {value} in trajectory {first + row}, frame {frame}; "
             "allowed are finite numbers: cut the trajectory off before"
         )
         raise InputError(msg)

@@ -13,9 +13,11 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim.choice import Choice
+from mbds_xsim.dataset import streams
 from mbds_xsim.dataset.audit import Audited, Told, audit_file
 from mbds_xsim.dataset.columns import groups
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.recover import recover
 from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_scene
@@ -281,3 +283,54 @@ def test_a_data_set_can_be_audited_too(whole: Path) -> None:
     found = audit_file(shard, None, Told())
     assert (found.verdict, found.trajectories) == ("pass", 100)
     assert any("seed 0, index 600 … 699" in line for line in found.taken)
+
+
+@pytest.mark.parametrize("form", ["h5", "npz", "compressed", "by columns"])
+def test_pieces_of_a_file_are_as_the_whole(
+    form: str, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever is held in memory at a time."""
+    path = whole / "1pendulum" / "mujoco-matched" / "0000000600.h5"
+    told = Told(index=tuple(range(600, 700)), seed=0, method_order=4, step_s=0.005)
+    scene = load_dataset(path).scene
+    if form != "h5":
+        with h5py.File(path) as file:
+            arrays = {name: file[name][()] for name in ("time", "position", "velocity")}
+            arrays |= {f"body/{key}": file[f"body/{key}"][()] for key in STATE}
+        if form == "by columns":
+            arrays = {name: np.asfortranarray(values) for name, values in arrays.items()}
+        path = tmp_path / "it.npz"
+        (np.savez_compressed if form == "compressed" else np.savez)(path, **arrays)
+    at_once = audit_file(path, scene, told)
+    monkeypatch.setattr(streams, "_AT_ONCE", 7 * 11)
+    pieces = audit_file(path, scene, told)
+    assert [len(finding.figures) for finding in pieces.findings] == [
+        len(finding.figures) for finding in at_once.findings
+    ]
+    for one, other in zip(pieces.findings, at_once.findings, strict=True):
+        assert (one.check, one.passed) == (other.check, other.passed)
+        np.testing.assert_allclose(one.figures, other.figures, rtol=1e-9)
+        assert one.figure == pytest.approx(other.figure, rel=1e-9)
+        assert one.trajectory == other.trajectory or not any(one.figures)
+    assert pieces.taken == at_once.taken
+    assert (pieces.trajectories, pieces.verdict) == (100, at_once.verdict)
+
+
+def test_a_bad_trajectory_is_found_in_any_piece(
+    rod: Scene, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = whole / "1pendulum" / "mujoco-matched" / "0000000600.h5"
+    with h5py.File(path) as file:
+        arrays = {f"body/{key}": file[f"body/{key}"][()] for key in STATE}
+        arrays["time"] = file["time"][()]
+    arrays["body/position"][57, 4] += 0.01
+    np.savez(tmp_path / "it.npz", **arrays)
+    monkeypatch.setattr(streams, "_AT_ONCE", 7 * 11)
+    told = Told(index=tuple(range(600, 700)), seed=0)
+    found = audit_file(tmp_path / "it.npz", rod, told)
+    assert found.verdict == "fail"
+    assert any(line.startswith("gap") and "trajectory 657" in line for line in found.reasons)
+    arrays["body/position"][58, 4] = np.nan
+    np.savez(tmp_path / "it.npz", **arrays)
+    with pytest.raises(InputError, match="in trajectory 58, frame 4"):
+        audit_file(tmp_path / "it.npz", rod, told)

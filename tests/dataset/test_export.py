@@ -87,7 +87,7 @@ def test_csv_files_hold_the_same_bits(whole: Path, data: Dataset, tmp_path: Path
         "0000000000.csv",
         "0000000650.csv",
     ]
-    found = read_foreign(folder / "0000000650.csv", data.scene)
+    (found,) = read_foreign(folder / "0000000650.csv", data.scene)
     row = data.index.tolist().index(650)
     for name in (*MOTION, "body/angular_velocity", "input/force"):
         stored = np.asarray(data[name][row], dtype=np.float64)
