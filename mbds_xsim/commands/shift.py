@@ -37,6 +37,10 @@ def shift(
         list[str] | None,
         typer.Option(help="Only this scene; may be repeated. All with models when left out."),
     ] = None,
+    trajectories: Annotated[
+        int | None,
+        typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
+    ] = None,
     cache: CacheUse = True,
     workers: WorkerCount = None,
     json: JsonFile = None,
@@ -66,6 +70,7 @@ def shift(
                 models,
                 data,
                 name,
+                trajectories=trajectories,
                 cache=cache,
                 workers=workers,
                 meter=meter,

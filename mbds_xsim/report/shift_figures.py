@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from mbds_xsim.learn.shift.result import INTERVALS, Shift
+from mbds_xsim.learn.shift.board import RESTART
+from mbds_xsim.learn.shift.result import INTERVALS, Cell, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.palette import LIGHT
@@ -17,6 +18,7 @@ __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
 
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
+_LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 
 
@@ -71,33 +73,62 @@ def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
     """Ends of a scale of colours that maps share."""
     logs = [_log(value) for m in matrices for row in m.values for value in row]
     known = [x for x in logs if math.isfinite(x)] or [0.0]
-    return min(known), max(max(known), min(known) + 1e-3)
+    middle = 0.5 * (min(known) + max(known))
+    half = max(0.5 * (max(known) - min(known)), _LEAST_SPREAD)
+    return middle - half, middle + half
 
 
 def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
-    """Draw the error of all trainings on one domain over time, with trivial models and floors."""
+    """Draw the errors of a model on one domain over time, with trivial models and floors.
+
+    Args:
+        axes: To draw on.
+        shift: The study.
+        model: Of its trainings, those of the domain's variant are drawn.
+        test: Name of the domain.
+    """
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
-    trainings = [c for c in shift.cells if (c.model, c.test, c.interval) == (model, test, "all")]
-    names = list(dict.fromkeys(cell.training for cell in trainings))
-    for cell in trainings:
-        colour = LIGHT[names.index(cell.training) % len(LIGHT)]
-        label = cell.training if cell.seed == trainings[0].seed else None
-        home = cell.training == test
-        axes.plot(time, _line(cell.curve), color=colour, lw=2.0 if home else 1.0, label=label)
+    variant = test.rpartition("-")[2]
+    here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
+    cells = [c for c in here if c.model == model and c.training.endswith(f"-{variant}")]
+    names = list(dict.fromkeys(cell.training for cell in cells))
+    for cell in cells:
+        place = names.index(cell.training)
+        style = "-" if place < len(LIGHT) else "--"
+        label = cell.training if cell is _first(cells, cell.training) else None
+        width = 2.2 if cell.training == test else 1.0
+        colour = LIGHT[place % len(LIGHT)]
+        axes.plot(time, _line(cell.curve), style, color=colour, lw=width, label=label)
     for name, style in zip(TRIVIAL, (":", "--", "-."), strict=True):
-        for cell in shift.cells:
-            if (cell.model, cell.test, cell.interval) == (name, test, "all"):
-                label = name.replace("_", " ")
-                axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
-    for floor in shift.floors:
-        if floor.kind != "engine" and floor.interval == INTERVALS[0]:
-            dots = ":" if floor.kind == "noise" else "-."
-            label = f"{floor.kind} floor"
-            axes.plot(time, _line(floor.curve), dots, color=themed.INK, lw=1, label=label)
+        for cell in (cell for cell in here if cell.model == name):
+            label = name.replace("_", " ")
+            axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
+    _draw_floors(axes, shift, test, time)
     axes.set_yscale("log")
     axes.set_title(f"{model} on {test}", fontsize=9, loc="left")
     axes.set_xlabel("time since the last known frame [s]")
     axes.set_ylabel("median squared error [m²]")
+
+
+def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> None:
+    """Other engines, from the least to the greatest; noise; chaos."""
+    floors = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
+    engines = [f.curve for f in floors if f.kind == RESTART and f.test == test and f.first != test]
+    if engines:
+        each = list(zip(*map(_line, engines), strict=True))
+        low, high = [min(values) for values in each], [max(values) for values in each]
+        axes.fill_between(
+            time, low, high, color=themed.GREY, alpha=0.25, lw=0, label="other engines"
+        )
+    for kind, style in (("noise", ":"), ("chaos", "-.")):
+        for floor in (floor for floor in floors if floor.kind == kind):
+            axes.plot(
+                time, _line(floor.curve), style, color=themed.INK, lw=1, label=f"{kind} floor"
+            )
+
+
+def _first(cells: Sequence[Cell], training: str) -> Cell:
+    return next(cell for cell in cells if cell.training == training)
 
 
 def _draw_row(figure: Any, shift: Shift, columns: int) -> None:

@@ -19,7 +19,7 @@ from mbds_xsim.report.shift_tables import at, headline, matrix_of, tables, train
 
 __all__ = ["to_html"]
 
-_CURVES = (6.0, 3.8)
+_CURVES = (6.6, 3.4)
 _PICTURE = (11.0, 2.1)
 
 
@@ -52,7 +52,7 @@ def _view(shift: Shift, samples: Samples) -> dict[str, Any]:
         "maps": [(frame, _maps(shift, frame), frame == headline(shift)) for frame in shift.frames],
         "picture": _picture(samples),
         "domain": samples.domain.name,
-        "curves": [_curves(shift, model) for model in trained_models(shift)],
+        "curves": [(model, _curves(shift, model)) for model in trained_models(shift)],
     }
 
 
@@ -81,15 +81,15 @@ def _picture(samples: Samples) -> Markup:
     return themed.svg("rollouts over the truth", draw, size, {})
 
 
-def _curves(shift: Shift, model: str) -> Markup:
-    """Errors over time on the first domain of each variant."""
-    tests = list({d.variant: d.name for d in reversed(shift.domains) if d.variant}.values())
+def _curves(shift: Shift, model: str) -> list[Markup]:
+    """Errors over time on all engines' domains."""
+    tests = [domain.name for domain in shift.domains if domain.variant]
+    drawn = []
+    for test in tests:
 
-    def draw(figure: Any) -> None:
-        charts = figure.subplots(1, len(tests), squeeze=False)[0]
-        for axes, test in zip(charts, tests, strict=True):
-            draw_curves(axes, shift, model, test)
-            axes.legend(fontsize=6.5, frameon=False, loc="lower right", ncols=2)
+        def draw(figure: Any, test: str = test) -> None:
+            draw_curves(figure.subplots(), shift, model, test)
+            figure.legend(loc="outside right upper", fontsize=7, frameon=False)
 
-    size = (_CURVES[0] * len(tests), _CURVES[1])
-    return themed.svg(f"{model}: error over time", draw, size, {})
+        drawn.append(themed.svg(f"{model} on {test}: error over time", draw, _CURVES, {}))
+    return drawn

@@ -116,8 +116,13 @@ def scenes_in(folder: Path) -> list[str]:
     return sorted({path.parent.name for path in folder.glob("*/*.h5") if _is_joined(path)})
 
 
-def load_paired(folder: Path, scene: str) -> Paired:
+def load_paired(folder: Path, scene: str, trajectories: int | None = None) -> Paired:
     """Pair the test parts of all data files of a scene.
+
+    Args:
+        folder: Of data sets.
+        scene: Name of the scene's folder in it.
+        trajectories: Take at most so many, the first ones: the intervals take turns.
 
     Raises:
         InputError: There is no data, or files do not belong together: another scene, seed, length
@@ -135,6 +140,7 @@ def load_paired(folder: Path, scene: str) -> Paired:
     if not len(index):
         msg = f"{folder / scene}: no test trajectory is valid in all {len(files)} files; make more"
         raise InputError(msg)
+    index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     _check_paired(files, rows)
     return Paired(

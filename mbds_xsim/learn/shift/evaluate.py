@@ -8,22 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.shift.domains import Domain
-from mbds_xsim.learn.shift.measure import Figures, measure, one_step_error, read_figures
+from mbds_xsim.learn.shift.measure import Figures, figures_on, read_figures
 from mbds_xsim.learn.shift.roster import Entry
 from mbds_xsim.learn.shift.sources import sources
-from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.scene import Scene
 
-__all__ = ["Plan", "evaluate", "figures_on"]
+__all__ = ["Plan", "evaluate"]
 
 _TIMEOUT = 4 * 3600.0
 _TOGETHER = 6  # models a process: starting one takes seconds
@@ -85,25 +81,6 @@ def evaluate(
     }
 
 
-def figures_on(model: Model, motions: Motions, plan: Plan) -> Figures:
-    """Test one model; trajectories whose first window is not known are left unknown."""
-    start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
-    rows = torch.nonzero(start)[:, 0]
-    known = motions[rows]
-    rolled = rollout(model, known, steps=plan.horizon)
-    step = one_step_error(model, known, frames=plan.horizon, stride=plan.stride)
-    return _spread(measure(known, rolled.position, step), rows.numpy(), len(motions))
-
-
-def _spread(figures: Figures, rows: np.ndarray, count: int) -> Figures:
-    whole = {}
-    for name in Figures.__dataclass_fields__:
-        values = getattr(figures, name)
-        whole[name] = np.full((count, *values.shape[1:]), np.nan)
-        whole[name][rows] = values
-    return Figures(**whole)
-
-
 def _carry_out(
     scene: Scene, entries: Sequence[Entry], domains: Sequence[Domain], plan: Plan
 ) -> None:
@@ -113,7 +90,9 @@ def _carry_out(
         model = entry.load(scene)
         for place, domain in enumerate(domains):
             if not _kept(entry, domain, plan):
-                figures = figures_on(model, motions(place, model.dtype), plan)
+                figures = figures_on(
+                    model, motions(place, model.dtype), horizon=plan.horizon, stride=plan.stride
+                )
                 figures.write(_path(entry, domain, plan))
 
 
@@ -145,4 +124,4 @@ def _rows(domain: Domain) -> tuple[int, ...]:
 @functools.cache
 def _source(module: str) -> bytes:
     """Hash of the code that makes the figures of a model: that of others may change."""
-    return sources(module, "mbds_xsim.learn.saved", __name__)
+    return sources(module, "mbds_xsim.learn.saved", "mbds_xsim.learn.shift.measure")

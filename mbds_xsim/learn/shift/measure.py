@@ -14,11 +14,12 @@ from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.shift.rigid import RigidPairs
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.write import write_whole
 
-__all__ = ["EXPLODED", "LOST", "Figures", "measure", "one_step_error", "read_figures"]
+__all__ = ["EXPLODED", "LOST", "Figures", "figures_on", "measure", "one_step_error", "read_figures"]
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,23 @@ def read_figures(path: Path) -> Figures | None:
             return Figures(**{name: file[name] for name in _NAMES})
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None
+
+
+def figures_on(model: Model, motions: Motions, *, horizon: int, stride: int) -> Figures:
+    """Test a model; trajectories whose first window is not known are left unknown.
+
+    Args:
+        model: Of the motions' type of numbers.
+        motions: The truth.
+        horizon: Frames of a rollout.
+        stride: Frames from a window of the teacher-forced predictions to the next.
+    """
+    start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
+    rows = torch.nonzero(start)[:, 0]
+    known = motions[rows]
+    rolled = rollout(model, known, steps=horizon)
+    step = one_step_error(model, known, frames=horizon, stride=stride)
+    return _spread(measure(known, rolled.position, step), rows.numpy(), len(motions))
 
 
 def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> Figures:
@@ -116,6 +134,16 @@ def one_step_error(model: Model, motions: Motions, *, frames: int, stride: int) 
         total[rows] += torch.where(error.isfinite(), error, torch.inf)
         count[rows] += 1
     return np.asarray((total / count).numpy())
+
+
+def _spread(figures: Figures, rows: NDArray[np.int64], count: int) -> Figures:
+    """Put figures of some rows among all."""
+    whole = {}
+    for name in _NAMES:
+        values = getattr(figures, name)
+        whole[name] = np.full((count, *values.shape[1:]), np.nan)
+        whole[name][rows] = values
+    return Figures(**whole)
 
 
 def _squared_distance(told: Tensor, seen: Tensor) -> Tensor:

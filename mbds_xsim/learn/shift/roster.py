@@ -78,7 +78,7 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
             "some with mbds-xsim train"
         )
         raise InputError(msg)
-    entries = [_entry(path) for path in paths]
+    entries = sorted(map(_entry, paths), key=_order)
     seen: dict[tuple[str, str, int], Path | None] = {}
     for entry in entries:
         key = (entry.model, entry.training, entry.seed)
@@ -92,6 +92,11 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
 def trivial_entries() -> list[Entry]:
     """Give the models that learn nothing."""
     return [Entry(name, "nothing", (), "", 0, None, name, _TRIVIAL_MODULE) for name in TRIVIAL]
+
+
+def _order(entry: Entry) -> tuple[str, str, int, str, int]:
+    """Single engines, leave-one-out, all; variant by variant."""
+    return entry.model, entry.variant, len(entry.engines), entry.training, entry.seed
 
 
 def _entry(path: Path) -> Entry:

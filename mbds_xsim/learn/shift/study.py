@@ -54,6 +54,7 @@ def study(
     data: Path,
     scene: str,
     *,
+    trajectories: int | None = None,
     cache: bool = True,
     workers: int | None = None,
     meter: Meter | None = None,
@@ -65,6 +66,7 @@ def study(
         models: Folder of trained models.
         data: Folder of data sets.
         scene: Name of the scene in both.
+        trajectories: Test with at most so many.
         cache: Whether stored reference solutions are used.
         workers: Processes at a time.
         meter: Told of every model that is done.
@@ -74,7 +76,7 @@ def study(
         InputError: Models or data are missing, or do not belong together.
     """
     began = time.perf_counter()
-    test = load_paired(data, scene)
+    test = load_paired(data, scene, trajectories)
     entries = [*trivial_entries(), *find_entries(models, scene)]
     plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
