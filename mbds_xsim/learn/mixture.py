@@ -99,5 +99,7 @@ def mixed(
             parts.append(
                 Motions.of(data, split, rows=rows, bodies=bodies, device=device, dtype=dtype)
             )
+    if len(parts) == 1:
+        return parts[0]  # no copy of what may fill the memory; files are in ascending order
     whole = Motions.joined(parts)
     return whole[torch.from_numpy(np.argsort(whole.index))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -19,7 +19,7 @@ from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import run_tasks
+from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.learn import campaign, runs
 from mbds_xsim.learn.campaign import Request, carry, planned
 from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
@@ -249,6 +249,27 @@ def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
         planned(dataclasses.replace(ask(), profile=longer))
     with pytest.raises(InputError, match=r"a model of another track, settings;"):
         planned(dataclasses.replace(ask(), track="native"))
+
+
+def test_a_plan_tells_the_cost_and_trains_nothing(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def here(tasks: Sequence[Task], *, workers: int) -> list[object]:
+        assert workers > 0
+        return run_tasks(tasks, workers=0)
+
+    monkeypatch.setattr("mbds_xsim.isolate.run_tasks", here)
+    monkeypatch.setitem(PROFILES, "smoke", TINY)
+    words = [str(made), "--models", "gns", "--profile", "smoke", "--plan", "--json", "-"]
+    assert _end([*words, "--out", str(tmp_path / "models")], monkeypatch) == 0
+    told = capsys.readouterr()
+    (cost,) = json.loads(told.out)["cost"]
+    assert (cost["group"], cost["model"]) == ("2pendulum/native", "gns")
+    seconds = TINY.steps / cost["steps_per_s"] + 3 * cost["validation_s"]
+    assert cost["hours"] == pytest.approx(seconds / 3600)
+    assert 1 < cost["steps_per_s"] < 10_000
+    assert "6 runs, at most" in told.err
+    assert not (tmp_path / "models").exists()
 
 
 def test_tensorboard_is_told(tmp_path: Path) -> None:
