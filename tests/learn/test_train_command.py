@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.cli import main
@@ -30,6 +32,7 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.registry import load_scene
+from mbds_xsim.report.training import TrainingBar
 from mbds_xsim.scene import Clock
 from tests.learn.conftest import Silence
 
@@ -270,6 +273,24 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
     assert 1 < cost["steps_per_s"] < 10_000
     assert "6 runs, at most" in told.err
     assert not (tmp_path / "models").exists()
+
+
+def test_the_bar_counts_runs_and_only_the_steps_of_this_process() -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=160)
+    with TrainingBar(console) as bar:
+        bar.begin(1, [100, 100])
+        bar.reached("a", 40, 2e-3, before=True)
+        bar.reached("a", 50, 1e-3, before=False)
+        (task,) = bar._progress.tasks
+        assert (task.completed, task.total) == (50, 200)
+        assert bar._taken == 10
+        assert task.fields["last"] == "a: 0.001 m² at 50"
+        bar.ended("a", 100, "level after 50 steps")
+        assert task.completed == 100
+        assert task.fields["runs"] == "2/3 runs"
+    stream = console.file
+    assert isinstance(stream, io.StringIO)
+    assert "a: level after 50 steps" in stream.getvalue()
 
 
 def test_tensorboard_is_told(tmp_path: Path) -> None:
