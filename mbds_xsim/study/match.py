@@ -41,6 +41,8 @@ _WORTH = 1.1
 _NEAR = 1.1
 """Where nothing passes, the cheapest is taken that is at most so many times as far off as the best.
 """
+_FAR = 2.0
+"""So many times a budget is no matter of a little shorter steps."""
 _CHUNKS = 6
 _GRACE = 60.0
 _PATIENCE = 8.0
@@ -316,9 +318,17 @@ def _settle(
                 (candidate.trials[count],) = ground.run([(candidate.curve, count)])
             return _found(proof, candidate, count, trial, candidates, used)
         candidate.search.refuse(count)
+        if _stuck(candidate):
+            continue
         if candidate.cost * proof.scene.clock.duration <= proof.limit:
             heapq.heappush(queue, (candidate.rank, place))
     return _best_effort(proof, candidates, used)
+
+
+def _stuck(candidate: _Candidate) -> bool:
+    """Whether the last two proofs were far off, and shorter steps brought it no nearer."""
+    *_, before, last = [math.inf, math.inf, *(t.excess for t in candidate.proofs.values())]
+    return _FAR < last < math.inf and last > before / _NEAR
 
 
 def _best_effort(

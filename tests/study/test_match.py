@@ -23,7 +23,8 @@ from mbds_xsim.study import match as study
 from mbds_xsim.study.bisect import COUNTS, Search
 from mbds_xsim.study.match import Found, Match, match
 from mbds_xsim.study.matched_file import matched_toml
-from mbds_xsim.study.trial import run_trial
+from mbds_xsim.study.sweep import Curve
+from mbds_xsim.study.trial import Trial, run_trial
 
 
 class _Silent:
@@ -146,6 +147,20 @@ def test_what_is_found_is_not_dearer_than_the_settings_in_use(
 
 def _dear_counts(search: Search, counts: tuple[int, ...] = (80,)) -> None:
     _few_counts(search, counts)
+
+
+@pytest.mark.parametrize(
+    ("excesses", "given_up"),
+    [((6.8,), False), ((6.8, 6.7), True), ((6.8, 5.0), False), ((1.3, 1.3), False)],
+)
+def test_a_method_that_shorter_steps_do_not_mend_is_given_up(
+    excesses: tuple[float, ...], given_up: bool
+) -> None:
+    candidate = study._Candidate(Curve("pybullet", "semi-implicit-euler", "", {}, ()))
+    for count, excess in enumerate(excesses):
+        candidate.proofs[count] = Trial(("wheels",), excess, 1.0, 1.0)
+
+    assert study._stuck(candidate) == given_up
 
 
 @pytest.mark.parametrize(
