@@ -39,12 +39,14 @@ def protocol(shift: Shift) -> str:
     """Say what was done, in a line."""
     seeds = sorted({m.seed for m in shift.models if m.engines})
     profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
+    steps = sorted({m.steps for m in shift.models if m.steps})
+    budget = f", {steps[0]} to {steps[-1]} steps" if steps else ""
     return (
         f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
         f"the same starts and inputs; the first {shift.history} frames are the test domain's own, "
         f"then {shift.horizon} frames of {shift.frame_s:g} s are predicted. Seeds {seeds}, "
-        f"profile {profiles}; random forces {'act' if shift.noise else 'do not act'} and are "
-        "never told to a model"
+        f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
+        "are never told to a model"
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.agreement import paper_errors, tau
+from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.board import ENGINE, Board, cells_of, valid_time
 from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
 from mbds_xsim.learn.shift.domains import Paired, Recorded
@@ -288,6 +289,23 @@ def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:
     oracle = [c for c in cells_of(board) if c.model == ENGINE and c.interval == "all"]
     assert len(oracle) == 6
     assert {c.mse for c in oracle} == {(2.0, 2.0)}
+
+
+def _answer(board: Board) -> str:
+    draws = Draws(board)
+    gaps = _gaps(board)
+    found = {answer.question: answer.answer for answer in answers_of(board, draws, gaps)}
+    return found["Which model is most robust (native)?"]
+
+
+def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
+    told = _answer(_board(_shifted, floor=1e-3))
+    assert "this cannot be told" in told
+    assert "0 of 6 gaps are resolved" in told
+    told = _answer(_board(_shifted, floor=100.0))
+    assert "gns has the smallest worst-engine gap" in told
+    assert "6 of 6 gaps are resolved" in told
+    assert "gns 4 [" in told
 
 
 def test_bootstrap_intervals_cover_the_mean() -> None:

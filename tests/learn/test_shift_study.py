@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import shutil
 from collections.abc import Iterator
@@ -20,11 +21,12 @@ from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.saved import save_model
 from mbds_xsim.learn.shift import evaluate, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.shift.roster import find_entries
+from mbds_xsim.learn.shift.roster import check_data, find_entries, refusal
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
@@ -232,7 +234,25 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
     assert gone_on.mse[0] is not None
     assert apart.mse[0] is not None
     assert gone_on.mse[0] < 0.5 * apart.mse[0]
-    assert shift.left_out == {}
+    assert not any(name.startswith("restarted") for name in shift.left_out)
+
+
+def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
+    none = "no trained model of it was given"
+    assert shift.left_out == {"hgnn": none, "lgnn": none, "sgnn": none}
+    assert refusal("gns", Graph.of(load_scene("balldrop"))) == ""
+    assert "contact" in refusal("hgnn", Graph.of(load_scene("balldrop")))
+
+
+def test_other_training_data_are_refused(folder: Path) -> None:
+    paired = load_paired(folder / "data", SCENE)
+    entry = find_entries(folder / "models", SCENE)[0]
+    content = {domain.engine: domain.content for domain in paired.domains}
+    good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
+    check_data([entry, good], paired)
+    bad = dataclasses.replace(entry, data=(("mujoco", content["exudyn"]),))
+    with pytest.raises(InputError, match="another data set mujoco-native than is tested on"):
+        check_data([good, bad], paired)
 
 
 def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:

@@ -107,19 +107,11 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], pl
     ratios = {f.model: _ratio(draws, functools.partial(_worst_gap, f)) for f in fields}
     order = sorted(ratios, key=lambda model: ratios[model].value[place])
     told = ", ".join(f"{model} {ratios[model].told(place)}" for model in order)
-    best = ratios[order[0]]
-    apart = [m for m in order[1:] if ratios[m].low[place] > best.high[place]]
-    sure = (
-        "its interval is apart from all others'"
-        if len(apart) == len(order) - 1
-        else ("its interval overlaps those of " + ", ".join(m for m in order[1:] if m not in apart))
-    )
-    if len(order) == 1:
-        sure = "there is no other to compare with"
+    seen, count = _resolved_of(fields, gaps, place)
     text = (
-        f"At t = {frame} on {variant} data {order[0]} has the smallest worst-engine gap ({sure}). "
-        f"Worst ratio of error to that of the target-trained model: {told}. "
-        f"{_caution(fields, gaps, place)}"
+        f"At t = {frame} on {variant} data {_first(order, ratios, place, seen)}. {seen} of {count} "
+        "gaps are resolved. Worst ratio of error to that of the target-trained model (the worst "
+        f"of several is above 1 even without a shift): {told}"
     )
     return Answer(
         f"Which model is most robust ({variant})?",
@@ -128,8 +120,21 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], pl
     )
 
 
-def _caution(fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> str:
-    """How many of the gaps that this is about tell anything of a shift."""
+def _first(order: Sequence[str], ratios: dict[str, _Ratio], place: int, seen: int) -> str:
+    """Name the first of an order, and how sure that is."""
+    if not seen:
+        return (
+            "this cannot be told: where no gap is resolved, ratios tell how well trainings went, "
+            "not what a change of engine does"
+        )
+    best, others = ratios[order[0]], order[1:]
+    near = [model for model in others if ratios[model].low[place] <= best.high[place]]
+    sure = f"its interval overlaps those of {', '.join(near)}" if near else "apart from all others"
+    return f"{order[0]} has the smallest worst-engine gap" + (f" ({sure})" if others else "")
+
+
+def _resolved_of(fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> tuple[int, int]:
+    """How many of the gaps within a variant tell of a shift, and of how many."""
     trainings = {(f.model, t.name) for f in fields for t in f.singles.values()}
     targets = {name for field in fields for name in field.singles}
     told = [
@@ -137,11 +142,7 @@ def _caution(fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> str:
         for gap in gaps
         if gap.kind == SINGLE and (gap.model, gap.training) in trainings and gap.test in targets
     ]
-    seen = sum(gap.resolved[place] for gap in told)
-    text = f"Of these gaps {seen} of {len(told)} are resolved"
-    if not seen:
-        text += ": these ratios tell how well trainings went, not what a change of engine does"
-    return text + "; the worst of several ratios is above 1 even without a shift"
+    return sum(gap.resolved[place] for gap in told), len(told)
 
 
 def _worst_gap(field: _Field, look: Look) -> Array:

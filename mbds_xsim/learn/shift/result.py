@@ -53,6 +53,8 @@ class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     engines: tuple[str, ...]
     seed: int
     profile: str
+    steps: int
+    """Of the optimiser; 0 where not stated."""
     ended: str
     content: str
     """Checksum of its file; its name for trivial models."""

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbds_xsim.errors import InputError
+import torch
+
+from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.learn.channels import CHANNELS
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, load_model
 from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.shift.domains import Paired
+from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.scene import Scene
 
-__all__ = ["TRIVIAL", "Entry", "find_entries", "trivial_entries"]
+__all__ = ["TRIVIAL", "Entry", "check_data", "find_entries", "refusal", "trivial_entries"]
 
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
@@ -41,7 +48,11 @@ class Entry:
     module: str
     """That the model is made in."""
     profile: str = ""
+    steps: int = 0
+    """Of the optimiser; 0 where not stated."""
     ended: str = ""
+    data: tuple[tuple[str, str], ...] = ()
+    """Engines and checksums of the files that it was trained on, as far as stated."""
 
     @property
     def single(self) -> bool:
@@ -89,9 +100,48 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
     return entries
 
 
+def check_data(entries: Sequence[Entry], test: Paired) -> None:
+    """Refuse a model that was trained on other data of a domain: its split may be another.
+
+    Raises:
+        InputError: The checksums differ.
+    """
+    contents = {domain.name: domain.content for domain in test.domains}
+    for entry in entries:
+        for engine, content in entry.data:
+            name = f"{engine}-{entry.variant}"
+            if contents.get(name, content) != content:
+                msg = (
+                    f"{entry.path}: was trained on another data set {name} than is tested on; "
+                    "train it on this one, or test it on its own"
+                )
+                raise InputError(msg)
+
+
+def refusal(name: str, graph: Graph) -> str:
+    """Say why a model cannot represent a scene; "" where it can."""
+    kind = load_model(name)
+    try:
+        kind(graph, _still(), next(iter(kind.tracks.values())))
+    except Unsupported as error:
+        return str(error)
+    return ""
+
+
+def _still() -> Statistics:
+    """Statistics of nothing that moves."""
+    moments = Moments(torch.zeros(3).double(), torch.ones(3).double())
+    return Statistics(moments, moments, moments, torch.ones(len(CHANNELS)).double())
+
+
 def trivial_entries() -> list[Entry]:
     """Give the models that learn nothing."""
     return [Entry(name, "nothing", (), "", 0, None, name, _TRIVIAL_MODULE) for name in TRIVIAL]
+
+
+def _data(facts: dict[str, str]) -> tuple[tuple[str, str], ...]:
+    told: dict[str, str] = json.loads(facts.get("data", "{}"))
+    return tuple(sorted(told.items()))
 
 
 def _order(entry: Entry) -> tuple[str, str, int, str, int]:
@@ -114,6 +164,8 @@ def _entry(path: Path) -> Entry:
         path=path.resolve(),
         content=hashlib.sha256(path.read_bytes()).hexdigest(),
         module=type(model).__module__,
-        profile=facts.get("profile", ""),
+        profile=facts.get("profile_name") or facts.get("profile", ""),
+        steps=int(facts.get("steps", 0)),
         ended=facts.get("ended", ""),
+        data=_data(facts),
     )

@@ -22,7 +22,7 @@ from mbds_xsim.learn.shift.gaps import Draws, gaps_of
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
 from mbds_xsim.learn.shift.restart import restarted
 from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
-from mbds_xsim.learn.shift.roster import Entry, find_entries, trivial_entries
+from mbds_xsim.learn.shift.roster import Entry, check_data, find_entries, refusal, trivial_entries
 from mbds_xsim.learn.shift.truth import read_truth, solve_domain
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.registry import package_version
@@ -77,7 +77,9 @@ def study(
     """
     began = time.perf_counter()
     test = load_paired(data, scene, trajectories)
-    entries = [*trivial_entries(), *find_entries(models, scene)]
+    trained = find_entries(models, scene)
+    check_data(trained, test)
+    entries = [*trivial_entries(), *trained]
     plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
@@ -115,7 +117,8 @@ def study(
         noise=test.noise,
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
         left_out=({} if solved else {REFERENCE: reason})
-        | {f"{RESTART} {name}": why for name, why in oracle[1].items()},
+        | {f"{RESTART} {name}": why for name, why in oracle[1].items()}
+        | _absent(test, board),
         models=tuple(map(_facts, entries)),
         cells=tuple(cells_of(board)),
         floors=tuple(floors_of(board, noise, chaos)),
@@ -145,6 +148,14 @@ def _evaluated(
     return evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
 
 
+def _absent(test: Paired, board: Board) -> dict[str, str]:
+    """Say of models that are not there whether they could be."""
+    reasons = {}
+    for name in sorted({"gns", "sgnn", "hgnn", "lgnn"} - set(board.models)):
+        reasons[name] = refusal(name, test.graph) or "no trained model of it was given"
+    return reasons
+
+
 def _mean(board: Board, error: Array | None) -> Array:
     """Over the known trajectories at the frames; NaN where there is nothing."""
     if error is None:
@@ -159,6 +170,7 @@ def _facts(entry: Entry) -> ModelFacts:
         engines=entry.engines,
         seed=entry.seed,
         profile=entry.profile,
+        steps=entry.steps,
         ended=entry.ended,
         content=entry.content,
     )
