@@ -124,6 +124,8 @@ class Mechanism:
 
     def native_rotation(self, orientation: Array) -> Array:
         """Published orientations (…, body, 4) to rotations of the native frames."""
+        if (self.reference_orientation == rotation.IDENTITY).all():
+            return orientation.copy()
         return rotation.multiply(orientation, rotation.conjugate(self.reference_orientation))
 
     def body_orientation(self, native: Array) -> Array:

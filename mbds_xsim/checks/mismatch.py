@@ -105,9 +105,12 @@ def mismatch_of(
     force, torque = force[:, first], torque[:, first]
     flow = Flow(mechanism, _MOMENT * frame)
     free = flying(mechanism, bodies, frame)[:, first]
-    begin, end = (
-        _points_at(flow, _frames(bodies, at), free, force, torque, lag) for at in (first, first + 1)
-    )
+    # Both ends of all steps at once: calls cost as much as numbers here.
+    ends, count = _frames(bodies, np.concatenate([first, first + 1])), len(first)
+    free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
+    points = _points_at(flow, ends, free, force, torque, lag)
+    halves = slice(0, count), slice(count, None)
+    begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)
     moved = (end.position - begin.position) / frame
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2

@@ -50,7 +50,7 @@ def momentum(record: Record) -> Finding | None:
 
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
     """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
-    bodies = list(balance.bodies)
+    bodies = _rows(balance)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
     load = record.batch.force[:, : record.steps, bodies]
     load = load + record.mechanism.mass[bodies, None] * np.array(record.scene.gravity)
@@ -66,14 +66,14 @@ def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array,
 
 
 def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
-    bodies, mass = list(balance.bodies), record.mechanism.mass[list(balance.bodies)]
+    bodies, mass = _rows(balance), record.mechanism.mass[_rows(balance)]
     each = mass[:, None] * record.bodies.velocity[:, :, bodies]
     return _total(each), _scale(record, balance, each, 1.0)
 
 
 def _angular(record: Record, balance: Balance) -> tuple[Array, Array]:
     """Angular momentum about the balance's point, (trajectory, frame, 3), and its scale."""
-    mechanism, states, bodies = record.mechanism, record.bodies, list(balance.bodies)
+    mechanism, states, bodies = record.mechanism, record.bodies, _rows(balance)
     mass, velocity = mechanism.mass[bodies], states.velocity[:, :, bodies]
     drift = 0.0 if balance.about is not None else _mean(mass, velocity)
     carried = rotation.cross(_arms(record, balance), mass[:, None] * (velocity - drift))
@@ -90,7 +90,7 @@ def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
     sizes = rotation.norm(each).sum(axis=2)
     pull = float(np.linalg.norm(record.scene.gravity)) or _EARTH
     speed = np.sqrt(pull * record.scene.length)
-    floor = _FLOOR * float(record.mechanism.mass[list(balance.bodies)].sum()) * speed * arm
+    floor = _FLOOR * float(record.mechanism.mass[_rows(balance)].sum()) * speed * arm
     return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
 
 
@@ -100,9 +100,9 @@ def _moments(record: Record, balance: Balance, load: Array) -> tuple[Array, Arra
     Momenta of lagging velocities lag too, by the moments at the two ends.
     """
     arm = _arms(record, balance)
-    speed = record.bodies.velocity[:, :, list(balance.bodies)]
+    speed = record.bodies.velocity[:, :, _rows(balance)]
     if balance.about is None:
-        speed = speed - _mean(record.mechanism.mass[list(balance.bodies)], speed)
+        speed = speed - _mean(record.mechanism.mass[_rows(balance)], speed)
     frame = record.frame
     held = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     held = held + record.lag * (arm[:, 1:] - arm[:, :-1])
@@ -129,10 +129,18 @@ def _driving(record: Record, balance: Balance) -> Array:
 
 def _arms(record: Record, balance: Balance) -> Array:
     """Centres of mass from the balance's point [m], shape (trajectory, frame, body, 3)."""
-    places = record.bodies.position[:, :, list(balance.bodies)]
+    places = record.bodies.position[:, :, _rows(balance)]
     if balance.about is not None:
         return places - balance.about
-    return places - _mean(record.mechanism.mass[list(balance.bodies)], places)
+    return places - _mean(record.mechanism.mass[_rows(balance)], places)
+
+
+def _rows(balance: Balance) -> slice | list[int]:
+    """Where the group's bodies are; a slice, which copies nothing, where they follow each other."""
+    first, last = balance.bodies[0], balance.bodies[-1]
+    if balance.bodies == tuple(range(first, last + 1)):
+        return slice(first, last + 1)
+    return list(balance.bodies)
 
 
 def _total(each: Array) -> Array:

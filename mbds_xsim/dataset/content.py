@@ -80,9 +80,8 @@ class NewFile:
         else:
             kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
         if field.dtype == "<f4":
-            off = np.abs(stored - values).max(initial=0.0, where=np.isfinite(values))
             told["rounding"] = "to the nearest float32 of the float64 value"
-            told["largest_rounding"] = float(off)
+            told["largest_rounding"] = _largest(stored - values)
         self.hdf5.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
         self.describe(field, {**told, SUM: _sum(stored)})
 
@@ -103,6 +102,14 @@ class NewFile:
         _put_attributes(self.hdf5, {**attributes, CONTENT: content})
         self.hdf5.flush()
         return bytes(self.hdf5.id.get_file_image())
+
+
+def _largest(values: NDArray[Any]) -> float:
+    """Largest size, of those that are numbers."""
+    ends = values.min(initial=0.0), values.max(initial=0.0)
+    if not np.isfinite(ends).all():
+        return _largest(values[np.isfinite(values)])
+    return float(max(-ends[0], ends[1]))
 
 
 def _put_attributes(item: Any, attributes: Attributes) -> None:

@@ -113,8 +113,8 @@ def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Makin
     for group, rows in _groups(scene, batch.index):
         findings = audit(
             scene,
-            batch[rows],
-            trajectory[rows.tolist()],
+            batch[_view(rows)],
+            trajectory[_view(rows)],
             making.method,
             step=making.step,
             contact_time=making.contact_time,
@@ -131,6 +131,12 @@ def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArr
     size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
     for group in np.unique(index // size):
         yield int(group), np.flatnonzero(index // size == group)
+
+
+def _view(rows: NDArray[np.int64]) -> slice | list[int]:
+    """Give a slice, which copies nothing, where rows follow each other."""
+    first, last = int(rows[0]), int(rows[-1])
+    return slice(first, last + 1) if last - first + 1 == len(rows) else rows.tolist()
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:

@@ -45,6 +45,8 @@ class Points:
         swing = rotation.cross(trajectory.angular_velocity[..., self.body, :], arm)
         position = trajectory.position[..., self.body, :] + arm
         velocity = trajectory.velocity[..., self.body, :] + swing
+        if len(self.axes) == 3:
+            return position, velocity
         return position[..., self.axes], velocity[..., self.axes]
 
     def graph(self) -> dict[str, NDArray[Any]]:
