@@ -7,7 +7,9 @@ from collections.abc import Iterator, Sequence
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.shift_tables import Table, tables
 
-__all__ = ["to_markdown"]
+__all__ = ["protocol", "to_markdown"]
+
+_ENOUGH = 3  # seeds
 
 
 def to_markdown(studies: Sequence[Shift], picture: str = "") -> str:
@@ -41,10 +43,12 @@ def protocol(shift: Shift) -> str:
     profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
     steps = sorted({m.steps for m in shift.models if m.steps})
     budget = f", {steps[0]} to {steps[-1]} steps" if steps else ""
+    few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     return (
         f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
         f"the same starts and inputs; the first {shift.history} frames are the test domain's own, "
-        f"then {shift.horizon} frames of {shift.frame_s:g} s are predicted. Seeds {seeds}, "
+        f"then {shift.horizon} frames of {shift.frame_s:g} s are predicted. "
+        f"Seeds {', '.join(map(str, seeds))}{few}; "
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"
     )

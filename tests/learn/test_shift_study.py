@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import dataclasses
 import json
+import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -162,11 +164,31 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     page = Path(names["html"]).read_text()
     assert page.count("<svg") >= 3
     assert "not resolvable: own error exceeds the engine floor" in page
+    assert "seeds 0, 1, too few to tell" in page.lower()
+    _check_viewer(page)
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "| engine mujoco-native |" in Path(names["md"]).read_text()
     assert "![" in Path(names["md"]).read_text()
     assert Path(names["png"]).read_bytes().startswith(b"\x89PNG")
     assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
+
+
+def _check_viewer(page: str) -> None:
+    """What the viewer reads has the lengths that it says, and every rollout starts on the truth."""
+    text = page.split('<script type="application/json" id="data">')[1].split("</script>")[0]
+    viewer = json.loads(text)
+    shape = (len(viewer["trajectories"]), viewer["frames"], viewer["points"], 3)
+    assert len(base64.b64decode(viewer["base"])) == 2 * math.prod(shape)
+    truth, *rollouts = viewer["entries"]
+    assert truth["deviation"] is None
+    assert [entry["dashed"] for entry in rollouts] == [False, True]
+    for entry in rollouts:
+        deviation = np.frombuffer(base64.b64decode(entry["deviation"]), "<i2").reshape(shape)
+        assert (deviation[:, 0] == 0).all()
+        assert (deviation[:, -1] != 0).any()
+        error = np.frombuffer(base64.b64decode(entry["error"]), "<f4").reshape(shape[:2])
+        assert (error[:, 0] == 0.0).all()
+        assert (error[:, -1] > 0.0).all()
 
 
 def _copied(folder: Path, tmp_path: Path) -> Path:
