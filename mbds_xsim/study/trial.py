@@ -51,6 +51,11 @@ class Trial:
         """Whether all budgets are kept."""
         return not self.reasons
 
+    @property
+    def broken(self) -> int:
+        """Number of checks that fail."""
+        return len({reason.partition(":")[0] for reason in self.reasons})
+
 
 def run_trial(
     scene: Scene,

@@ -163,6 +163,25 @@ def test_a_method_that_shorter_steps_do_not_mend_is_given_up(
     assert study._stuck(candidate) == given_up
 
 
+def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
+    scene: Scene,
+) -> None:
+    frame = scene.clock.frame
+    used = Settings("semi-implicit-euler", frame / 40)
+    candidate = study._Candidate(Curve("pybullet", used.method, "", {}, (40,)))
+    for count, excess, reasons in (
+        (1, 3.0, ("wheels: far", "contact gap: far")),
+        (10, 6.2, ("wheels: far", "wheels: farther")),
+        (40, 6.0, ("wheels: far",)),
+    ):
+        candidate.proofs[count] = Trial(reasons, excess, 0.1 * count, 0.1 * count)
+    proof = study._Field(scene, draw_batch(scene, range(3)), None, 0, 1.0, _Silent())  # type: ignore[arg-type]
+
+    found = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
+
+    assert (found.steps_per_frame, found.meets_budget) == (10, False)
+
+
 @pytest.mark.parametrize(
     ("name", "rigid", "steps", "enough", "limit"),
     [
