@@ -36,7 +36,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Frames to come in a window."""
     schedule: Plateau | Decay | None = None
     clip: float | None = None
-    """Largest norm of a gradient; longer ones are shortened to it."""
+    """Largest norm of a gradient; longer ones are shortened to it, and a step whose gradient is no
+    number is not taken. A run of which that is most steps since a validation has diverged."""
 
     def __post_init__(self) -> None:
         bounds.positive("rate", self.rate)

@@ -190,6 +190,7 @@ def facts_of(run: Run, training: Training, parts: Parts) -> dict[str, str]:
         "train_trajectories": len(parts[0]),
         "validation_trajectories": len(parts[1]),
         "steps": steps,
+        "skipped_steps": training.skipped,
         "ended": training.ended,
         "level": "yes" if _is_level(training, run.profile) else "no",
         "last_improvement": training.last_improvement,

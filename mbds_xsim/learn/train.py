@@ -93,6 +93,8 @@ class Training:
     curve: list[Point] = field(default_factory=list)
     ended: Literal["", "steps", "level", "diverged"] = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
+    skipped: int = 0
+    """Steps that were not taken, because their gradient was no number."""
     wall_s: float = 0.0
     """Spent on it, in all processes that were at it [s]."""
     cpu_s: float = 0.0
@@ -203,23 +205,29 @@ class _Run:
     def learn(self, training: Motions) -> None:
         """Take steps up to the next validation."""
         self.total = torch.zeros((), device=training.position.device)
-        self.from_step = self.step
+        self.from_step, self.failed = self.step, 0
         while self.step < min(self.from_step + self.profile.every, self.profile.steps):
             sample = training.draw(self.recipe.batch, self.generator, self.recipe.horizon)
             try:
                 loss = self._descend(sample)
             except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
-                loss = self.total * torch.nan
-            self.total += loss
+                loss = None
+            self.failed += loss is None
+            self.total += 0.0 if loss is None else loss
             self.step += 1
+        self.training.skipped += self.failed
 
-    def _descend(self, sample: Sample) -> Tensor:
+    def _descend(self, sample: Sample) -> Tensor | None:
+        """Take a step and give its loss; None where a clipped gradient has no length."""
         self.adam.zero_grad()
         with precision(sample.position.device, mixed=self.profile.mixed_precision):
             loss = self.training.model.loss(sample, self.generator)
         torch.autograd.backward(loss)
         if self.recipe.clip is not None:
-            torch.nn.utils.clip_grad_norm_(self.training.model.parameters(), self.recipe.clip)
+            parameters = self.training.model.parameters()
+            norm = torch.nn.utils.clip_grad_norm_(parameters, self.recipe.clip)
+            if not norm.isfinite():
+                return None
         if isinstance(self.recipe.schedule, Decay):
             self._set_rate(_decayed(self.recipe.rate, self.recipe.schedule, self.step))
         self.adam.step()
@@ -228,7 +236,8 @@ class _Run:
     def judge(self, sample: Sample) -> None:
         """Validate, keep the best parameters, lower the rate, find out whether it is over."""
         model, curve = self.training.model, self.training.curve
-        loss = float(self.total) / (self.step - self.from_step)
+        taken = self.step - self.from_step - self.failed
+        loss = float(self.total) / taken if taken > self.failed else math.nan
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
@@ -267,6 +276,7 @@ class _Run:
             "generator": self.generator.get_state(),
             "curve": msgspec.to_builtins(self.training.curve),
             "ended": self.training.ended,
+            "skipped": self.training.skipped,
             "wall_s": self.training.wall_s,
             "cpu_s": self.training.cpu_s,
         }
@@ -289,6 +299,7 @@ class _Run:
         self.generator.set_state(state["generator"])
         self.training.curve = msgspec.convert(state["curve"], list[Point])
         self.training.ended = state["ended"]
+        self.training.skipped = state["skipped"]
         self.training.wall_s, self.training.cpu_s = state["wall_s"], state["cpu_s"]
 
 

@@ -16,7 +16,7 @@ from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training, train
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import Motions, Sample
 
 Data = Callable[..., Dataset]
 RECIPE = Recipe(rate=3e-3, batch=16, schedule=Plateau(patience=0, factor=0.5))
@@ -124,6 +124,25 @@ def test_divergence_ends_the_run_with_the_best_parameters(parts: tuple[Motions, 
     state = model.state_dict()
     assert all(bool(value.isfinite().all()) for value in state.values())
     assert _same(before, state)
+
+
+def test_a_step_without_a_gradient_is_skipped_where_gradients_are_clipped(
+    parts: tuple[Motions, Motions], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+    loss = GNS.loss
+
+    def broken(model: GNS, sample: Sample, generator: torch.Generator) -> Tensor:
+        calls.append(model)
+        return loss(model, sample, generator) * (torch.inf if len(calls) in (5, 23) else 1.0)
+
+    monkeypatch.setattr(GNS, "loss", broken)
+    found = train(_model(parts[0]), *parts, msgspec.structs.replace(RECIPE, clip=1.0), SHORT)
+    assert (found.ended, found.skipped) == ("steps", 2)
+    assert all(point.loss < 10.0 for point in found.curve)
+    assert found.best.error < found.curve[0].error
+    calls.clear()
+    assert train(_model(parts[0]), *parts, RECIPE, SHORT).ended == "diverged"
 
 
 def test_only_training_and_validation_are_let_in(
