@@ -28,8 +28,8 @@ _BODY_FRAMES = 100_000
 
 # Holding displacements against velocities costs more than all other checks together, and what it
 # finds, frames that belong to another time, is in all of a trajectory.
-_SPARSE = 64
-_MANY = 128  # steps; of shorter trajectories all frames are looked at
+_SPARSE = 96
+_MANY = 192  # steps; of shorter trajectories all frames are looked at
 
 _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
 
@@ -140,7 +140,7 @@ def _view(rows: NDArray[np.int64]) -> slice | list[int]:
 
 
 def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
-    """Every 64th step, others in each group: together they take in all frames."""
+    """Every 96th step, others in each group: together they take in all frames."""
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE
