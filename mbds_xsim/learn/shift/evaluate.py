@@ -24,6 +24,8 @@ __all__ = ["Plan", "evaluate"]
 _TIMEOUT = 4 * 3600.0
 _TOGETHER = 6  # models a process: starting one takes seconds
 Tell = Callable[[Entry], None]
+Paths = dict[tuple[Entry, str], Path]
+"""Where the figures of a model on a domain are kept."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,13 @@ def evaluate(
     Raises:
         InputError: A model cannot be tested; those tested before are kept.
     """
-    missing = [entry for entry in entries if any(not _kept(entry, d, plan) for d in domains)]
+    # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
+    paths = {(entry, d.name): _path(entry, d, plan) for entry in entries for d in domains}
+    missing = [e for e in entries if not all(paths[e, d.name].is_file() for d in domains)]
     parts = [missing[k : k + _TOGETHER] for k in range(0, len(missing), _TOGETHER)]
-    tasks = [Task(_carry_out, (scene, part, domains, plan), _TIMEOUT) for part in parts]
+    tasks = [
+        Task(_carry_out, (scene, _places(paths, part), domains, plan), _TIMEOUT) for part in parts
+    ]
 
     def finished(place: int, answer: object) -> None:
         del answer
@@ -75,33 +81,29 @@ def evaluate(
             msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
             raise InputError(msg if not answer.refused else answer.reason)
     return {
-        (entry, domain.name): _needed(entry, domain, plan)
+        (entry, domain.name): _needed(paths[entry, domain.name])
         for entry in entries
         for domain in domains
     }
 
 
-def _carry_out(
-    scene: Scene, entries: Sequence[Entry], domains: Sequence[Domain], plan: Plan
-) -> None:
+def _places(paths: Paths, entries: Sequence[Entry]) -> Paths:
+    return {key: path for key, path in paths.items() if key[0] in entries}
+
+
+def _carry_out(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: Plan) -> None:
     torch.set_num_threads(1)
-    motions = functools.cache(lambda place, dtype: domains[place].motions(dtype))
-    for entry in entries:
-        model = entry.load(scene)
-        for place, domain in enumerate(domains):
-            if not _kept(entry, domain, plan):
-                figures = figures_on(
-                    model, motions(place, model.dtype), horizon=plan.horizon, stride=plan.stride
-                )
-                figures.write(_path(entry, domain, plan))
+    by_name = {domain.name: domain for domain in domains}
+    motions = functools.cache(lambda name, dtype: by_name[name].motions(dtype))
+    load = functools.cache(lambda entry: entry.load(scene))
+    for (entry, name), path in paths.items():
+        if not path.is_file():
+            model = load(entry)
+            known = motions(name, model.dtype)
+            figures_on(model, known, horizon=plan.horizon, stride=plan.stride).write(path)
 
 
-def _kept(entry: Entry, domain: Domain, plan: Plan) -> bool:
-    return _path(entry, domain, plan).is_file()
-
-
-def _needed(entry: Entry, domain: Domain, plan: Plan) -> Figures:
-    path = _path(entry, domain, plan)
+def _needed(path: Path) -> Figures:
     found = read_figures(path)
     if found is None:
         msg = f"{path}: cannot be read; remove it and run again"

@@ -47,7 +47,7 @@ class _Job:
     domain: Domain
     horizon: int
 
-    @property
+    @functools.cached_property
     def path(self) -> Path:
         """Where its figures are kept."""
         version = load_adapter(self.engine.engine).version()
@@ -69,7 +69,8 @@ def restarted(
     missing, lost = [], {}
     for engine, each in jobs.items():
         try:
-            if not all(job.path.is_file() for job in each):
+            # All places are named here: tasks take them along.
+            if [job for job in each if not job.path.is_file()]:
                 missing.append(engine)
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
