@@ -16,19 +16,38 @@ from mbds_xsim.study.pareto import cost_at, front, order_of
 from mbds_xsim.study.rows import CurveResult, Point, Ratio, Row
 from mbds_xsim.study.sweep import Curve
 
-__all__ = ["curve_results", "point_of", "ratios_of"]
+__all__ = ["OWN_LIMIT", "curve_results", "point_of", "ratios_of"]
 
 _FLOOR = 1e-9
 """Errors up to this are the reference's, over the scene's length."""
+OWN_LIMIT = "distance to its own limit"
+"""What is broken where a method has not converged, and there is no reference."""
 
 
-def curve_results(scene: Scene, curves: Sequence[Curve], found: Found) -> tuple[CurveResult, ...]:
-    """Put the rows of all curves together."""
+def curve_results(
+    scene: Scene, curves: Sequence[Curve], found: Found, *, own_limit: bool = False
+) -> tuple[CurveResult, ...]:
+    """Put the rows of all curves together.
+
+    Args:
+        scene: What was simulated.
+        curves: How.
+        found: Its rows, of the same order.
+        own_limit: Whether errors are distances to a method's own limit. To be near it says nothing
+            of the truth; to be far from it is to be wrong, so that it has the error's budget.
+    """
+    allowed = scene.budget.error_1s * scene.length if own_limit else math.inf
     listed = [
-        _curve_result(scene, curve, [point_of(rows) for rows in points])
+        _curve_result(scene, curve, [_converged(point_of(rows), allowed) for rows in points])
         for curve, points in zip(curves, found, strict=True)
     ]
     return _with_front(listed, _FLOOR * scene.length)
+
+
+def _converged(point: Point, allowed: float) -> Point:
+    if point.error_m is None or point.error_m <= allowed:
+        return point
+    return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
 
 
 def point_of(rows: Sequence[Row]) -> Point:

@@ -140,6 +140,7 @@ def _known(error: Array, truth: Truth) -> tuple[Array, Array]:
 def _over_budget(scene: Scene, truth: Truth, error: Array, weighted: float) -> Iterator[str]:
     """Name the budgets of accuracy that are not kept."""
     at_instant = np.abs(truth.trajectory.time - INSTANT) < 0.5 * scene.clock.frame
+    at_instant &= np.isfinite(truth.trajectory.position).all(axis=(0, 2, 3))
     if not (error[0, at_instant] <= scene.budget.error_1s * scene.length).all():
         yield "error at 1 s"
     if not weighted <= scene.budget.error * scene.length:

@@ -133,7 +133,7 @@ def _study(
     wall_s: float,
 ) -> Tradeoff:
     scene = bench.scene
-    results = curve_results(scene, curves, found)
+    results = curve_results(scene, curves, found, own_limit=bench.truths.are_limits)
     return Tradeoff(
         schema=SCHEMA,
         scene=scene.name,

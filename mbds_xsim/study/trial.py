@@ -1,6 +1,7 @@
 """One trial of a search: some starts at one setting, judged as `validate` judges.
 
-On the ground it must keep the limits of contact too, which are narrower than the budgets.
+On the ground it must keep the limits of contact too, which are narrower than the budgets. Where
+nothing is known of the motion, it must at least be near its own limit.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch
 from mbds_xsim.study.contact_accuracy import contact_findings
+from mbds_xsim.study.own_limit import is_unknown, own_limit
 
 __all__ = ["Trial", "failed_trial", "joined", "part_of", "run_trial"]
 
@@ -88,6 +90,9 @@ def run_trial(
             run = simulate(scene, batch[outcome.sample], engine, other)
             outcome.other_steps[step] = run.trajectory
         row, limits = _judged(scene, batch, outcome, reference)
+        if row.trajectory is not None and is_unknown(reference):
+            runs = outcome.other_steps
+            limits += [own_limit(scene, row.trajectory, settings.step, outcome.sample, runs)]
     result, simulated = row.result, len(batch) * scene.clock.duration
     return Trial(
         reasons=(*result.reasons, *failed_lines(batch, limits)),

@@ -19,6 +19,7 @@ from mbds_xsim.engine import Adapter, features_of
 from mbds_xsim.isolate import Task
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.study import bench, point, sweep
+from mbds_xsim.study.curves import OWN_LIMIT
 from mbds_xsim.study.point import measure
 from mbds_xsim.study.rows import Row, Tradeoff
 from mbds_xsim.study.store import Store
@@ -157,7 +158,7 @@ def test_steps_go_on_until_the_budget_is_kept_tenfold(
 
 def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() -> None:
     cubli = registry.load_scene("simplecubli")
-    short = msgspec.structs.replace(cubli, clock=msgspec.structs.replace(cubli.clock, steps=40))
+    short = msgspec.structs.replace(cubli, clock=msgspec.structs.replace(cubli.clock, steps=60))
 
     study = _study(short, "mujoco", starts=1)
 
@@ -165,6 +166,7 @@ def test_contact_without_a_unique_answer_ends_the_error_at_the_first_impact() ->
     assert study.horizon_s <= study.reference_ends_s < 0.8
     assert study.horizon_s > 0.2
     assert _curve(study, "mujoco RK4").points[0].error_m < 1e-6
+    assert not any("error at 1 s" in point.broken for c in study.curves for point in c.points)
 
 
 def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
@@ -178,6 +180,8 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
     errors = [point.error_m for point in points]
     assert all(coarse > fine > 0 for coarse, fine in pairwise(errors))
     assert all("error at 1 s" not in point.broken for point in points)
+    allowed = short.budget.error_1s * short.length
+    assert [OWN_LIMIT in point.broken for point in points] == [e > allowed for e in errors]
     assert max(point.steps_per_frame for point in points) < LIMIT_COUNT
     assert _study(short, "pybullet").measured == 0
 
