@@ -13,7 +13,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
-__all__ = ["Hanger", "angles", "cross_axes", "slim", "turned"]
+__all__ = ["Hanger", "angles", "cross_axes", "slim"]
 
 Array = NDArray[np.float64]
 
@@ -88,20 +88,3 @@ def angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:
     rates = np.einsum("...ji,jki->...jk", rate, cross)
     rates[..., 0] /= np.cos(both[..., 1])
     return both, rates
-
-
-def turned(both: Array, rates: Array, cross: Array) -> tuple[Array, Array]:
-    """Give what `angles` takes."""
-    a, b = both[..., 0], both[..., 1]
-    first, second = cross[:, 0], cross[:, 1]
-    axis = np.cross(first, second)
-    da, db = rates[..., :1], rates[..., 1:]
-    b_ = b[..., None]
-    rate = da * (np.cos(b_) * first + np.sin(b_) * axis) + db * second
-    return _rotation(a, b, first, second), rate
-
-
-def _rotation(a: Array, b: Array, first: Array, second: Array) -> Array:
-    return rotation.multiply(
-        rotation.from_vector(a[..., None] * first), rotation.from_vector(b[..., None] * second)
-    )

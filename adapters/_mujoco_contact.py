@@ -130,23 +130,46 @@ class Spheres:
         names = [_name(k) for k in range(len(mechanism.sphere_body))]
         self._geoms = np.array([model.geom(name).id for name in names], dtype=np.int64)
         self._bodies = model.geom_bodyid[self._geoms]
+        # A slice is quicker to take, where there is one.
+        together = len(names) > 0 and np.all(np.diff(self._geoms) == 1)
+        self._places = slice(self._geoms[0], self._geoms[-1] + 1) if together else self._geoms
         self._roots = model.body_rootid[self._bodies]
         self._radius = model.geom_size[self._geoms, 0].copy()
         self._gravity = float(np.linalg.norm(model.opt.gravity))
+        from_com = np.linalg.norm(
+            model.geom_pos[self._geoms] - model.body_ipos[self._bodies], axis=1
+        )
+        self._carriers = [
+            (int(body), int(model.body_rootid[body]), float(from_com[self._bodies == body].max()))
+            for body in np.unique(self._bodies)
+        ]
 
-    def gaps(self, model: Any, data: Any) -> Array:
-        """Give the height of each sphere's lowest point [m]; brings positions up to date."""
+    def gaps(self, model: Any, data: Any) -> tuple[Array, float]:
+        """Give the height of each sphere's lowest point [m], and the least of them.
+
+        Brings positions up to date.
+        """
         mujoco.mj_kinematics(model, data)
-        return np.asarray(data.geom_xpos[self._geoms, 2] - self._radius)
+        gap = data.geom_xpos[self._places, 2] - self._radius
+        return gap, float(np.minimum.reduce(gap))
 
-    def time_aloft(self, model: Any, data: Any, gap: Array, least: float) -> float:
-        """Time in which no sphere can reach the ground [s]; 0 if it is less than the `least`."""
+    def time_aloft(
+        self, model: Any, data: Any, gap: Array, low: float, least: float, enough: float
+    ) -> float:
+        """Time in which no sphere can reach the ground [s].
+
+        It is 0 if it is less than the `least`, and told roughly, but not too long, if that is
+        `enough`.
+        """
+        # The lowest alone mostly tells, without arrays; where it rests, without its speed.
+        if low < _REACH * least * self._gravity * least:
+            return 0.0
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        # The lowest alone mostly tells, without arrays.
-        lowest = int(gap.argmin())
-        speed = self._speed(data, lowest)
-        if gap[lowest] < _REACH * least * (speed + self._gravity * least):
+        if (rough := self._time(low, self._fastest(data))) >= enough:
+            return rough
+        speed = self._speed(data, int(gap.argmin()))
+        if low < _REACH * least * (speed + self._gravity * least):
             return 0.0
         twist = data.cvel[self._bodies]
         arm = data.geom_xpos[self._geoms] - data.subtree_com[self._roots]
@@ -156,6 +179,21 @@ class Spheres:
         square = np.einsum("ki,ki->k", velocity, velocity)
         rate = np.sqrt(square) + np.sqrt(square + 2.0 * self._gravity * way)
         return float((way / np.maximum(rate, _TINY)).min())
+
+    def _time(self, gap: float, speed: float) -> float:
+        """Solve gap = _REACH (speed time + gravity time²)."""
+        way = gap * (2.0 / _REACH)
+        rate = speed + math.sqrt(speed**2 + 2.0 * self._gravity * way)
+        return way / max(rate, _TINY)
+
+    def _fastest(self, data: Any) -> float:
+        """Speed that no sphere passes [m/s]."""
+        speeds = []
+        for body, root, reach in self._carriers:
+            p, q, r, u, v, w = data.cvel[body].tolist()
+            arm = reach + math.dist(data.xipos[body].tolist(), data.subtree_com[root].tolist())
+            speeds.append(math.hypot(u, v, w) + math.hypot(p, q, r) * arm)
+        return max(speeds)
 
     def _speed(self, data: Any, sphere: int) -> float:
         p, q, r, u, v, w = data.cvel[self._bodies[sphere]].tolist()

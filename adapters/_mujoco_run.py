@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.joint_space import BodyStates, LinkStates, to_links
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch, Failure, Trajectory
 
+from ._mujoco_bodies import Frames
 from ._mujoco_cardan import Hanger
 from ._mujoco_contact import Spheres, sunk_spheres
 from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 # A body that crosses so many scene lengths in a frame has blown up.
 _LENGTHS_PER_FRAME = 1e3
+_STATES = 16_000  # of bodies that are worked on at a time
 
 
 class ModelRun(Run):
@@ -75,25 +77,33 @@ class ModelRun(Run):
 
     def simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         """Roll out; tell too how far Cardan joints were bent at frames [rad], (trajectory,)."""
+        # A few at a time: fresh memory for many costs more than their numbers.
+        size = max(1, _STATES // ((batch.steps + 1) * self._mechanism.body_count))
+        rows = range(0, max(1, len(batch)), size)
+        parts = [self._simulate(batch[row : row + size]) for row in rows]
+        return Trajectory.joined([part for part, _ in parts]), np.concatenate([b for _, b in parts])
+
+    def _simulate(self, batch: Batch) -> tuple[Trajectory, Array]:
         qpos, qvel = self._start(batch)
-        frames = batch.steps + 1
-        positions = np.full((len(batch), frames, self._model.nq), np.nan)
-        velocities = np.full((len(batch), frames, self._model.nv), np.nan)
-        positions[:, 0], velocities[:, 0] = qpos, qvel
+        frames = self.frames(len(batch), batch.steps + 1)
+        bends = np.zeros((len(batch), batch.steps + 1, len(self._coordinates.second)))
         reasons = []
         with _captured_warnings() as warnings:
             for row in range(len(batch)):
                 self._put(qpos[row], qvel[row])
-                self._record(batch[[row]], positions[row], velocities[row], warnings)
+                self._record(batch[[row]], frames, row, bends[row], warnings)
                 reasons.append(warnings[0] if warnings else None)
                 warnings.clear()
-        links = self._coordinates.to_links(positions, velocities)
-        bodies = to_bodies(self._mechanism, links)
+        bodies = frames.states()
         if self._idle.any():
             start = self._mechanism.native_rotation(batch.orientation)
             bodies = carried(self._idle, start, bodies, self._mechanism.scene.clock.frame)
-        bend = self._coordinates.bend(positions).max(axis=-1)
+        bend = np.abs(bends).max(axis=(1, 2), initial=0.0)
         return self._trajectory(bodies, reasons), bend
+
+    def frames(self, count: int, length: int) -> Frames:
+        """Make room for trajectories of some length."""
+        return Frames(self._model, self._data, self._bodies, count, length)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
         bodies = BodyStates(
@@ -114,25 +124,30 @@ class ModelRun(Run):
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:], self._data.qvel[:] = qpos, qvel
 
-    def _record(self, row: Batch, positions: Array, velocities: Array, warnings: list[str]) -> None:
+    def _record(
+        self, one: Batch, frames: Frames, row: int, bends: Array, warnings: list[str]
+    ) -> None:
         """Step through one trajectory; frames from a warning on stay as they are."""
         model, data, frame = self._model, self._data, self._stepper.frame
         # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
-        push, force = data.xfrc_applied[1:, :3], row.force[0][:, self._order]
-        drive, torque = data.ctrl, row.torque[0]
-        qpos, qvel = data.qpos, data.qvel
-        for k in range(row.steps):
+        push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
+        drive, torque = data.ctrl, one.torque[0]
+        qpos, second = data.qpos, self._coordinates.second
+        frames.keep(row, 0)
+        for k in range(one.steps):
             push[...] = force[k]
             drive[...] = torque[k]
             frame(model, data)
             if warnings:
                 return
-            positions[k + 1], velocities[k + 1] = qpos, qvel
+            frames.keep(row, k + 1)
+            if len(second):
+                bends[k + 1] = qpos[second]
 
     def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
         """Cut every trajectory off at its first frame that is not a number or a blow-up."""
         scene = self._mechanism.scene
-        fastest = np.linalg.norm(bodies.velocity, axis=-1).max(axis=-1)
+        fastest = rotation.norm(bodies.velocity).max(axis=-1)
         limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
         sunk = sunk_spheres(self._mechanism, bodies)
         failures: list[Failure | None] = []

@@ -1,4 +1,4 @@
-"""Between MuJoCo's qpos and qvel and the coordinates of the spanning tree."""
+"""MuJoCo's qpos and qvel from the coordinates of the spanning tree."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mbds_xsim.joint_space import LinkStates
 from mbds_xsim.mechanism import Mechanism
 
-from ._mujoco_cardan import angles, cross_axes, turned
+from ._mujoco_cardan import angles, cross_axes
 
 __all__ = ["Coordinates"]
 
@@ -31,7 +31,6 @@ class Coordinates:
             "cardan" if idle[link.body].any() else link.joint.kind if link.joint else "free"
             for link in mechanism.links
         ]
-        self._link_count = len(kinds)
         self._sizes = (model.nq, model.nv)
         # MuJoCo numbers bodies depth first, the links breadth first: only names tell.
         bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
@@ -57,10 +56,8 @@ class Coordinates:
             qpos[self._cardan, None] + np.arange(2),
             qvel[self._cardan, None] + np.arange(2),
         )
-
-    def bend(self, qpos: Array) -> Array:
-        """Largest second angle of all Cardan joints [rad]; a right angle is where they lock."""
-        return np.asarray(np.abs(qpos[..., self._cardan_at[0][:, 1]]).max(axis=-1, initial=0.0))
+        self.second = self._cardan_at[0][:, 1]
+        """Places in qpos of the Cardan joints' second angles; a right angle is where they lock."""
 
     def from_links(self, links: LinkStates) -> tuple[Array, Array]:
         """Give qpos (…, nq) and qvel (…, nv)."""
@@ -83,28 +80,3 @@ class Coordinates:
             [links.velocity[..., free, :], links.angular_velocity[..., free, :]], axis=-1
         )
         return qpos, qvel
-
-    def to_links(self, qpos: Array, qvel: Array) -> LinkStates:
-        """Read qpos (…, nq) and qvel (…, nv)."""
-        lead = (*qpos.shape[:-1], self._link_count)
-        scalar, ball, free = self._scalar, self._ball, self._free
-        links = LinkStates(
-            rotation=np.zeros((*lead, 4)),
-            angular_velocity=np.zeros((*lead, 3)),
-            coordinate=np.zeros(lead),
-            rate=np.zeros(lead),
-            position=np.zeros((*lead, 3)),
-            velocity=np.zeros((*lead, 3)),
-        )
-        links.coordinate[..., scalar] = qpos[..., self._scalar_at[0]]
-        links.rate[..., scalar] = qvel[..., self._scalar_at[1]]
-        links.rotation[..., self._cardan, :], links.angular_velocity[..., self._cardan, :] = turned(
-            qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]], self._cross
-        )
-        links.rotation[..., ball, :] = qpos[..., self._ball_at[0]]
-        links.angular_velocity[..., ball, :] = qvel[..., self._ball_at[1]]
-        pose, twist = qpos[..., self._free_at[0]], qvel[..., self._free_at[1]]
-        links.position[..., free, :], links.rotation[..., free, :] = pose[..., :3], pose[..., 3:]
-        links.velocity[..., free, :] = twist[..., :3]
-        links.angular_velocity[..., free, :] = twist[..., 3:]
-        return links

@@ -60,6 +60,7 @@ class FinerWhereFast:
     def __init__(self, model: Any, turning: NDArray[np.int64], count: int, turn: float) -> None:
         self._count, self._step = count, float(model.opt.timestep)
         self._rate = turn / (count * self._step)
+        self._square = self._rate**2
         # A slice is a third faster to take.
         self._turning = slice(None) if len(turning) == model.nv else turning
         self.remark = (
@@ -68,12 +69,13 @@ class FinerWhereFast:
         )
 
     def frame(self, model: Any, data: Any) -> None:
-        fastest = np.maximum.reduce(np.abs(data.qvel[self._turning])) / self._rate
-        # Written so that NaN counts as slow.
-        if not fastest > 1.0:
+        rates = data.qvel[self._turning]
+        # All of them together are seldom too fast, and quicker to ask. NaN counts as slow.
+        if not rates.dot(rates) > self._square:
             mujoco.mj_step(model, data, self._count)
             return
-        times = min(math.ceil(fastest), _MOST)
+        fastest = max(map(abs, rates.tolist())) / self._rate
+        times = max(1, math.ceil(min(fastest, _MOST)))
         model.opt.timestep = self._step / times
         mujoco.mj_step(model, data, self._count * times)
         model.opt.timestep = self._step
@@ -111,53 +113,66 @@ class FinerNearGround:
         self._spheres, self._count, self._division = spheres, count, division
         self._integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
         self._finer = float(model.opt.timestep)
+        self._step = division * self._finer  # in the air
+        self._seen, self._gap, self._low, self._until = math.nan, np.empty(0), 0.0, -math.inf
         self.remark = (
             " This is the model near the ground. Where no sphere can come down to it, integrator "
             f"{integrator} and timestep {self._step:.9g} are set for a step."
         )
 
-    @property
-    def _step(self) -> float:
-        """In the air [s]."""
-        return self._division * self._finer
-
     def frame(self, model: Any, data: Any) -> None:
-        left, gap = self._count, self._spheres.gaps(model, data)
-        while left and not data.warning.number.any():
-            time = self._spheres.time_aloft(model, data, gap, self._step)
-            aloft = int(min(left, time / self._step))  # all that are left where it is NaN
-            landed = self._flown(model, data, aloft) if aloft else None
-            if landed is not None:
-                gap, left = landed, left - aloft
-                continue
-            self._lead(model, data, gap, -0.5)
-            mujoco.mj_step(model, data, self._division)
-            gap = self._spheres.gaps(model, data)
-            self._lead(model, data, gap, 0.5)
-            left -= 1
+        left = self._count
+        # What the last frame left behind holds on, unless the state was put anew.
+        if data.time != self._seen:
+            self._look(model, data)
+        while left:
+            aloft = self._aloft(model, data, left)
+            if not (aloft and self._flown(model, data, aloft)):
+                self._step_near(model, data)
+                aloft = 1
+            left -= aloft
+            if left and data.warning.number.any():
+                return
+        self._seen = data.time
 
-    def _lead(self, model: Any, data: Any, gap: Array, steps: float) -> None:
+    def _look(self, model: Any, data: Any) -> None:
+        self._gap, self._low = self._spheres.gaps(model, data)
+        self._until = -math.inf
+
+    def _aloft(self, model: Any, data: Any, left: int) -> int:
+        """Steps of those left in which no sphere can reach the ground."""
+        time, wanted = self._until - data.time, left * self._step
+        if time < wanted:
+            time = self._spheres.time_aloft(model, data, self._gap, self._low, self._step, wanted)
+            self._until = data.time + time
+        return int(min(left, time / self._step))  # all that are left where it is NaN
+
+    def _step_near(self, model: Any, data: Any) -> None:
+        self._lead(model, data, self._low, -0.5)
+        mujoco.mj_step(model, data, self._division)
+        self._look(model, data)
+        self._lead(model, data, self._low, 0.5)
+
+    def _lead(self, model: Any, data: Any, low: float, steps: float) -> None:
         """Move velocities on by a part of a finer step where nothing touches.
 
         Those of semi-implicit Euler belong to half a step before its positions. Taken for the
         positions' own they would lift every bounce by g h v.
         """
-        if gap.min() > 0.0:
+        if low > 0.0:
             mujoco.mj_forward(model, data)
             data.qvel += steps * self._finer * data.qacc
 
-    def _flown(self, model: Any, data: Any, count: int) -> Array | None:
-        """Take steps in the air; without any, leave everything as it is where a sphere comes down.
-
-        Gives the gaps after them.
-        """
-        before = data.time, data.qpos.copy(), data.qvel.copy()
-        model.opt.integrator, model.opt.timestep = self._integrator, self._step
+    def _flown(self, model: Any, data: Any, count: int) -> bool:
+        """Take steps in the air; none, and leave everything as it is, where a sphere comes down."""
+        before, options = (data.time, data.qpos.copy(), data.qvel.copy()), model.opt
+        options.integrator, options.timestep = self._integrator, self._step
         mujoco.mj_step(model, data, count)
-        model.opt.integrator, model.opt.timestep = _EULER, self._finer
-        gap = self._spheres.gaps(model, data)
-        if gap.min() >= 0.0:
-            return gap
+        options.integrator, options.timestep = _EULER, self._finer
+        gap, low = self._spheres.gaps(model, data)
+        if low >= 0.0:
+            self._gap, self._low = gap, low
+            return True
         # Driven down harder than foreseen.
         data.time, data.qpos[:], data.qvel[:] = before
-        return None
+        return False

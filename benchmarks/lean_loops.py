@@ -1,12 +1,14 @@
 """Loops by hand on the native models of the adapters: what an engine costs at the least.
 
 A loop applies recorded inputs, takes the adapter's steps and keeps what the engine tells of its
-state, frame by frame: no checks, no conversion. Where steps depend on how near the ground is, it
-has them from a rollout of the adapter.
+state, frame by frame: no checks, no conversion. It is the bodies' states that a trajectory is made
+of; DART's and Exudyn's loops keep coordinates, from which they follow, and do with less. Where
+steps depend on how near the ground is, it has them from a rollout of the adapter.
 """
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,12 +23,12 @@ import pybullet
 from numpy.typing import NDArray
 
 from mbds_xsim.engine import Run
-from mbds_xsim.joint_space import BodyStates, to_bodies
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch
 
-__all__ = ["LEAN", "Lean", "apart", "exudyn_in_one_call"]
+__all__ = ["LEAN", "Lean", "apart", "exudyn_in_one_call", "mujoco_coordinates"]
 
 Array = NDArray[np.float64]
 
@@ -42,19 +44,39 @@ class Lean:
 
 
 def lean_mujoco(run: Any, batch: Batch) -> Lean:
+    """Bodies as the engine has them: places, turns, and rates about the trees' centres of mass."""
+    return _lean_mujoco(run, batch, bodies=True)
+
+
+def mujoco_coordinates(run: Any, batch: Batch) -> Lean:
+    """Nothing but MuJoCo's coordinates, which tell nobody where a body is."""
+    return _lean_mujoco(run, batch, bodies=False)
+
+
+def _lean_mujoco(run: Any, batch: Batch, *, bodies: bool) -> Lean:
     run = _in_use(run, batch)
     model, data, rows = run._model, run._data, np.array(run._bodies)
     (start,), (rate,) = run._start(batch)
     force, torque = batch.force[0], batch.torque[0]
     q, u = np.empty((batch.steps + 1, model.nq)), np.empty((batch.steps + 1, model.nv))
-    q[0], u[0] = start, rate
+    place, turn, twist = (np.empty((batch.steps + 1, model.nbody, n)) for n in (3, 4, 6))
     frames, options = _mujoco_steps(run, batch), model.opt
     usual = options.integrator, options.timestep
 
-    def roll() -> None:
+    def keep_coordinates(k: int) -> None:
+        q[k], u[k] = data.qpos, data.qvel
+
+    def keep_bodies(k: int) -> None:
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        place[k], turn[k], twist[k] = data.xipos, data.xquat, data.cvel
+
+    def loop(keep: Callable[[int], None]) -> None:
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = start, rate
-        push, drive, position, velocity = data.xfrc_applied, data.ctrl, data.qpos, data.qvel
+        push, drive = data.xfrc_applied, data.ctrl
+        keep(0)
         for k in range(batch.steps):
             push[rows, :3] = force[k]
             drive[:] = torque[k]
@@ -64,18 +86,20 @@ def lean_mujoco(run: Any, batch: Batch) -> Lean:
                     data.qvel += lead * data.qacc
                 else:
                     mujoco.mj_step(model, data, count)
-            q[k + 1], u[k + 1] = position, velocity
+            keep(k + 1)
         options.integrator, options.timestep = usual
 
-    def bodies() -> BodyStates:
-        mechanism = run._mechanism
-        made = to_bodies(mechanism, run._coordinates.to_links(q[None], u[None]))
+    def states() -> BodyStates:
+        told = run.frames(1, batch.steps + 1)
+        loop(functools.partial(told.keep, 0))
+        made = told.states()
         if run._idle.any():
-            turned = mechanism.native_rotation(batch.orientation)
-            made = carried(run._idle, turned, made, mechanism.scene.clock.frame)
+            turned = run._mechanism.native_rotation(batch.orientation)
+            made = carried(run._idle, turned, made, run._mechanism.scene.clock.frame)
         return BodyStates(*(values[0, 1:] for values in vars(made).values()))
 
-    return Lean(roll, bodies)
+    keep = keep_bodies if bodies else keep_coordinates
+    return Lean(lambda: loop(keep), states)
 
 
 def _in_use(run: Any, batch: Batch) -> Any:

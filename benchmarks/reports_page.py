@@ -14,6 +14,7 @@ CHAPTERS = (
     ("Validation", "make reports-validate", "[0-9a-z]*.md"),
     ("Contact at matched settings", "make reports-contact", "contact-limits.md"),
     ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
+    ("Is anything cheaper?", "make reports-cheapest", "cheapest.md"),
     ("Where methods fail", "make reports-stability", "stability/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),

@@ -51,7 +51,7 @@ def idle_axes(scene: Scene) -> Array:
 
 def spin_about(axes: Array, native: Array, angular_velocity: Array) -> Array:
     """Give the spin of bodies about axes in native frames [rad/s], shape (…, body)."""
-    return np.asarray(np.sum(rotation.rotate(native, axes) * angular_velocity, axis=-1))
+    return rotation.dot(rotation.rotate(native, axes), angular_velocity)
 
 
 def carried(axes: Array, start: Array, bodies: BodyStates, interval: float) -> BodyStates:
@@ -73,7 +73,7 @@ def carried(axes: Array, start: Array, bodies: BodyStates, interval: float) -> B
     turned = native[..., idle, :]
     axis = rotation.rotate(turned, axes[idle])
     across = spin[..., idle, :]
-    across -= np.sum(across * axis, axis=-1, keepdims=True) * axis
+    across -= rotation.dot(across, axis)[..., None] * axis
     spin[..., idle, :] = across
     carry = _carry(axis, rotation.cross(across, axis), interval)
     ahead = rotation.conjugate(turned[..., 1:, :, :])
@@ -108,7 +108,7 @@ def _carry(axis: Array, rate: Array, interval: float) -> Array:
             + (1 - s) * (1 - 3 * s) * leave
             + s * (3 * s - 2) * arrive
         )
-        return rotation.cross(at, slope) / np.sum(at * at, axis=-1, keepdims=True)
+        return rotation.cross(at, slope) / rotation.dot(at, at)[..., None]
 
     first, second = (turning(0.5 + sign * math.sqrt(3) / 6) for sign in (-1.0, 1.0))
     return rotation.from_vector(

@@ -6,6 +6,7 @@ published body frames to W (wxyz); velocities are of the centres of mass, all in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,6 +118,18 @@ class Trajectory:
         for row, failure in zip(rows, other.failures, strict=True):
             failures[row] = failure
         return Trajectory(self.time, **arrays, failures=tuple(failures))
+
+    @staticmethod
+    def joined(parts: Sequence[Trajectory]) -> Trajectory:
+        """Put trajectories one after the other, one part at least."""
+        if len(parts) == 1:
+            return parts[0]
+        arrays = {
+            key: np.concatenate([getattr(part, key) for part in parts])
+            for key in ("position", "orientation", "velocity", "angular_velocity")
+        }
+        failures = tuple(failure for part in parts for failure in part.failures)
+        return Trajectory(parts[0].time, **arrays, failures=failures)
 
     @staticmethod
     def empty(time: Array, trajectory_count: int, body_count: int) -> Trajectory:

@@ -1,0 +1,163 @@
+"""Write reports/cheapest.md: is any point of the charts cheaper than what is matched?
+
+python -m benchmarks.cheapest reports/tradeoff > reports/cheapest.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.campaign import run_references
+from mbds_xsim.engine import Settings
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.matched import settings_for
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.report import quantity
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+from mbds_xsim.study.identity import machine
+from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.study.sweep import NATIVE
+from mbds_xsim.study.trial import Trial, failed_trial, joined, part_of, run_trial
+
+_STARTS = 20  # of each interval
+_SEED = 5  # neither that of a search, of its proof nor of a chart
+_PARTS = 6
+_SAMPLE = 3  # trajectories at other steps too, in the first part
+_TIMEOUT = 300.0
+
+_HEAD = f"""\
+# Is anything cheaper?
+
+<!-- Written by: python -m benchmarks.cheapest reports/tradeoff > reports/cheapest.md -->
+
+Matched settings are found by search, on the starts of the search. Here every point of a scene's
+[chart](README.md) that keeps all budgets on the chart's few starts, and costs less than the
+cheapest matched settings of any engine, is tried on {_STARTS} starts of each interval (seed
+{_SEED}), judged as `validate` judges, limits of contact included. Times are those of the trial:
+processor time per simulated second, the mean of all starts. The matched settings come first, bold.
+"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One setting of one engine."""
+
+    engine: str
+    settings: Settings
+    label: str
+
+
+def main() -> None:
+    """Print the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    asked = parser.parse_args()
+    print(_HEAD)
+    print("| scene | engine, method, step | cost | budgets | what is not kept |")
+    print("| :-- | :-- | --: | :-- | :-- |")
+    for file in sorted(asked.folder.glob("*.json")):
+        study = msgspec.json.decode(file.read_bytes(), type=Tradeoff)
+        for line in _lines(study):
+            print(line, flush=True)
+    print(f"\nMade on {machine()}.")
+
+
+def _lines(study: Tradeoff) -> Iterator[str]:
+    scene = load_scene(study.scene)
+    engines = dict.fromkeys(curve.engine for curve in study.curves)
+    cost = {engine: _cost_of_matched(study, scene, engine) for engine in engines}
+    best = min(cost, key=lambda engine: cost[engine])
+    settings = settings_for(scene, load_adapter(best), "matched")
+    places = [Place(best, settings, f"**{_label(best, settings)}**"), *_cheaper(study, cost[best])]
+    print(f"{study.scene}: {len(places) - 1} points are cheaper", file=sys.stderr)
+    for place, trial in zip(places, _tried(scene, places), strict=True):
+        kept = "kept" if trial.passed else "not kept"
+        why = "" if trial.passed else trial.reasons[0].splitlines()[0].replace("|", "/")
+        span = quantity.span(trial.cpu_s)
+        yield f"| {study.scene} | {place.label} | {span} | {kept} | {why} |"
+
+
+def _cost_of_matched(study: Tradeoff, scene: Scene, engine: str) -> float:
+    """Cost on the chart of an engine's matched settings; infinite where they fail there."""
+    wanted = settings_for(scene, load_adapter(engine), "matched")
+    for curve, point in _points(study):
+        here = Settings(curve.method, point.step_s, curve.options)
+        if curve.engine == engine and not point.broken and _same(scene, here, wanted):
+            return _cost(point)
+    return math.inf
+
+
+def _cost(point: Point) -> float:
+    return math.inf if point.cpu_s is None else point.cpu_s
+
+
+def _same(scene: Scene, one: Settings, other: Settings) -> bool:
+    frame = scene.clock.frame
+    return (one.method, one.substeps(frame), dict(one.options)) == (
+        other.method,
+        other.substeps(frame),
+        dict(other.options),
+    )
+
+
+def _cheaper(study: Tradeoff, cost: float) -> list[Place]:
+    cheaper = [
+        (curve, point)
+        for curve, point in _points(study)
+        if curve.own and not point.broken and _cost(point) < cost
+    ]
+    found = []
+    for curve, point in sorted(cheaper, key=lambda pair: _cost(pair[1])):
+        settings = Settings(curve.method, point.step_s, curve.options)
+        found.append(Place(curve.engine, settings, _label(curve.engine, settings)))
+    return found
+
+
+def _points(study: Tradeoff) -> Iterator[tuple[CurveResult, Point]]:
+    """All points that came to their end, without what users of the bare engine get."""
+    for curve in study.curves:
+        if curve.variation != NATIVE:
+            yield from ((curve, point) for point in curve.points if point.cpu_s is not None)
+
+
+def _label(engine: str, settings: Settings) -> str:
+    options = ", ".join(f"{key} = {value}" for key, value in settings.options.items())
+    method = f"{settings.method} ({options})" if options else settings.method
+    return f"{engine}, {method}, {quantity.span(settings.step)}"
+
+
+def _tried(scene: Scene, places: list[Place]) -> list[Trial]:
+    batch = draw_batch(scene, range(len(INTERVALS) * _STARTS), seed=_SEED)
+    reference = run_references(scene, batch, cache=True, workers=None)
+    rows = [list(range(len(batch)))[k::_PARTS] for k in range(_PARTS)]
+    tasks = [
+        Task(
+            run_trial,
+            (
+                scene,
+                batch[part],
+                place.engine,
+                place.settings,
+                part_of(reference, part),
+                0 if k else _SAMPLE,
+            ),
+            _TIMEOUT,
+        )
+        for place in places
+        for k, part in enumerate(rows)
+    ]
+    answers = [failed_trial(a) if isinstance(a, Crash) else a for a in run_tasks(tasks)]
+    return [joined(answers[n : n + _PARTS]) for n in range(0, len(answers), _PARTS)]
+
+
+if __name__ == "__main__":
+    main()
