@@ -45,7 +45,9 @@ def curve_results(
 
 
 def _converged(point: Point, allowed: float) -> Point:
-    if point.error_m is None or point.error_m <= allowed:
+    """Where the limit itself could not be simulated, nothing is near it."""
+    known = math.inf if point.error_m is None else point.error_m
+    if point.kind != "done" or known <= allowed:
         return point
     return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
 

@@ -19,7 +19,7 @@ from mbds_xsim.engine import Adapter, features_of
 from mbds_xsim.isolate import Task
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.study import bench, point, sweep
-from mbds_xsim.study.curves import OWN_LIMIT
+from mbds_xsim.study.curves import OWN_LIMIT, curve_results
 from mbds_xsim.study.point import measure
 from mbds_xsim.study.rows import Row, Tradeoff
 from mbds_xsim.study.store import Store
@@ -184,6 +184,21 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
     assert [OWN_LIMIT in point.broken for point in points] == [e > allowed for e in errors]
     assert max(point.steps_per_frame for point in points) < LIMIT_COUNT
     assert _study(short, "pybullet").measured == 0
+
+
+@pytest.mark.parametrize("own_limit", [True, False])
+def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
+    car = registry.load_scene("particlecar")
+    curve = Curve("pybullet", "semi-implicit-euler", "", {}, (1,))
+    row = Row(
+        key="", scene=car.name, engine=curve.engine, version="1", method=curve.method,
+        variation="", options={}, steps_per_frame=1, step_s=0.02, trajectory=1, seed=0,
+        machine="", limit_s=1.0, kind="done", wall_s=(1.0,), cpu_s=(1.0,),
+    )  # fmt: skip
+
+    (result,) = curve_results(car, [curve], [[[row]]], own_limit=own_limit)
+
+    assert result.points[0].broken == ((OWN_LIMIT,) if own_limit else ())
 
 
 def test_a_line_that_was_cut_off_is_passed_over(scene: Scene) -> None:
