@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS = 1
 .NOTPARALLEL:
 .PHONY: validate test lint package clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
-	reports-data reports-data-full reports-pages readme
+	reports-learn-speed reports-data reports-data-full reports-pages readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -52,7 +52,7 @@ files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-contact reports-tradeoff reports-cheapest reports-stability \
-	reports-ablation reports-overhead reports-data reports-data-full reports-pages readme
+	reports-ablation reports-overhead reports-learn-speed reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready
@@ -89,6 +89,9 @@ reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
 	$(BIN)/python -m benchmarks.yardstick > $(REPORTS)/yardstick.md
+
+reports-learn-speed: $(VENV)/ready
+	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.
 ENGINES ?= mujoco,pybullet,dart,exudyn

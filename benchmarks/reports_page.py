@@ -20,6 +20,7 @@ CHAPTERS = (
     ("Data sets", "make reports-data reports-data-full", "data.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
+    ("Training throughput", "make reports-learn-speed", "learn-speed.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
 _WRITES = re.compile(r" (?:--(?:json|csv|png|markdown)|>) \S+")  # the files stand beside it
