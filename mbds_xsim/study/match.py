@@ -36,6 +36,7 @@ SCHEMA = "mbds-xsim/match/1"
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0
 """A method that costs so many times another one of its engine and has not passed is given up."""
+_IN_USE = "in use"
 _WORTH = 1.1
 """What differs from a plain search over steps must be cheaper by this factor."""
 _NEAR = 1.1
@@ -107,12 +108,14 @@ class _Candidate:
     """On the trajectories of the search, by steps a frame."""
     proofs: dict[int, Trial] = field(default_factory=dict)
     """On those that were held out."""
+    least: float = 0.0
+    """Cost that is known otherwise; what was measured may only be more."""
 
     @property
     def cost(self) -> float:
         """Processor time per simulated second of what was found; infinite where nothing was."""
         count = self.search.found
-        return math.inf if count is None else self.cost_at(count)
+        return math.inf if count is None else max(self.least, self.cost_at(count))
 
     @property
     def rank(self) -> float:
@@ -220,6 +223,7 @@ def match(
     used = _used(ground, {curve.engine for curve in curves})
     candidates += [_in_use(scene, name, *tried) for name, tried in used.items()]
     _search(ground, candidates)
+    _rate_alike(candidates)
     proof = prepared(held_out, seed + 1)
     engines = list(dict.fromkeys(curve.engine for curve in curves))
     return Match(
@@ -258,11 +262,26 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
 def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
     """Let the settings in use compete, so that what is found is never dearer than they are."""
     count = settings.substeps(scene.clock.frame)
-    curve = Curve(engine, settings.method, "in use", dict(settings.options), (count,))
+    curve = Curve(engine, settings.method, _IN_USE, dict(settings.options), (count,))
     own = registry.load_adapter(engine).methods[settings.method].own
     search = Search(counts=(count,))
     search.tell(count, trial.passed and own)
     return _Candidate(curve, search, {count: trial} if own else {})
+
+
+def _rate_alike(candidates: Sequence[_Candidate]) -> None:
+    """Let no clock say that the settings in use are cheaper than fewer steps of the same."""
+
+    def settings(candidate: _Candidate) -> tuple[str, str, dict[str, Any]]:
+        curve = candidate.curve
+        return curve.engine, curve.method, dict(curve.options)
+
+    for used in (c for c in candidates if c.curve.variation == _IN_USE):
+        (count,) = used.search.counts
+        for other in candidates:
+            fewer = other is not used and (other.search.found or math.inf) <= count
+            if fewer and settings(other) == settings(used):
+                used.least = other.cost_at(count)
 
 
 def _search(ground: _Field, candidates: list[_Candidate]) -> None:
@@ -326,9 +345,13 @@ def _settle(
 
 
 def _stuck(candidate: _Candidate) -> bool:
-    """Whether the last two proofs were far off, and shorter steps brought it no nearer."""
-    *_, before, last = [math.inf, math.inf, *(t.excess for t in candidate.proofs.values())]
-    return _FAR < last < math.inf and last > before / _NEAR
+    """Whether the last proof was far off, and no nearer than one with half as many steps.
+
+    Between neighbouring steps it may be: errors of long steps follow no order.
+    """
+    *before, (count, last) = ((n, trial.excess) for n, trial in candidate.proofs.items())
+    coarse = [excess for n, excess in before if 2 * n <= count]
+    return _FAR < last < math.inf and any(last > excess / _NEAR for excess in coarse)
 
 
 def _best_effort(
