@@ -5,6 +5,7 @@ Every command imports what it needs when it runs: `--help` stays quick.
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -37,6 +38,8 @@ __all__ = [
     "scene_named",
     "write_json",
 ]
+
+_PIPED = 160  # columns
 
 _WRITES = ("--json", "--html", "--markdown", "--png", "--csv", "--figures", "--out")
 
@@ -93,7 +96,10 @@ def console_for(json: Path | None) -> Console:
     """Where people read: standard output, or standard error when JSON goes there."""
     from rich.console import Console
 
-    return Console(stderr=json is not None and str(json) == "-")
+    console = Console(stderr=json is not None and str(json) == "-")
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = _PIPED  # a file has no edge to cut tables at
+    return console
 
 
 def progress_on(console: Console) -> ProgressBar:

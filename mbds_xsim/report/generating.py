@@ -3,66 +3,45 @@
 from __future__ import annotations
 
 import time
-from types import TracebackType
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from mbds_xsim.dataset.generate import Generated
+from mbds_xsim.report.bar import Bar
 
 __all__ = ["GeneratingBar", "print_counts"]
 
-_SPEED_OVER = 600.0  # shards come in bursts; rate and time left look back over so long [s]
 
-
-class GeneratingBar:
+class GeneratingBar(Bar):
     """Shows trajectories made, rate, time left, and rejected ones; quiet off a terminal."""
 
     def __init__(self, console: Console) -> None:
-        columns = (
+        super().__init__(
+            console,
             BarColumn(bar_width=32),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
             TextColumn("left"),
             TimeRemainingColumn(),
             TextColumn("{task.fields[rejected]} rejected"),
+            rate="",
+            rejected=0,
         )
-        self._progress = Progress(
-            *columns,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-            speed_estimate_period=_SPEED_OVER,
-        )
-        self._task = self._progress.add_task("", total=None, rate="", rejected=0)
         self._made, self._rejected, self._begin = 0, 0, time.monotonic()
-
-    def __enter__(self) -> GeneratingBar:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def begin(self, total: int, done: int) -> None:
         """Say how many trajectories there are, and how many an earlier run has made."""
-        self._progress.update(self._task, total=total, completed=done)
+        self._show(total=total, completed=done)
 
     def advance(self, done: int, rejected: int) -> None:
         """Count trajectories that were made since, and how many of them were rejected."""
         self._made += done
         self._rejected += rejected
         rate = self._made / max(time.monotonic() - self._begin, 1e-9)
-        self._progress.update(
-            self._task, advance=done, rate=f"{rate:.3g}/s", rejected=self._rejected
-        )
+        self._show(advance=done, rate=f"{rate:.3g}/s", rejected=self._rejected)
 
 
 def print_counts(generated: Generated, console: Console) -> None:

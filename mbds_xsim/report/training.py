@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from mbds_xsim.report.bar import Bar
 
 if TYPE_CHECKING:
     from mbds_xsim.learn.campaign import Campaign, Outcome
@@ -19,51 +20,33 @@ if TYPE_CHECKING:
 
 __all__ = ["TrainingBar", "print_costs", "print_left_out", "print_outcome"]
 
-_SPEED_OVER = 600.0  # rate and time left look back over so long [s]
 
-
-class TrainingBar:
+class TrainingBar(Bar):
     """Shows steps, runs done, steps a second, time left, and the last validation."""
 
     def __init__(self, console: Console) -> None:
-        columns = (
+        super().__init__(
+            console,
             BarColumn(bar_width=24),
             TextColumn("{task.fields[runs]}"),
             TextColumn("{task.fields[rate]}"),
             TextColumn("left at most"),
             TimeRemainingColumn(),
             TextColumn("{task.fields[last]}"),
+            runs="",
+            rate="",
+            last="",
         )
         self._console = console
-        self._progress = Progress(
-            *columns,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-            speed_estimate_period=_SPEED_OVER,
-        )
-        self._task = self._progress.add_task("", total=None, runs="", rate="", last="")
         self._steps: dict[str, int] = {}
         self._taken, self._begin = 0, time.monotonic()
         self._lock = threading.Lock()
-
-    def __enter__(self) -> TrainingBar:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def begin(self, done: int, most_steps: Sequence[int]) -> None:
         """Say how many runs are done, and the most steps of each that is not."""
         self._runs, self._done = done + len(most_steps), done
         self._begin = time.monotonic()
-        self._progress.update(self._task, total=sum(most_steps), runs=self._count())
+        self._show(total=sum(most_steps), runs=self._count())
 
     def reached(self, name: str, step: int, error: float, *, before: bool) -> None:
         """Tell how far a run is; steps of an earlier process are no speed of this one."""
@@ -72,12 +55,8 @@ class TrainingBar:
             self._steps[name] = step
             self._taken += 0 if before else new
             rate = self._taken / max(time.monotonic() - self._begin, 1e-9)
-            self._progress.update(
-                self._task,
-                advance=new,
-                rate=f"{rate:.3g} steps/s",
-                last=f"{name}: {error:.3g} m² at {step}",
-            )
+            last = f"{name}: {error:.3g} m² at {step}"
+            self._show(advance=new, rate=f"{rate:.3g} steps/s", last=last)
 
     def ended(self, name: str, most_steps: int, how: str) -> None:
         """Tell of a run that is over, whose other steps need not be taken."""
@@ -85,7 +64,7 @@ class TrainingBar:
             self._done += 1
             left = most_steps - self._steps.get(name, 0)
             self._steps[name] = most_steps
-            self._progress.update(self._task, advance=left, runs=self._count())
+            self._show(advance=left, runs=self._count())
         self._console.print(f"{name}: {how}", highlight=False, soft_wrap=True)
         self._console.file.flush()  # a log of days is read while it grows
 
