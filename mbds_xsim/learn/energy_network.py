@@ -171,7 +171,8 @@ class Drag(nn.Module):
         return -at[..., None] * v - energy.mechanics.rod_map.T @ (along[..., None] * rods)
 
     def _share(self, which: int, v: Tensor, kind: Tensor) -> Tensor:
-        speed = squares(v)[..., None] / self.energy[0].square_speed
+        # Of a whip's speed itself the share would grow until the integrator is unstable.
+        speed = torch.log1p(squares(v)[..., None] / self.energy[0].square_speed)
         kinds = self.embed[which](kind).expand(len(v), -1, -1)
         raw: Tensor = self.of_speed[which](torch.cat([kinds, speed], -1))[..., 0]
         return 0.1 * raw**2

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
+from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample
 
@@ -56,7 +56,7 @@ class GNS(PointModel):
             steps=5,
             noise=1e-3,
             loss="l1",
-            recipe=Recipe(rate=1e-3, schedule=Plateau()),
+            recipe=Recipe(rate=1e-3, schedule=Cosine()),
         ),
     }
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.recipe import Plateau, Recipe
+from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
 from mbds_xsim.learn.sgnn_topology import Hierarchy
@@ -63,7 +63,7 @@ class SGNN(PointModel):
             unit="spacing",
             target="change",
             rigid=True,
-            recipe=Recipe(rate=1e-3, schedule=Plateau()),
+            recipe=Recipe(rate=1e-3, schedule=Cosine()),
         ),
     }
     length: Tensor

@@ -23,7 +23,7 @@ from mbds_xsim import bounds
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.accelerate import compile_networks, precision
 from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
+from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import roll
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
@@ -224,18 +224,19 @@ class _Run:
         self.training.skipped += self.failed
 
     def _descend(self, sample: Sample) -> Tensor | None:
-        """Take a step and give its loss; None where a clipped gradient has no length."""
+        """Take a step and give its loss; None where it is skipped."""
         self.adam.zero_grad()
         with precision(sample.position.device, mixed=self.profile.mixed_precision):
             loss = self.training.model.loss(sample, self.generator)
         torch.autograd.backward(loss)
-        if self.recipe.clip is not None:
+        clip, skip, schedule = self.recipe.clip, self.recipe.skip, self.recipe.schedule
+        if skip or clip is not None:
             parameters = self.training.model.parameters()
-            norm = torch.nn.utils.clip_grad_norm_(parameters, self.recipe.clip)
-            if not norm.isfinite():
+            norm = torch.nn.utils.clip_grad_norm_(parameters, math.inf if clip is None else clip)
+            if skip and not norm.isfinite():
                 return None
-        if isinstance(self.recipe.schedule, Decay):
-            self._set_rate(_decayed(self.recipe.rate, self.recipe.schedule, self.step))
+        if isinstance(schedule, Decay | Cosine):
+            self._set_rate(schedule.at(self.recipe.rate, self.step, self.profile.steps))
         self.adam.step()
         return loss.detach()
 
@@ -360,10 +361,6 @@ def _judged(validation: Motions, profile: Profile) -> Sample:
     rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     return validation.sample(rows, torch.full_like(rows, HISTORY - 1), horizon)
-
-
-def _decayed(rate: float, schedule: Decay, step: int) -> float:
-    return schedule.floor + (rate - schedule.floor) * 0.1 ** (step / schedule.tenth)
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[Point]) -> float:

@@ -1,5 +1,6 @@
 """Training learns, stops when it should, goes on as if never interrupted, and sees no test."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build
-from mbds_xsim.learn.recipe import Decay, Plateau, Recipe
+from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training, train
@@ -126,7 +127,7 @@ def test_divergence_ends_the_run_with_the_best_parameters(parts: tuple[Motions, 
     assert _same(before, state)
 
 
-def test_a_step_without_a_gradient_is_skipped_where_gradients_are_clipped(
+def test_a_step_without_a_gradient_is_skipped_where_the_recipe_says_so(
     parts: tuple[Motions, Motions], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = []
@@ -137,12 +138,14 @@ def test_a_step_without_a_gradient_is_skipped_where_gradients_are_clipped(
         return loss(model, sample, generator) * (torch.inf if len(calls) in (5, 23) else 1.0)
 
     monkeypatch.setattr(GNS, "loss", broken)
-    found = train(_model(parts[0]), *parts, msgspec.structs.replace(RECIPE, clip=1.0), SHORT)
+    clipped = msgspec.structs.replace(RECIPE, clip=1.0, skip=True)
+    found = train(_model(parts[0]), *parts, clipped, SHORT)
     assert (found.ended, found.skipped) == ("steps", 2)
     assert all(point.loss < 10.0 for point in found.curve)
     assert found.best.error < found.curve[0].error
     calls.clear()
-    assert train(_model(parts[0]), *parts, RECIPE, SHORT).ended == "diverged"
+    clipped = msgspec.structs.replace(RECIPE, clip=1.0)
+    assert train(_model(parts[0]), *parts, clipped, SHORT).ended == "diverged"
 
 
 def test_only_training_and_validation_are_let_in(
@@ -182,6 +185,18 @@ def test_rates_follow_their_schedules(parts: tuple[Motions, Motions]) -> None:
     assert rates[0] == 1e-13
     assert rates[-1] < 1e-13
     assert set(rates) <= {1e-13 * 0.5**k for k in range(8)}
+
+
+def test_a_cosine_ends_with_the_run_however_long_it_is(parts: tuple[Motions, Motions]) -> None:
+    recipe = Recipe(rate=1e-3, batch=2, schedule=Cosine())
+    for steps in (20, 40):
+        profile = msgspec.structs.replace(SHORT, steps=steps, every=steps // 2)
+        curve = train(_model(parts[0]), *parts, recipe, profile).curve
+        # A point has the rate of the step before it.
+        angles = [math.pi * (point.step - 1) / steps for point in curve]
+        expected = [0.5e-3 * (1.0 + math.cos(angle)) for angle in angles]
+        assert [point.rate for point in curve] == pytest.approx(expected)
+    assert Cosine().at(1e-3, 40, 40) == 0.0
 
 
 def test_smoke_is_short() -> None:
