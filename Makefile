@@ -44,7 +44,7 @@ REPORTS ?= reports
 STARTS ?= 20
 SCENES ?= 5pendulum 6pendulum 2ladder 3ladder ballscroll balldrop particlecar simplecubli
 STUDIES ?= scenes mass-ratio chain-length loops redundancy singular stiffness spin wheels throw \
-	swing friction restitution
+	swing pace links friction restitution
 TRADEOFF ?=
 STABILITY ?=
 ABLATION ?=

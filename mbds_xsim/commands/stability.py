@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
@@ -20,6 +21,7 @@ from mbds_xsim.commands.shared import (
 )
 
 if TYPE_CHECKING:
+    from mbds_xsim.study.stability.contenders import Contender
     from mbds_xsim.study.stability.definition import Study, Value
 
 __all__ = ["stability"]
@@ -30,6 +32,7 @@ T = TypeVar("T")
 @app.command(
     epilog="Examples:  mbds-xsim stability --list  ·  mbds-xsim stability stiffness --png map.png"
     "  ·  mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01"
+    "  ·  mbds-xsim stability pace links --models models/6pendulum --engines none"
 )
 def stability(
     studies: Annotated[
@@ -38,6 +41,14 @@ def stability(
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="Name the studies, and end.")] = False,
     engines: EngineNames = None,
+    models: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Trained models beside the engines: a file or a folder of train; may be repeated. "
+            "With --engines none, models only.",
+        ),
+    ] = None,
     methods: Annotated[
         str | None, typer.Option("--methods", "--method", help="Comma-separated; all by default.")
     ] = None,
@@ -87,11 +98,14 @@ def stability(
         print_list(STUDIES.values(), console)
         return
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    others = _models(models)
+    named = () if others and engines == "none" else Choice.parse(engines=engines).engines
     single = value is not None and step is not None
     plans = [
         Plan(
             study=study,
-            engines=Choice.parse(engines=engines).engines,
+            engines=named,
+            others=others,
             methods=_words(methods),
             profiles=profiles_of(settings),
             values=_values(study, value, quick=quick),
@@ -113,6 +127,15 @@ def stability(
             write_all(sweeps[-1], out)
     write_files(sweeps, csv=csv, html=html, png=png, markdown=markdown)
     write_json(to_json(sweeps), json)
+
+
+def _models(places: list[Path] | None) -> tuple[Contender, ...]:
+    if not places:
+        return ()
+    check_torch("stability --models")
+    from mbds_xsim.study.stability.learned import models_in
+
+    return models_in(places)
 
 
 def _words(text: str | None) -> tuple[str, ...]:

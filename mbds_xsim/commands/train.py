@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     JsonFile,
     app,
@@ -84,7 +85,7 @@ def train(
     json: JsonFile = None,
 ) -> None:
     """Train learned models on engines' data, always to one budget; see docs/train.md."""
-    _check_torch()
+    check_torch("train")
     from mbds_xsim.dataset.lock import locked
     from mbds_xsim.learn.campaign import LONG, Request, carry, costs, planned
     from mbds_xsim.learn.domains import groups
@@ -131,14 +132,6 @@ def train(
     told = {"runs": runs, "failed": outcome.failed, "left_out": campaign.left_out}
     write_json(encoded({**told, "cost": measured}), json)
     raise typer.Exit(1 if outcome.failed else 0)
-
-
-def _check_torch() -> None:
-    import importlib.util
-
-    if importlib.util.find_spec("torch") is None:
-        msg = "train needs torch, which is not installed: pip install 'mbds-xsim[learn]'"
-        raise InputError(msg)
 
 
 def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bool) -> None:

@@ -50,11 +50,16 @@ def save_model(
     write_whole(path, content.getvalue())
 
 
-def read_model(path: Path) -> tuple[Model, dict[str, str]]:
+def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
+    Args:
+        path: File to read.
+        scene: To be predicted, in place of the one that it was trained on.
+
     Raises:
-        InputError: It is no file of a model.
+        InputError: It is no file of a model, or its parameters do not fit the scene.
+        Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """
     whole = _read(path)
@@ -63,10 +68,16 @@ def read_model(path: Path) -> tuple[Model, dict[str, str]]:
     if kind.tracks:
         form = type(next(iter(kind.tracks.values())))
         settings = msgspec.json.decode(whole["settings"], type=form)
-    scene = msgspec.convert(tomllib.loads(whole["scene"]), Scene)
+    own = msgspec.convert(tomllib.loads(whole["scene"]), Scene)
     statistics = Statistics.from_state(whole["statistics"])
-    model = kind(Graph.of(scene), statistics, settings).to(kind.dtype)
-    model.load_state_dict(whole["parameters"])
+    model = kind(Graph.of(scene or own), statistics, settings).to(kind.dtype)
+    try:
+        model.load_state_dict(whole["parameters"])
+    except RuntimeError as error:
+        if scene is None:
+            raise
+        msg = f"{path}: trained on {own.name}, its parameters do not fit {scene.name}"
+        raise InputError(msg) from error
     return model, whole["facts"]
 
 

@@ -44,6 +44,7 @@ LOOKS: dict[Outcome, Look] = {
 }
 LIGHT_LOOKS = {"stable", "off course", "loses energy", "comes apart", "stuck", "clamped", "refused"}
 _HATCH = "////"
+_TAKES = {False: "step [ms]", True: "frame [ms]"}
 _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
 
@@ -61,12 +62,12 @@ def draw_panel(axes: Any, sweep: Sweep, place: int, *, labelled: bool = True) ->
     for row, cells in enumerate(panel.cells):
         for column, cell in enumerate(cells):
             _draw_cell(axes, cell, column, row, f"tip-{place}-{row * len(cells) + column}")
-    steps = [summary.milliseconds(step) for step in sweep.steps_s]
+    steps = [summary.milliseconds(step) for step in panel.steps_s]
     axes.set_xticks(range(len(steps)), steps)
     axes.set_yticks(range(len(sweep.values)), [text_of(value) for value in sweep.values])
-    axes.set_xlim(-0.5, len(steps) - 0.5)
+    axes.set_xlim(-0.5, max(len(steps), len(sweep.steps_s)) - 0.5)
     axes.set_ylim(-0.5, len(sweep.values) - 0.5)
-    axes.set_xlabel("step [ms]")
+    axes.set_xlabel(_TAKES[panel.learned], loc=("center", "left")[panel.learned])
     axes.set_ylabel(_short(summary.swept(sweep)) if labelled else "")
     axes.set_title(panel.name, fontsize=9, loc="left", color=INK)
     axes.tick_params(length=0)

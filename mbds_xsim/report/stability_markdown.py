@@ -27,6 +27,8 @@ def _lines(sweep: Sweep) -> list[str]:
         f"- {summary.reading(sweep)[0].upper()}{summary.reading(sweep)[1:]}",
         f"- {sweep.criteria[0].upper()}{sweep.criteria[1:]}",
         *(f"- {name}: {text}" for name, text in summary.breaking(sweep)),
+        *(f"- {name}: {text}" for name, text in summary.holding(sweep)),
+        *([f"- Trained models: {summary.learned_told(sweep)}"] * bool(summary.learned_told(sweep))),
         *(f"- {name} left out: {reason}" for name, reason in sweep.left_out.items()),
         *(f"- No reference at {name}: {reason}" for name, reason in sweep.unknown.items()),
         f"- Made by `{sweep.command}` on {sweep.machine}, {sweep.workers} processes at a time, "

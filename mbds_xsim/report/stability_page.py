@@ -94,7 +94,8 @@ def _view(sweep: Sweep) -> dict[str, Any]:
             (panel.name, [summary.limit(panel, row) for row in range(len(sweep.values))])
             for panel in sweep.panels
         ],
-        "breaking": list(summary.breaking(sweep)),
+        "breaking": [*summary.breaking(sweep), *summary.holding(sweep)],
+        "learned": summary.learned_told(sweep),
         "seen": [outcome for outcome in LOOKS if outcome in {c.outcome for c in sweep.cells}],
         "maps": [_map(sweep, place, told) for place in range(len(sweep.panels))],
         "cells": [

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import shlex
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from mbds_xsim.report import quantity
 from mbds_xsim.study.stability.definition import text_of
@@ -13,6 +15,8 @@ __all__ = [
     "breaking",
     "command_of",
     "conclusion",
+    "holding",
+    "learned_told",
     "limit",
     "milliseconds",
     "name_of",
@@ -28,6 +32,13 @@ _WHO = {
     "process": "the process, by its end",
     "nobody": "nobody: only the checks saw it",
 }
+
+
+_LEARNED = (
+    "they take no steps, only frames, start with the reference's first six, and are judged by "
+    "their particles alone, with the limits of engines: joints by the distances that no motion "
+    "changes, energy as that of points, against the reference's (with contact: above the start's)"
+)
 
 
 def swept(sweep: Sweep) -> str:
@@ -75,18 +86,43 @@ def breaking(sweep: Sweep) -> Iterator[tuple[str, str]]:
 def conclusion(sweep: Sweep) -> str:
     """Say in one line what bears most, and how much goes wrong silently."""
     cells = sweep.cells
+    ranked = [panel for panel in sweep.panels if not panel.learned] or sweep.panels
     failed = [cell for cell in cells if cell.failed]
     silent = [cell for cell in failed if cell.silent]
-    stable = Counter(
-        {p.name: sum(not c.failed for row in p.cells for c in row) for p in sweep.panels}
-    )
+    stable = Counter({p.name: sum(not c.failed for row in p.cells for c in row) for p in ranked})
     most = max(stable.values())
     best = [name for name, count in stable.items() if count == most]
     shown = ", ".join(best[:3]) + (f" and {len(best) - 3} more" if len(best) > 3 else "")
     return (
         f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
-        f"engine; most stable: {shown} ({most} of {len(cells) // len(sweep.panels)})"
+        f"engine; most stable: {shown} ({most} of {sum(map(len, ranked[0].cells))})"
     )
+
+
+def holding(sweep: Sweep) -> Iterator[tuple[str, str]]:
+    """Say of every trained model up to which value it holds, and what breaks beyond it."""
+    for panel in sweep.panels:
+        if panel.learned:
+            yield panel.name, _held([row[0] for row in panel.cells], sweep)
+
+
+def learned_told(sweep: Sweep) -> str:
+    """Explain how trained models are judged; "" where there are none."""
+    return _LEARNED if any(panel.learned for panel in sweep.panels) else ""
+
+
+def _held(cells: Sequence[Cell], sweep: Sweep) -> str:
+    stable = list(itertools.takewhile(lambda cell: not cell.failed, cells))
+    on_course = list(itertools.takewhile(lambda cell: cell.outcome == "stable", cells))
+    text = f"stable {_up_to(stable, sweep)}, on course {_up_to(on_course, sweep)}"
+    beyond = next((cell for cell in cells if cell.failed), None)
+    if beyond is None:
+        return text
+    return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by nobody"
+
+
+def _up_to(held: Sequence[Cell], sweep: Sweep) -> str:
+    return f"up to {text_of(held[-1].value, sweep.unit)}" if held else "nowhere"
 
 
 def name_of(cell: Cell, sweep: Sweep) -> str:
@@ -124,6 +160,11 @@ def what_happened(cell: Cell) -> str:
 
 def command_of(cell: Cell, sweep: Sweep) -> str:
     """Give the command line that runs a cell again."""
+    if cell.source:
+        return (
+            f"mbds-xsim stability {sweep.study} --engines none --models {shlex.quote(cell.source)} "
+            f"--value {text_of(cell.value)}"
+        )
     profile = "" if cell.profile == "matched" else f" --settings {cell.profile}"
     return (
         f"mbds-xsim stability {sweep.study} --engines {cell.engine} --methods {cell.method}"

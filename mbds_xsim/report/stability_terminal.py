@@ -47,6 +47,10 @@ def print_sweep(sweep: Sweep, console: Console) -> None:
     _remark(console, "stable", sweep.criteria.removeprefix("stable: "))
     for name, text in summary.breaking(sweep):
         _remark(console, name, text)
+    for name, text in summary.holding(sweep):
+        _remark(console, name, text)
+    if summary.learned_told(sweep):
+        _remark(console, "trained models", summary.learned_told(sweep))
     for name, reason in sweep.left_out.items():
         _remark(console, f"{name} left out", reason)
     for name, reason in sweep.unknown.items():

@@ -20,7 +20,15 @@ from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.scene import Scene
 
-__all__ = ["TRIVIAL", "Entry", "check_data", "find_entries", "refusal", "trivial_entries"]
+__all__ = [
+    "TRIVIAL",
+    "Entry",
+    "check_data",
+    "entry_of",
+    "find_entries",
+    "refusal",
+    "trivial_entries",
+]
 
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
@@ -89,7 +97,7 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
             "some with mbds-xsim train"
         )
         raise InputError(msg)
-    entries = sorted(map(_entry, paths), key=_order)
+    entries = sorted(map(entry_of, paths), key=_order)
     seen: dict[tuple[str, str, int], Path | None] = {}
     for entry in entries:
         key = (entry.model, entry.training, entry.seed)
@@ -98,6 +106,33 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
             raise InputError(msg)
         seen[key] = entry.path
     return entries
+
+
+def entry_of(path: Path) -> Entry:
+    """Read what a file holds.
+
+    Raises:
+        InputError: It is no file of a model, or does not say what it was trained on.
+    """
+    model, facts = read_model(path)
+    missing = [key for key in _FACTS if not facts.get(key)]
+    if missing:
+        msg = f"{path}: does not say its {', '.join(missing)}; train it with mbds-xsim train"
+        raise InputError(msg)
+    return Entry(
+        model=path.parent.name,
+        training=f"{facts['training']}-{facts['variant']}",
+        engines=tuple(facts["train_engines"].split(",")),
+        variant=facts["variant"],
+        seed=int(facts["seed"]),
+        path=path.resolve(),
+        content=hashlib.sha256(path.read_bytes()).hexdigest(),
+        module=type(model).__module__,
+        profile=facts.get("profile_name") or facts.get("profile", ""),
+        steps=int(facts.get("steps", 0)),
+        ended=facts.get("ended", ""),
+        data=_data(facts),
+    )
 
 
 def check_data(entries: Sequence[Entry], test: Paired) -> None:
@@ -147,25 +182,3 @@ def _data(facts: dict[str, str]) -> tuple[tuple[str, str], ...]:
 def _order(entry: Entry) -> tuple[str, str, int, str, int]:
     """Single engines, leave-one-out, all; variant by variant."""
     return entry.model, entry.variant, len(entry.engines), entry.training, entry.seed
-
-
-def _entry(path: Path) -> Entry:
-    model, facts = read_model(path)
-    missing = [key for key in _FACTS if not facts.get(key)]
-    if missing:
-        msg = f"{path}: does not say its {', '.join(missing)}; train it with mbds-xsim train"
-        raise InputError(msg)
-    return Entry(
-        model=path.parent.name,
-        training=f"{facts['training']}-{facts['variant']}",
-        engines=tuple(facts["train_engines"].split(",")),
-        variant=facts["variant"],
-        seed=int(facts["seed"]),
-        path=path.resolve(),
-        content=hashlib.sha256(path.read_bytes()).hexdigest(),
-        module=type(model).__module__,
-        profile=facts.get("profile_name") or facts.get("profile", ""),
-        steps=int(facts.get("steps", 0)),
-        ended=facts.get("ended", ""),
-        data=_data(facts),
-    )

@@ -45,9 +45,14 @@ class Study:
     known: bool = True
     """Whether the reference solution is cheap, so that wrong motion can be told."""
 
-    def scene(self, value: Value) -> Scene:
-        """Make the scene of a value."""
-        return msgspec.structs.replace(self.make(value), clock=Clock(FRAME, self.frames), noise=0.0)
+    @property
+    def clock(self) -> Clock:
+        """Frames at which engines are recorded."""
+        return Clock(FRAME, self.frames)
+
+    def scene(self, value: Value, clock: Clock | None = None) -> Scene:
+        """Make the scene of a value, with a clock of its own or another one."""
+        return msgspec.structs.replace(self.make(value), clock=clock or self.clock, noise=0.0)
 
     def batch(self, scene: Scene) -> Batch:
         """Draw the one start that is simulated."""

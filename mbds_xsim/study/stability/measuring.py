@@ -1,8 +1,9 @@
 """The runs of a study: kept ones are taken from disk, the others run in processes of their own.
 
-The steps of one engine's method at one value follow each other in one process, which spares most
-of its start. What is left of them when the process crashes, hangs, or has used up its time, is run
-once more, each in a process by itself: so nothing that goes wrong in a cell touches another one.
+The steps of one engine's method at one value follow each other in one process, as all values of one
+trained model do, which spares most of its start. What is left of them when the process crashes,
+hangs, or has used up its time, is run once more, each in a process by itself: so nothing that goes
+wrong in a cell touches another one.
 """
 
 from __future__ import annotations
@@ -16,13 +17,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim import registry
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.study.bench import Meter
 from mbds_xsim.study.identity import machine
-from mbds_xsim.study.stability.cell import Judged, run_cells
-from mbds_xsim.study.stability.definition import text_of
+from mbds_xsim.study.stability.cell import Judged
+from mbds_xsim.study.stability.definition import Value, text_of
 from mbds_xsim.study.stability.plan import Job, Plan
 from mbds_xsim.study.stability.rows import Cell
 from mbds_xsim.study.store import Store
@@ -51,7 +51,9 @@ class Measuring:
         for job in jobs:
             cell = None if self._plan.fresh else self._store.rows.get(job.key)
             if cell is not None and self._lasts(cell):
-                self.cells[job.key] = msgspec.structs.replace(cell, value=job.case.value)
+                self.cells[job.key] = msgspec.structs.replace(
+                    cell, value=job.case.value, source=job.contender.source
+                )
         self.kept = len(self.cells)
         self._run_groups(_rows(self._missing(jobs)), alone=False)
         self._run_groups([[job] for job in self._missing(jobs)], alone=True)
@@ -76,15 +78,11 @@ class Measuring:
             self._forecast([job for group in groups for job in group])
 
         self._forecast([job for group in groups for job in group])
-        tasks = [Task(run_cells, self._arguments(group), self._plan.limit) for group in groups]
-        run_tasks(tasks, workers=self._plan.workers, finished=finished)
+        run_tasks(list(map(self._task, groups)), workers=self._plan.workers, finished=finished)
 
-    def _arguments(self, group: list[Job]) -> tuple[Any, ...]:
-        case = group[0].case
-        settings = [job.settings for job in group]
-        patience = self._plan.limit / 2.0
-        engine = group[0].contender.engine
-        return case.scene, case.batch, engine, settings, case.truth, patience
+    def _task(self, group: list[Job]) -> Task:
+        cells = [(job.case, job.count) for job in group]
+        return group[0].contender.task(cells, self._plan.limit)
 
     def _keep(self, job: Job, answer: Judged | Crash) -> None:
         cell = _cell(self._plan, job, answer)
@@ -104,32 +102,32 @@ class Measuring:
 
 
 def _rows(jobs: Sequence[Job]) -> list[list[Job]]:
-    """Put the steps of a method at a value together; those of most bodies first, who last."""
-    rows: dict[tuple[str, float | str], list[Job]] = defaultdict(list)
+    """Put what may share a process together; those of most bodies first, who last."""
+    rows: dict[tuple[Value, ...], list[Job]] = defaultdict(list)
     for job in jobs:
-        rows[job.contender.name, job.case.value].append(job)
+        rows[job.contender.group(job.case.value)].append(job)
     return sorted(rows.values(), key=lambda row: -len(row[0].case.scene.bodies))
 
 
 def _cell(plan: Plan, job: Job, answer: Judged | Crash) -> Cell:
-    adapter = registry.load_adapter(job.contender.engine)
-    settings = job.settings
+    who, scene = job.contender, job.case.scene
     bare = Cell(
         key=job.key,
         study=plan.study.name,
         value=job.case.value,
-        engine=job.contender.engine,
-        version=adapter.version(),
-        method=settings.method,
-        family=adapter.methods[settings.method].family,
-        profile=job.contender.profile,
-        options=dict(settings.options),
-        step_s=settings.step,
-        duration_s=job.case.scene.clock.duration,
+        engine=who.engine,
+        version=who.version,
+        method=who.method,
+        family=who.family,
+        profile=who.profile,
+        options=who.options(scene),
+        step_s=scene.clock.frame / job.count,
+        duration_s=scene.clock.duration,
         limit_s=plan.limit,
         machine=machine(),
         outcome="crashed",
         told="process",
+        source=who.source,
     )
     if isinstance(answer, Crash):
         outcome = "refused" if answer.refused else "timed out" if answer.timed_out else "crashed"

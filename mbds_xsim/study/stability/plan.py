@@ -6,10 +6,9 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbds_xsim.engine import Profile, Settings
+from mbds_xsim.engine import Profile
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.study.identity import row_key
 from mbds_xsim.study.stability.contenders import Contender
 from mbds_xsim.study.stability.definition import COUNTS, Study, Value
 
@@ -26,7 +25,7 @@ class Plan:
     """What of a study is carried out, and how."""
 
     study: Study
-    engines: tuple[str, ...]
+    engines: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     """All of an engine's where none is named."""
     profiles: tuple[Profile, ...] = ("matched", "native")
@@ -43,6 +42,8 @@ class Plan:
     cache: bool = True
     """Whether reference solutions are kept."""
     command: str = ""
+    others: tuple[Contender, ...] = ()
+    """Who takes part beside the engines' methods."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +70,10 @@ class Job:
     @staticmethod
     def of(case: Case, contender: Contender, count: int) -> Job:
         """Make a job, with its key."""
-        settings = contender.settings(case.scene, count)
         digest = hashlib.sha256(_judge_source())
-        digest.update(row_key(case.scene, case.batch, contender.engine, settings).encode())
+        digest.update(contender.key(case, count).encode())
         digest.update(repr((case.truth is None, case.batch.steps)).encode())
         return Job(case, contender, count, digest.hexdigest())
-
-    @property
-    def settings(self) -> Settings:
-        """How the engine steps."""
-        return self.contender.settings(self.case.scene, self.count)
 
 
 def _judge_source() -> bytes:

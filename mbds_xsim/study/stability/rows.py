@@ -8,10 +8,23 @@ import msgspec
 
 from mbds_xsim.engine import Profile
 
-__all__ = ["FAILED", "SCHEMA", "Cell", "Outcome", "Panel", "Sweep", "Told", "to_json"]
+__all__ = [
+    "FAILED",
+    "LEARNED",
+    "SCHEMA",
+    "Cell",
+    "Options",
+    "Outcome",
+    "Panel",
+    "Sweep",
+    "Told",
+    "to_json",
+]
 
 SCHEMA = "mbds-xsim/stability/1"
 
+LEARNED = "learned"
+"""Family of trained models."""
 Options = dict[str, float | int | bool | str]
 Outcome = Literal[
     "stable", "off course", "gains energy", "loses energy", "comes apart", "sinks in", "stuck",
@@ -39,12 +52,17 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     study: str
     value: float | str
     engine: str
+    """Of a trained model its name, as `gns`."""
     version: str
+    """Of a trained model that of torch."""
     method: str
+    """Of a trained model what it was trained on, and its seed."""
     family: str
     profile: Profile
+    """Of a trained model that of its data."""
     options: Options
     step_s: float
+    """Of a trained model its frame."""
     duration_s: float
     """That was to be simulated."""
     limit_s: float
@@ -72,6 +90,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """Largest RMS particle error over the scene's length."""
     wall_s: float | None = None
     """Of the rollout, in that process."""
+    source: str = ""
+    """File of a trained model."""
 
     @property
     def failed(self) -> bool:
@@ -94,6 +114,16 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     family: str
     profile: Profile
     cells: tuple[tuple[Cell, ...], ...]
+
+    @property
+    def steps_s(self) -> tuple[float, ...]:
+        """Steps of the columns [s]."""
+        return tuple(cell.step_s for cell in self.cells[0])
+
+    @property
+    def learned(self) -> bool:
+        """Whether it is a trained model's: it has one step, its frame."""
+        return self.family == LEARNED
 
     @property
     def name(self) -> str:

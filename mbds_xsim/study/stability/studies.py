@@ -7,7 +7,9 @@ from mbds_xsim.study.stability import (
     builtin,
     chain_length,
     friction,
+    links,
     mass_ratio,
+    pace,
     redundancy,
     restitution,
     rungs,
@@ -24,7 +26,7 @@ __all__ = ["STUDIES", "study_named"]
 
 _PARTS = (
     builtin, mass_ratio, chain_length, rungs, redundancy, singular, stiffness, spin, wheels, throw,
-    swing, friction, restitution,
+    swing, pace, links, friction, restitution,
 )  # fmt: skip
 
 STUDIES: dict[str, Study] = {part.STUDY.name: part.STUDY for part in _PARTS}

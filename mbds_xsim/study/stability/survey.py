@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from mbds_xsim import reference, registry
 from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.reference import FirstImpact
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.bench import Meter
 from mbds_xsim.study.identity import machine
@@ -45,15 +45,14 @@ def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
     values = plan.values or plan.study.values
     scenes = {value: plan.study.scene(value) for value in values}
     contenders, left_out = contenders_of(
-        plan.study.name, list(scenes.values()), plan.engines, plan.methods, plan.profiles
+        plan.study, list(scenes.values()), plan.engines, plan.methods, plan.profiles, plan.others
     )
-    truths, unknown = _truths(plan, scenes)
-    cases = [
-        Case(value, scene, plan.study.batch(scene), truths.get(value))
-        for value, scene in scenes.items()
-    ]
+    cases, unknown = _cases(plan, values, contenders)
     grid = [
-        [[Job.of(case, contender, count) for count in plan.counts] for case in cases]
+        [
+            [Job.of(case, contender, count) for count in contender.counts(plan.counts)]
+            for case in cases[contender.clock(plan.study)]
+        ]
         for contender in contenders
     ]
     jobs = [job for panel in grid for row in panel for job in row]
@@ -76,13 +75,30 @@ def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
         left_out=left_out,
         unknown=unknown,
         command=plan.command,
-        versions=_versions(contender.engine for contender in contenders),
+        versions=_versions(contenders),
         machine=machine(),
         workers=core_count() if plan.workers is None else plan.workers,
         measured=len(jobs) - measuring.kept,
         kept=measuring.kept,
         wall_s=time.perf_counter() - begin,
     )
+
+
+def _cases(
+    plan: Plan, values: Sequence[Value], contenders: Sequence[Contender]
+) -> tuple[dict[Clock, list[Case]], dict[str, str]]:
+    """Make the scenes at the frames that each contender is recorded at, with what is true there."""
+    cases: dict[Clock, list[Case]] = {}
+    unknown: dict[str, str] = {}
+    for clock in dict.fromkeys(contender.clock(plan.study) for contender in contenders):
+        scenes = {value: plan.study.scene(value, clock) for value in values}
+        truths, missing = _truths(plan, scenes)
+        unknown |= missing
+        cases[clock] = [
+            Case(value, scene, plan.study.batch(scene), truths.get(value))
+            for value, scene in scenes.items()
+        ]
+    return cases, unknown
 
 
 def _truths(
@@ -115,18 +131,19 @@ def _truth(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
 
 
 def _panel(contender: Contender, rows: list[list[Job]], done: Measuring) -> Panel:
-    adapter = registry.load_adapter(contender.engine)
     return Panel(
         engine=contender.engine,
-        version=adapter.version(),
+        version=contender.version,
         method=contender.method,
-        family=adapter.methods[contender.method].family,
+        family=contender.family,
         profile=contender.profile,
         cells=tuple(tuple(done.cells[job.key] for job in row) for row in rows),
     )
 
 
-def _versions(engines: Iterable[str]) -> dict[str, str]:
+def _versions(contenders: Sequence[Contender]) -> dict[str, str]:
     versions = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
     versions["python"] = platform.python_version()
-    return versions | {name: registry.load_adapter(name).version() for name in engines}
+    for contender in contenders:
+        versions |= contender.versions
+    return versions

@@ -1,0 +1,256 @@
+"""Trained models on the axes of the engines.
+
+A model has no step to choose: it takes its frame. It is shown the reference's first six frames and
+predicts the rest of the study's time; what it tells are positions of particles, and by these alone
+it is judged, with the limits that engines are held to. The scene is the study's, whatever the model
+was trained on: its parameters are those of a network that fits any graph.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import registry
+from mbds_xsim.engine import Profile
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Task
+from mbds_xsim.learn import seen
+from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.shift.sources import sources
+from mbds_xsim.learn.trained import (
+    Trained,
+    carry_on,
+    known_start,
+    trained_in,
+    true_motion,
+    whole_motion,
+)
+from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.reference.cache import key_of
+from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.study.identity import machine
+from mbds_xsim.study.stability.cell import Judged
+from mbds_xsim.study.stability.definition import Study, Value
+from mbds_xsim.study.stability.plan import Case
+from mbds_xsim.study.stability.rows import LEARNED, Options, Outcome
+
+# The limits are the engines'; their names stay as they are, because the file's source is in the
+# keys of all cells that were ever kept.
+from mbds_xsim.study.stability.verdict import _ENERGY as ENERGY
+from mbds_xsim.study.stability.verdict import _FROZEN as FROZEN
+from mbds_xsim.study.stability.verdict import _OFF as OFF
+from mbds_xsim.study.stability.verdict import _OPEN as OPEN
+from mbds_xsim.study.stability.verdict import _SUNK as SUNK
+from mbds_xsim.study.stability.verdict import Verdict
+
+__all__ = ["TrainedModel", "judge_particles", "models_in", "run_model", "run_models"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A trained model; see `Contender`."""
+
+    trained: Trained
+
+    @property
+    def engine(self) -> str:
+        """Name of the model."""
+        return self.trained.model
+
+    @property
+    def method(self) -> str:
+        """What it was trained on."""
+        return f"{self.trained.scene.name}-{self.trained.training}"
+
+    @property
+    def profile(self) -> Profile:
+        """Of its data."""
+        return cast(Profile, self.trained.entry.variant)
+
+    @property
+    def name(self) -> str:
+        """Model, training and profile."""
+        return f"{self.engine} {self.method}" + (" native" if self.profile == "native" else "")
+
+    @property
+    def source(self) -> str:
+        """Where it is, as it was named."""
+        return str(self.trained.path)
+
+    @property
+    def version(self) -> str:
+        """Of what runs it."""
+        return registry.package_version("torch")
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of what runs it."""
+        return {"torch": self.version}
+
+    @property
+    def family(self) -> str:
+        """None of the engines'."""
+        return LEARNED
+
+    def clock(self, study: Study) -> Clock:
+        """Give its own frames over the study's time."""
+        frame = self.trained.scene.clock.frame
+        return Clock(frame, max(HISTORY, round(study.clock.duration / frame)))
+
+    def counts(self, asked: Sequence[int]) -> tuple[int, ...]:
+        """Give one: it has no steps."""
+        del asked
+        return (1,)
+
+    def refusal(self, study: Study, scene: Scene) -> str:
+        """Try whether its parameters fit, and whether anything can be given to it."""
+        if not study.known:
+            return f"{self.name}: no reference is known that could give it its first frames"
+        try:
+            read_model(self.trained.path, scene)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    def options(self, scene: Scene) -> Options:
+        """Give none."""
+        del scene
+        return {}
+
+    def key(self, case: Case, count: int) -> str:
+        """Hash file, motion, code and machine."""
+        digest = hashlib.sha256(_code(self.trained.entry.module))
+        motion = key_of("learned", case.scene, case.batch, 0, 0.0)
+        what = (self.trained.entry.content, motion, count, self.version, machine())
+        digest.update(repr(what).encode())
+        return digest.hexdigest()
+
+    def group(self, value: Value) -> tuple[Value, ...]:
+        """Put all values together: torch takes longer to start than a prediction."""
+        del value
+        return (self.name,)
+
+    def task(self, cells: Sequence[tuple[Case, int]], limit: float) -> Task:
+        """Predict and judge."""
+        cases = [(case.scene, case.batch, case.truth) for case, _ in cells]
+        return Task(run_models, (self.trained.path, cases, limit / 2.0), limit)
+
+
+def models_in(places: Sequence[Path]) -> tuple[TrainedModel, ...]:
+    """Find trained models in files and folders.
+
+    Raises:
+        InputError: There is none, or a file is no trained model.
+    """
+    return tuple(map(TrainedModel, trained_in(places)))
+
+
+def run_models(
+    path: Path, cases: Sequence[tuple[Scene, Batch, Trajectory | None]], patience: float
+) -> list[Judged]:
+    """Predict starts in turn, as many as are begun within a time [s]; see `run_model`."""
+    begin = time.perf_counter()
+    done: list[Judged] = []
+    for case in cases:
+        if done and time.perf_counter() - begin > patience:
+            break
+        done.append(run_model(path, *case))
+    return done
+
+
+def run_model(path: Path, scene: Scene, batch: Batch, truth: Trajectory | None) -> Judged:
+    """Predict one start in this process and judge it; the time is that of the frames predicted.
+
+    Raises:
+        InputError: The parameters do not fit, or no reference gives the first frames.
+    """
+    import torch
+
+    torch.set_num_threads(1)
+    if truth is None:
+        msg = f"no reference is known here that could give a model its first {HISTORY} frames"
+        raise InputError(msg)
+    model, _ = read_model(path, scene)
+    known = known_start(model, truth, batch)
+    begin = time.perf_counter()
+    predicted = carry_on(model, known)
+    wall = time.perf_counter() - begin
+    motion = seen.Seen(model.graph, batch, whole_motion(model, truth, predicted)[0])
+    due = seen.Seen(model.graph, batch, true_motion(model, truth)[0])
+    return Judged(judge_particles(motion, due), wall)
+
+
+def judge_particles(motion: seen.Seen, truth: seen.Seen) -> Verdict:
+    """Judge one motion by its particles, with the limits of `verdict`.
+
+    Nothing tells that a prediction is wrong: models have no words for it.
+    """
+    length, frame = motion.graph.length, motion.graph.frame_s
+    with np.errstate(all="ignore"):
+        opened, sunk = seen.gap(motion) / length, seen.sunk(motion) / length
+        energy = seen.unexplained_energy(motion, truth)
+        due = seen.way(truth)
+        way = np.where(due > OFF * length, seen.way(motion) / due, np.nan)
+        error = seen.particle_error(motion, truth) / length
+    finite = np.asarray(np.isfinite(motion.position).all(axis=(1, 2)))
+    ended = len(finite) if finite.all() else int(finite.argmin())
+    broken: dict[Outcome, NDArray[np.bool_]] = {
+        "comes apart": opened > OPEN,
+        "sinks in": sunk > SUNK,
+        "gains energy": energy > ENERGY,
+        "loses energy": energy < -ENERGY,
+        "stuck": _to_the_end(way, way < FROZEN),
+        "blows up": ~finite,
+    }
+    first: dict[Outcome, int] = {
+        what: int(flags[HISTORY:].argmax()) + HISTORY
+        for what, flags in broken.items()
+        if flags[HISTORY:].any()
+    }
+    if not first and (error > OFF).any():
+        first = {"off course": int((error > OFF).argmax())}
+    outcome = min(first, key=lambda what: first[what], default="stable")
+    return Verdict(
+        outcome=cast(Outcome, outcome),
+        told="nobody",
+        reason="",
+        broke_s=first[cast(Outcome, outcome)] * frame if first else None,
+        ended_s=(ended - 1) * frame,
+        energy=_extreme(energy),
+        gap=_extreme(opened),
+        sunk=_extreme(sunk),
+        way=float(way[-1]) if np.isfinite(way[-1]) else None,
+        error=_extreme(error),
+    )
+
+
+def _to_the_end(known: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Keep what is seen from some frame to the last one that is known."""
+    kept = np.logical_and.accumulate((flags | np.isnan(known))[::-1])[::-1]
+    return np.asarray(kept & flags)
+
+
+def _extreme(series: Array) -> float | None:
+    known = series[np.isfinite(series)]
+    return float(known[np.abs(known).argmax()]) if len(known) else None
+
+
+@functools.cache
+def _code(module: str) -> bytes:
+    """Hash the source of a model and of what judges it."""
+    return (
+        sources(module, "mbds_xsim.learn.seen", "mbds_xsim.learn.saved", "mbds_xsim.learn.trained")
+        + hashlib.sha256(Path(__file__).read_bytes()).digest()
+    )

@@ -1,0 +1,334 @@
+"""Trained models on the axes of the engines: what holds, what breaks first, and who says so."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from typer.testing import CliRunner
+
+from mbds_xsim import reference, registry
+from mbds_xsim.cli import app, main
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.saved import read_model, save_model
+from mbds_xsim.learn.seen import Seen, unexplained_energy
+from mbds_xsim.learn.shift.roster import _still
+from mbds_xsim.learn.trained import trained_in
+from mbds_xsim.learn.window import HISTORY, Inputs
+from mbds_xsim.report import stability_summary as summary
+from mbds_xsim.report.stability_markdown import to_markdown
+from mbds_xsim.report.stability_page import to_html, to_png
+from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.study.stability import learned
+from mbds_xsim.study.stability.definition import Study
+from mbds_xsim.study.stability.learned import TrainedModel, judge_particles, models_in, run_model
+from mbds_xsim.study.stability.plan import Plan
+from mbds_xsim.study.stability.rows import Sweep
+from mbds_xsim.study.stability.studies import STUDIES
+from mbds_xsim.study.stability.survey import survey
+
+Array = np.ndarray
+CLOCK = Clock(0.02, 50)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep cells and references apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small untrained model of a pendulum, and one of a ball."""
+    folder = tmp_path_factory.mktemp("models")
+    save(folder, "2pendulum", "mujoco")
+    return folder
+
+
+def save(folder: Path, scene: str, training: str) -> Path:
+    """Write a model that is not trained."""
+    settings, statistics = GNSSettings(width=8, steps=1), _still()
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = GNS(Graph.of(registry.load_scene(scene)), statistics, settings)
+    facts = {"model": "gns", "train_engines": training, "variant": "native", "training": training,
+             "seed": "0", "wall_s": "12.5", "cpu_s": "12.0"}  # fmt: skip
+    path = folder / scene / "native" / "gns" / f"{training}-s0.pt"
+    save_model(path, model, "gns", settings, statistics, **facts)
+    return path
+
+
+def _solved(study: Study, value: float) -> tuple[Scene, Batch, Trajectory]:
+    scene = study.scene(value, CLOCK)
+    batch = study.batch(scene)
+    return scene, batch, reference.solve(scene, batch)
+
+
+def _seen(scene: Scene, batch: Batch, motion: Trajectory) -> Seen:
+    from mbds_xsim.dataset.points import Points
+
+    graph = Graph.of(scene)
+    position, _ = Points.of(scene).motion(motion)
+    return Seen(graph, batch, graph.embed(torch.from_numpy(position))[0].numpy())
+
+
+def _spoilt(motion: Seen, change: Callable[[Array], Array]) -> Seen:
+    return dataclasses.replace(motion, position=change(motion.position.copy()))
+
+
+@pytest.fixture(scope="module")
+def swing() -> Seen:
+    """The reference of a double pendulum."""
+    return _seen(*_solved(STUDIES["swing"], 2.0))
+
+
+def test_the_true_motion_is_stable_and_nobody_says_anything(swing: Seen) -> None:
+    verdict = judge_particles(swing, swing)
+
+    assert (verdict.outcome, verdict.told, verdict.broke_s) == ("stable", "nobody", None)
+    assert verdict.error == 0.0
+    assert verdict.gap is not None
+    assert verdict.gap < 1e-8
+    assert verdict.energy == 0.0
+
+
+@pytest.mark.parametrize(("name", "value"), [("swing", 20.0), ("pace", 1.0), ("throw", 5.0)])
+def test_an_engine_that_holds_holds_by_its_particles_too(name: str, value: float) -> None:
+    study = STUDIES[name]
+    scene, batch, truth = _solved(study, value)
+    adapter = registry.load_adapter("mujoco")
+    settings = dataclasses.replace(adapter.settings(scene, "matched"), method="RK4", step=0.001)
+    run = simulate(scene, batch, "mujoco", settings).trajectory
+
+    verdict = judge_particles(_seen(scene, batch, run), _seen(scene, batch, truth))
+
+    assert verdict.outcome == "stable", verdict
+
+
+def test_a_drag_that_nobody_asked_for_loses_energy(swing: Seen) -> None:
+    slow = np.linspace(0, 1, len(swing.position)) ** 2  # time lags ever more
+    frames = np.arange(len(swing.position)) - 20.0 * slow
+
+    def lag(position: Array) -> Array:
+        flat = position.reshape(len(position), -1)
+        known = np.arange(len(position))
+        lagged = [np.interp(frames, known, column) for column in flat.T]
+        return np.stack(lagged, axis=1).reshape(position.shape)
+
+    # Interpolated positions cut corners by less than joints may open.
+    energy = unexplained_energy(_spoilt(swing, lag), swing)
+
+    assert np.isnan(energy[:HISTORY]).all()
+    assert np.nanmin(energy) < -0.1
+
+
+def test_a_rod_that_grows_comes_apart_when_it_has_grown(swing: Seen) -> None:
+    def grow(position: Array) -> Array:
+        position[30:, 0] *= 1.05
+        return position
+
+    verdict = judge_particles(_spoilt(swing, grow), swing)
+
+    assert verdict.outcome == "comes apart"
+    assert verdict.broke_s == pytest.approx(0.6)
+
+
+def test_what_stands_still_is_stuck() -> None:
+    ball = _seen(*_solved(STUDIES["throw"], 0.0))
+
+    def stay(position: Array) -> Array:
+        position[:] = position[0]
+        return position
+
+    assert judge_particles(_spoilt(ball, stay), ball).outcome == "stuck"
+
+
+def test_what_is_no_number_has_blown_up(swing: Seen) -> None:
+    def lose(position: Array) -> Array:
+        position[40:] = np.nan
+        return position
+
+    lost = judge_particles(_spoilt(swing, lose), swing)
+
+    assert (lost.outcome, lost.broke_s, lost.told) == ("blows up", 0.8, "nobody")
+    assert lost.ended_s == pytest.approx(0.78)
+
+
+def test_a_ball_in_the_ground_is_seen() -> None:
+    ball = _seen(*_solved(STUDIES["throw"], 0.0))
+
+    def sink(position: Array) -> Array:
+        position[45:, :, 2] = -0.5
+        return position
+
+    assert judge_particles(ball, ball).outcome == "stable"
+    verdict = judge_particles(_spoilt(ball, sink), ball)
+    assert (verdict.outcome, verdict.broke_s) == ("sinks in", 0.9)
+
+
+class _Perfect(GNS):
+    """Knows the reference by heart."""
+
+    truth: Tensor
+    frame = HISTORY
+
+    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+        del inputs
+        after = self.truth[:, self.frame].to(history)
+        self.frame += 1
+        return after - 2.0 * history[:, -1] + history[:, -2]
+
+
+def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, batch, truth = _solved(STUDIES["swing"], 5.0)
+    model, _ = read_model(next(folder.rglob("*.pt")), scene)
+    model.__class__ = _Perfect
+    assert isinstance(model, _Perfect)
+    model.truth = torch.from_numpy(_seen(scene, batch, truth).position)[None]
+    monkeypatch.setattr(learned, "read_model", lambda *_: (model, {}))
+
+    judged = run_model(Path("any.pt"), scene, batch, truth)
+
+    assert judged.verdict.outcome == "stable"
+    assert judged.verdict.error == pytest.approx(0.0, abs=1e-4)
+    assert judged.wall_s > 0.0
+
+
+@pytest.fixture(scope="module")
+def sweep(folder: Path) -> Sweep:
+    """A model beside an engine's method."""
+    plan = Plan(
+        STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
+        workers=0, others=models_in([folder]),
+    )  # fmt: skip
+    return survey(plan)
+
+
+def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Sweep, folder: Path) -> None:
+    engine, model = sweep.panels
+
+    assert (engine.learned, len(engine.steps_s)) == (False, 2)
+    assert (model.name, model.learned) == ("gns 2pendulum-mujoco-s0 native", True)
+    assert model.steps_s == (0.02,)
+    for (cell,) in model.cells:
+        assert cell.failed
+        assert cell.silent
+        assert cell.told == "nobody"
+        assert cell.duration_s == engine.cells[0][0].duration_s
+        assert Path(cell.source).is_relative_to(folder)
+        assert cell.broke_s is not None
+        assert cell.broke_s >= HISTORY * 0.02 - 1e-9
+    assert "torch" in sweep.versions
+
+
+def test_what_was_predicted_is_kept_until_the_model_is_another(
+    sweep: Sweep, folder: Path, tmp_path: Path
+) -> None:
+    plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=models_in([folder]))
+    again = survey(plan)
+    path = save(tmp_path, "1pendulum", "mujoco")
+    other = survey(dataclasses.replace(plan, others=models_in([path])))
+
+    assert (again.measured, again.kept) == (0, 2)
+    assert [row[0].outcome for row in again.panels[0].cells] == [
+        row[0].outcome for row in sweep.panels[1].cells
+    ]
+    assert (other.measured, other.kept) == (2, 0)
+
+
+def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep) -> None:
+    ((name, told),) = summary.holding(sweep)
+    cell = sweep.panels[1].cells[0][0]
+
+    assert name == sweep.panels[1].name
+    assert told.startswith("stable nowhere, on course nowhere; at 0 m/s ")
+    assert told.endswith("told by nobody")
+    assert f"--engines none --models {cell.source} --value 0" in summary.command_of(cell, sweep)
+    assert "first six" in to_markdown([sweep])
+    assert "first six" in to_html([sweep])
+    assert to_png([sweep])[:4] == b"\x89PNG"
+    assert "most stable: mujoco RK4 (4 of 4)" in summary.conclusion(sweep)
+
+
+def test_without_models_nothing_is_said_of_them() -> None:
+    plan = Plan(
+        STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0,), counts=(5,), workers=0
+    )
+    assert "first six" not in to_markdown([survey(plan)])
+
+
+def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> None:
+    ball = STUDIES["throw"]  # a ground and no anchor: other features at a node
+    (model,) = models_in([folder])
+
+    assert "its parameters do not fit ballscroll" in model.refusal(ball, ball.scene(5.0))
+    with pytest.raises(InputError, match="nothing to run in throw"):
+        survey(Plan(ball, values=(5.0,), workers=0, others=(model,)))
+
+
+def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> None:
+    (model,) = models_in([folder])
+    scene, batch, _ = _solved(STUDIES["swing"], 0.0)
+
+    assert "no reference" in model.refusal(STUDIES["wheels"], scene)
+    with pytest.raises(InputError, match="no reference"):
+        run_model(model.trained.path, scene, batch, None)
+
+
+def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
+    (found,) = trained_in([folder])
+    slow = dataclasses.replace(
+        found, scene=msgspec.structs.replace(found.scene, clock=Clock(0.1, 40))
+    )
+
+    assert TrainedModel(found).clock(STUDIES["swing"]) == CLOCK
+    assert TrainedModel(slow).clock(STUDIES["swing"]) == Clock(0.1, 10)
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [("nothing", "no trained model"), ("empty", r"no trained models \(\*.pt\)")],
+)
+def test_what_is_no_model_is_one_clear_line(
+    tmp_path: Path, place: str, told: str, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "nothing").write_text("no model")
+    words = ["stability", "swing", "--models", str(tmp_path / place), "--engines", "none"]
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+
+    assert ended.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert len(error.splitlines()) == 1
+    with pytest.raises(InputError, match=told):
+        models_in([tmp_path / place])
+
+
+def test_the_command_runs_models_alone(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map.csv"
+    words = ["stability", "links", "--models", str(folder), "--engines", "none", "--value", "3",
+             "--csv", str(out), "--workers", "1"]  # fmt: skip
+    done = CliRunner().invoke(app, words)
+
+    assert done.exit_code == 0, done.output
+    header, row = out.read_text().splitlines()
+    cells = dict(zip(header.split(","), row.split(","), strict=False))
+    assert (cells["engine"], cells["family"], cells["value"]) == ("gns", "learned", "3.0")
