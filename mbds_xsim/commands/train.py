@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,10 +21,54 @@ from mbds_xsim.commands.shared import (
 from mbds_xsim.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from mbds_xsim.dataset.work import Carrier
+    from mbds_xsim.learn.campaign import Campaign, Request
+    from mbds_xsim.learn.cost import Cost
     from mbds_xsim.learn.train import Profile
 
 __all__ = ["train"]
+
+
+_Data = Annotated[
+    list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
+]
+_Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")]
+_Models = Annotated[str, typer.Option(help="Comma-separated.")]
+_On = Annotated[
+    str, typer.Option(help="each, leave-one-out, all, or names of engines, comma-separated.")
+]
+_Seeds = Annotated[int, typer.Option(help="How many: 0, 1, …", min=1)]
+_ProfileName = Annotated[
+    str, typer.Option(help="How long: smoke (minutes), lite (hours), paper (GPU).")
+]
+_Steps = Annotated[
+    int | None,
+    typer.Option(help="Exactly so many for every run, in place of the profile's.", min=1),
+]
+_Track = Annotated[
+    str | None,
+    typer.Option(help="Hyper-parameters: lite, native or paper; the profile's when left out."),
+]
+_Plan = Annotated[bool, typer.Option("--plan", help="Only measure and print the cost.")]
+_Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+_Mixed = Annotated[bool, typer.Option("--bf16", help="On cuda: mixed precision with bfloat16.")]
+_Compiled = Annotated[
+    bool, typer.Option("--compile", help="On cuda: compiled networks, as CUDA graphs.")
+]
+_Workers = Annotated[
+    int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
+]
+_Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask scheduler, whose workers see DATA and DIR too, in place of --workers.",
+    ),
+]
+_Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
+_Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")]
 
 
 @app.command(
@@ -33,68 +77,29 @@ __all__ = ["train"]
     "run it again after any interruption, and it goes on"
 )
 def train(
-    data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA…", help="Data sets, or folders of them."),
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")] = Path(
-        "models"
-    ),
-    models: Annotated[str, typer.Option(help="Comma-separated.")] = "gns,sgnn,hgnn,lgnn",
-    on: Annotated[
-        str,
-        typer.Option(help="each, leave-one-out, all, or names of engines, comma-separated."),
-    ] = "each",
-    seeds: Annotated[int, typer.Option(help="How many: 0, 1, …", min=1)] = 3,
-    profile: Annotated[
-        str, typer.Option(help="How long: smoke (minutes), lite (hours), paper (GPU).")
-    ] = "lite",
-    steps: Annotated[
-        int | None,
-        typer.Option(help="Exactly so many for every run, in place of the profile's.", min=1),
-    ] = None,
-    track: Annotated[
-        str | None,
-        typer.Option(help="Hyper-parameters: lite, native or paper; the profile's when left out."),
-    ] = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Only measure and print the cost.")] = False,
-    device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
-    bf16: Annotated[
-        bool, typer.Option("--bf16", help="On cuda: mixed precision with bfloat16.")
-    ] = False,
-    compiled: Annotated[
-        bool, typer.Option("--compile", help="On cuda: compiled networks, as CUDA graphs.")
-    ] = False,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="A Dask scheduler, whose workers see DATA and DIR too, in place of --workers.",
-        ),
-    ] = None,
-    tensorboard: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")
-    ] = None,
-    png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")
-    ] = None,
+    data: _Data,
+    out: _Out = Path("models"),
+    models: _Models = "gns,sgnn,hgnn,lgnn",
+    on: _On = "each",
+    seeds: _Seeds = 3,
+    profile: _ProfileName = "lite",
+    steps: _Steps = None,
+    track: _Track = None,
+    plan: _Plan = False,
+    device: _Device = "cpu",
+    bf16: _Mixed = False,
+    compiled: _Compiled = False,
+    workers: _Workers = None,
+    scheduler: _Scheduler = None,
+    tensorboard: _Events = None,
+    png: _Curves = None,
     json: JsonFile = None,
 ) -> None:
     """Train learned models on engines' data, always to one budget; see docs/train.md."""
     check_torch("train")
-    from mbds_xsim.dataset.lock import locked
-    from mbds_xsim.learn.campaign import LONG, Request, carry, costs, planned
+    from mbds_xsim.learn.campaign import Request, planned
     from mbds_xsim.learn.domains import groups
-    from mbds_xsim.report.training import (
-        TrainingBar,
-        print_costs,
-        print_left_out,
-        print_outcome,
-    )
+    from mbds_xsim.report.training import print_left_out
 
     console = console_for(json)
     check_targets(json=json, png=png)
@@ -114,24 +119,50 @@ def train(
     campaign = planned(request)
     print_left_out(campaign, console)
     with ExitStack() as stack:
-        if not plan:
-            stack.enter_context(locked(out))
-        carrier, at_once = _carrier(stack, scheduler, workers, device, out)
-        measured = []
-        if campaign.runs and (plan or request.profile.steps > LONG):
-            measured = costs(campaign, workers=at_once, carrier=carrier)
-            print_costs(campaign, measured, at_once, console)
+        carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
+            measured = _costs(campaign, *carrier, console)
             write_json(encoded({"cost": measured, "left_out": campaign.left_out}), json)
             return
-        bar = stack.enter_context(TrainingBar(console))
-        outcome = carry(campaign, workers=at_once, carrier=carrier, progress=bar, costs=measured)
+        told = _trained(campaign, request, *carrier, console)
+    _draw([out / f"{name}.curve.json" for name in told["runs"]], png)
+    write_json(encoded(told), json)
+    raise typer.Exit(1 if told["failed"] else 0)
+
+
+def _costs(campaign: Campaign, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
+    """Measure and print what the runs will cost."""
+    from mbds_xsim.learn.campaign import costs
+    from mbds_xsim.report.training import print_costs
+
+    measured = costs(campaign, workers=at_once, carrier=carrier) if campaign.runs else []
+    if measured:
+        print_costs(campaign, measured, at_once, console)
+    return measured
+
+
+def _trained(
+    campaign: Campaign, request: Request, carrier: Carrier, at_once: int, console: Console
+) -> dict[str, Any]:
+    """Carry the runs out, and give what is to be told of them."""
+    from mbds_xsim.dataset.lock import locked
+    from mbds_xsim.learn.campaign import LONG, carry
+    from mbds_xsim.report.training import TrainingBar, print_outcome
+
+    with locked(request.out):
+        long = request.profile.steps > LONG
+        measured = _costs(campaign, carrier, at_once, console) if long else []
+        with TrainingBar(console) as bar:
+            outcome = carry(
+                campaign, workers=at_once, carrier=carrier, progress=bar, costs=measured
+            )
     print_outcome(campaign, outcome, console)
-    runs = dict(sorted({**campaign.found, **outcome.trained}.items()))
-    _draw([out / f"{name}.curve.json" for name in runs], png)
-    told = {"runs": runs, "failed": outcome.failed, "left_out": campaign.left_out}
-    write_json(encoded({**told, "cost": measured}), json)
-    raise typer.Exit(1 if outcome.failed else 0)
+    return {
+        "runs": dict(sorted({**campaign.found, **outcome.trained}.items())),
+        "failed": outcome.failed,
+        "left_out": campaign.left_out,
+        "cost": measured,
+    }
 
 
 def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bool) -> None:

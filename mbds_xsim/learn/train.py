@@ -69,7 +69,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 PROFILES = {
     "smoke": Profile(steps=600, every=100, windows=32, until_level=False),
-    "lite": Profile(steps=10_000, every=250),
+    "lite": Profile(steps=3_000, every=150, until_level=False),
     "paper": Profile(steps=1_000_000, every=5_000, windows=512),
 }
 
