@@ -41,6 +41,10 @@ def shift(
         int | None,
         typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
     ] = None,
+    at: Annotated[
+        int | None,
+        typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
+    ] = None,
     cache: CacheUse = True,
     workers: WorkerCount = None,
     json: JsonFile = None,
@@ -71,6 +75,7 @@ def shift(
                 data,
                 name,
                 trajectories=trajectories,
+                at=at,
                 cache=cache,
                 workers=workers,
                 meter=meter,

@@ -12,7 +12,7 @@ from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.quantity import number
-from mbds_xsim.report.shift_tables import Matrix, at, headline, matrix_of, trained_models
+from mbds_xsim.report.shift_tables import Matrix, at, matrix_of, trained_models
 
 __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
 
@@ -25,7 +25,7 @@ _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 def to_png(studies: Sequence[Shift]) -> bytes:
     """Give a picture: a row of heat maps for each study, a map for each model."""
     columns = max(len(trained_models(shift)) for shift in studies)
-    sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, headline(s)))) for s in studies]
+    sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
     width = columns * max(size[0] for size in sizes)
     height = sum(size[1] for size in sizes)
 
@@ -132,7 +132,7 @@ def _first(cells: Sequence[Cell], training: str) -> Cell:
 
 
 def _draw_row(figure: Any, shift: Shift, columns: int) -> None:
-    frame = headline(shift)
+    frame = shift.at
     maps = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
     charts = figure.subplots(1, columns, squeeze=False)[0]
     for axes, matrix in zip(charts, maps, strict=False):

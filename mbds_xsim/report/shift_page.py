@@ -15,7 +15,7 @@ from mbds_xsim.report import palette, themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol
 from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, styles_of
-from mbds_xsim.report.shift_tables import at, headline, matrix_of, tables, trained_models
+from mbds_xsim.report.shift_tables import at, matrix_of, tables, trained_models
 
 __all__ = ["to_html"]
 
@@ -49,7 +49,7 @@ def _view(shift: Shift, samples: Samples) -> dict[str, Any]:
         "s": shift,
         "protocol": protocol(shift),
         "tables": list(tables(shift)),
-        "maps": [(frame, _maps(shift, frame), frame == headline(shift)) for frame in shift.frames],
+        "maps": [(frame, _maps(shift, frame), frame == shift.at) for frame in shift.frames],
         "picture": _picture(samples),
         "domain": samples.domain.name,
         "curves": [(model, _curves(shift, model)) for model in trained_models(shift)],

@@ -16,13 +16,11 @@ from mbds_xsim.report.quantity import NONE, number
 __all__ = [
     "Matrix",
     "Table",
-    "headline",
     "matrix_of",
     "tables",
     "trained_models",
 ]
 
-_HEADLINE = 10
 Pick = Callable[[Cell], float | None]
 
 
@@ -44,11 +42,6 @@ class Matrix:
     rows: tuple[str, ...]
     columns: tuple[str, ...]
     values: tuple[tuple[float | None, ...], ...]
-
-
-def headline(shift: Shift) -> int:
-    """The frame that tables are shown at."""
-    return _HEADLINE if _HEADLINE in shift.frames else shift.frames[-1]
 
 
 def trained_models(shift: Shift) -> list[str]:
@@ -76,7 +69,7 @@ def at(shift: Shift, frame: int) -> Pick:
 
 def tables(shift: Shift) -> Iterator[Table]:
     """Give all tables."""
-    frame = headline(shift)
+    frame = shift.at
     place = shift.frames.index(frame)
     for model in trained_models(shift):
         yield _errors(shift, model, frame)

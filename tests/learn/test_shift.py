@@ -294,7 +294,7 @@ def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:
 def _answer(board: Board) -> str:
     draws = Draws(board)
     gaps = _gaps(board)
-    found = {answer.question: answer.answer for answer in answers_of(board, draws, gaps)}
+    found = {answer.question: answer.answer for answer in answers_of(board, draws, gaps, FRAMES)}
     return found["Which model is most robust (native)?"]
 
 

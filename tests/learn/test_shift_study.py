@@ -32,6 +32,7 @@ from mbds_xsim.learn.shift.roster import check_data, find_entries, refusal
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
+from mbds_xsim.report.shift_tables import tables
 from mbds_xsim.scene import Clock
 from tests.learn.conftest import Silence
 
@@ -138,6 +139,22 @@ def test_what_was_tested_is_not_tested_again(
     again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
+
+
+def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:
+    def studied(at: int) -> Shift:
+        places = folder / "models", folder / "data"
+        return study.study(*places, SCENE, at=at, workers=0).shift
+
+    early = studied(1)
+    assert (shift.at, early.at) == (10, 1)
+    assert "At t = 10," in shift.answers[0].answer
+    assert "At t = 1," in early.answers[0].answer
+    assert early.gaps == shift.gaps
+    titles = [next(tables(found)).title for found in (shift, early)]
+    assert titles == [f"gns: position error at t = {frame}" for frame in (10, 1)]
+    with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
+        studied(15)
 
 
 def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 Look = Callable[[Training, str], Array]
 """Errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
 
-_AT = 10  # the frame that answers are given at: early enough not to be chaos everywhere
-
 
 @dataclass(frozen=True)
 class _Ratio:
@@ -54,11 +52,9 @@ class _Field:
     everything: Training | None
 
 
-def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap]) -> Iterator[Answer]:
-    """Answer what can be answered from the trainings that there are."""
-    if not board.frames:
-        return
-    place = board.frames.index(_AT) if _AT in board.frames else len(board.frames) - 1
+def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap], at: int) -> Iterator[Answer]:
+    """Answer what can be answered at a frame from the trainings that there are."""
+    place = board.frames.index(at)
     fields = [f for f in _fields(board) if len(f.singles) > 1]
     yield _resolved(gaps, place, board.frames[place])
     for variant in dict.fromkeys(field.variant for field in fields):

@@ -177,6 +177,8 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     draws: int
     """Of the bootstrap."""
     frames: tuple[int, ...]
+    at: int
+    """Which of them answers and tables are given at."""
     index: tuple[int, ...]
     """Numbers of the trajectories."""
     noise: bool

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.errors import InputError
 from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.board import RESTART, Board, cells_of
@@ -31,6 +32,7 @@ from mbds_xsim.study.identity import machine
 __all__ = ["Studied", "study"]
 
 Array = NDArray[np.float64]
+_AT = 10
 
 
 class Meter(Protocol):
@@ -55,6 +57,7 @@ def study(
     scene: str,
     *,
     trajectories: int | None = None,
+    at: int | None = None,
     cache: bool = True,
     workers: int | None = None,
     meter: Meter | None = None,
@@ -67,13 +70,15 @@ def study(
         data: Folder of data sets.
         scene: Name of the scene in both.
         trajectories: Test with at most so many.
+        at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
         cache: Whether stored reference solutions are used.
         workers: Processes at a time.
         meter: Told of every model that is done.
         command: What was typed.
 
     Raises:
-        InputError: Models or data are missing, or do not belong together.
+        InputError: Models or data are missing, or do not belong together, or there is no such
+            frame.
     """
     began = time.perf_counter()
     test = load_paired(data, scene, trajectories)
@@ -81,13 +86,15 @@ def study(
     check_data(trained, test)
     entries = [*trivial_entries(), *trained]
     plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
+    frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
+    at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
     figures = _evaluated(test, entries, domains, plan, workers, meter)
     oracle = restarted(test, domains, plan.horizon, workers=workers)
     board = Board(
         test=test,
-        frames=tuple(frame for frame in FRAMES if frame <= plan.horizon),
+        frames=frames,
         figures=figures,
         oracles=oracles(domains, plan.horizon),
         restarted=oracle[0],
@@ -113,6 +120,7 @@ def study(
         exploded=EXPLODED,
         draws=DRAWS,
         frames=board.frames,
+        at=at,
         index=tuple(test.index.tolist()),
         noise=test.noise,
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
@@ -124,10 +132,20 @@ def study(
         floors=tuple(floors_of(board, noise, chaos)),
         gaps=gaps,
         agreements=tuple(agreements_of(board, draws)),
-        answers=tuple(answers_of(board, draws, gaps)),
+        answers=tuple(answers_of(board, draws, gaps, at)),
         wall_s=time.perf_counter() - began,
     )
     return Studied(shift, board, domains)
+
+
+def _frame_of(frames: tuple[int, ...], asked: int | None) -> int:
+    """Choose the frame of the answers: early enough not to be chaos everywhere."""
+    if asked is None:
+        return _AT if _AT in frames else frames[-1]
+    if asked not in frames:
+        msg = f"--at: got {asked}, allowed is {', '.join(map(str, frames))}"
+        raise InputError(msg)
+    return asked
 
 
 def _evaluated(
