@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
@@ -22,16 +23,36 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
+if TYPE_CHECKING:
+    from mbds_xsim.learn.trained import Trained
+    from mbds_xsim.scene import Scene
+    from mbds_xsim.study.rows import Row, Tradeoff
+
 __all__ = ["tradeoff"]
 
 
 @app.command(
     epilog="Examples:  mbds-xsim tradeoff 3ladder --html ladder.html  ·  "
-    "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv"
+    "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv  ·  "
+    "mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png"
 )
 def tradeoff(
     scenes: SceneNames,
     engines: EngineNames = None,
+    models: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Trained models beside the engines: a file or a folder of train; may be repeated.",
+        ),
+    ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --models: take the engines from the JSON of an earlier run of the scene.",
+        ),
+    ] = None,
     starts: Annotated[
         int, typer.Option(help="Starts of the medium interval.", min=1, max=1000)
     ] = 3,
@@ -66,16 +87,17 @@ def tradeoff(
     from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.report.tradeoff_terminal import print_tradeoff
     from mbds_xsim.study.rows import to_json
-    from mbds_xsim.study.tradeoff import tradeoff_with_rows
 
     console = console_for(json)
+    trained = _models(models, onto, scenes)
     choice = Choice.parse(engines=engines)
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     loaded = [scene_named(name) for name in scenes]
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
-            study, found = tradeoff_with_rows(
+            study, found = _engines(
+                onto,
                 scene,
                 choice=choice,
                 starts=starts,
@@ -87,8 +109,44 @@ def tradeoff(
                 meter=meter,
                 command=command_line(),
             )
+            if trained:
+                from mbds_xsim.learn.tradeoff import with_models
+
+                study, more = with_models(
+                    study,
+                    scene,
+                    trained,
+                    workers=workers,
+                    fresh=fresh,
+                    cache=cache,
+                    meter=meter,
+                    command=f"{study.command} && {command_line()}" if onto else "",
+                )
+                found = found + more
         studies.append(study)
         rows += found
         print_tradeoff(study, console)
     write_files(studies, rows, csv=csv, html=html, png=png, markdown=markdown)
     write_json(to_json(studies), json)
+
+
+def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, list[Row]]:
+    """Read the engines' part of a study, without its rows, or measure it."""
+    from mbds_xsim.study.rows import read_tradeoff
+    from mbds_xsim.study.tradeoff import tradeoff_with_rows
+
+    return (read_tradeoff(onto), []) if onto is not None else tradeoff_with_rows(scene, **how)
+
+
+def _models(places: list[Path] | None, onto: Path | None, scenes: list[str]) -> list[Trained]:
+    from mbds_xsim.errors import InputError
+
+    if onto is not None and (not places or len(scenes) != 1):
+        msg = "--onto: models are put onto a stored trade-off; name one SCENE and --models"
+        raise InputError(msg)
+    if not places:
+        return []
+    check_torch("tradeoff --models")
+    from mbds_xsim.learn.trained import trained_in
+
+    return trained_in(places)

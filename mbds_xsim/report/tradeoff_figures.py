@@ -9,15 +9,17 @@ from typing import Any
 from mbds_xsim import registry
 from mbds_xsim.report import quantity
 from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.report.learned_summary import colour_of_model, model_told
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.themed import GREY, INK, PAPER
-from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.study.rows import CurveResult, Learned, Point, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
 
 __all__ = ["PANELS", "Panel", "colour_of", "draw_panel", "legend_entries", "marker_of", "tips"]
 
 _MARKERS = "osD^vPXp<>h8d"
 _NATIVE_MARKER = "*"
+_MODEL_MARKER = "H"
 _REFERENCE = 1e-9
 """Accuracy of the reference over the scene's length: errors below are drawn there."""
 _TOP = 10.0
@@ -122,6 +124,9 @@ def draw_panel(axes: Any, study: Tradeoff, panel: Panel) -> None:
         _draw_front(axes, study, panel)
     for place, curve in enumerate(study.curves):
         _draw_curve(axes, study, panel, curve, place)
+    if panel.is_cost:
+        for place, model in enumerate(study.models):
+            _draw_model(axes, study, panel, model, place)
     _levels(axes, study, panel)
 
 
@@ -131,6 +136,9 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
         if not curve.variation:
             label = f"{curve.engine} {curve.method}, order {summary.order_told(curve, study)}"
             yield label, colour_of(curve.engine), marker_of(study, curve)
+    for name, model in {model.model: model for model in study.models}.items():
+        label = f"{name}, trained; hollow: {model.at_once} at a time"
+        yield label, colour_of_model(study, model), _MODEL_MARKER
 
 
 def tips(study: Tradeoff) -> dict[str, str]:
@@ -139,7 +147,7 @@ def tips(study: Tradeoff) -> dict[str, str]:
         f"tip-{place}-{number}": _told(curve, point)
         for place, curve in enumerate(study.curves)
         for number, point in enumerate(curve.points)
-    }
+    } | {f"tip-model-{place}": model_told(model) for place, model in enumerate(study.models)}
 
 
 def colour_of(engine: str) -> str:
@@ -188,6 +196,22 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
             zorder=3,
         )
         dot.set_gid(f"tip-{place}-{number}")
+
+
+def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place: int) -> None:
+    """Draw a model alone, and hollow in a batch."""
+    colour = colour_of_model(study, model)
+    spots = [_spot(study, panel, point) for point in (model.alone, model.batched)]
+    for spot, face in zip(spots, (colour, PAPER), strict=True):
+        if spot is not None:
+            (dot,) = axes.plot(
+                *([value] for value in spot), _MODEL_MARKER, color=colour, markersize=6,
+                markerfacecolor=face, zorder=4,
+            )  # fmt: skip
+            dot.set_gid(f"tip-model-{place}")
+    for run in _unbroken(spots):
+        (line,) = axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5)
+        line.set_gid("curve-model")
 
 
 def _spot(study: Tradeoff, panel: Panel, point: Point) -> tuple[float, float] | None:

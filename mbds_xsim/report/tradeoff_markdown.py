@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.report.learned_summary import model_columns, models_told
 from mbds_xsim.study.rows import Tradeoff
 
 __all__ = ["to_markdown"]
@@ -32,6 +33,7 @@ def _lines(study: Tradeoff) -> list[str]:
         "",
         *_table(study),
         "",
+        *_models(study),
         f"- Error: {summary.what_is_charted(study)}",
         *(f"- {column.heading}: {column.meaning}" for column in summary.columns(study)[2:]),
         *(f"- Option that pays: {line}" for line in summary.options_that_pay(study)),
@@ -41,6 +43,20 @@ def _lines(study: Tradeoff) -> list[str]:
         f"{summary.machine_told(study)}; {versions}",
         "",
     ]
+
+
+def _models(study: Tradeoff) -> list[str]:
+    if not study.models:
+        return []
+    columns = model_columns(study)
+    told = models_told(study)
+    rows = [
+        [column.heading for column in columns],
+        [":--" if column.text else "--:" for column in columns],
+        *([column.cell(model) for column in columns] for model in study.models),
+    ]
+    table = [f"| {' | '.join(row)} |" for row in rows]
+    return ["Trained models:", "", *table, "", f"- Trained models {told}", ""]
 
 
 def _table(study: Tradeoff) -> list[str]:

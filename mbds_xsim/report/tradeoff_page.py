@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from mbds_xsim.report import palette, quantity, themed
 from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.report.learned_summary import model_columns, models_told
 from mbds_xsim.report.themed import INK, PAPER
 from mbds_xsim.report.tradeoff_figures import (
     PANELS,
@@ -97,6 +98,8 @@ def _panels(study: Tradeoff) -> list[Panel]:
 
 def _footnotes(study: Tradeoff) -> list[str]:
     lines = textwrap.wrap(summary.what_is_charted(study), _LONGEST)
+    if study.models:
+        lines += textwrap.wrap(f"Trained models {models_told(study)}", _LONGEST)
     failed = [f"{name}: {steps}: {what}" for name, steps, what in summary.failures(study)]
     lines += failed[:_MOST_LINES]
     if len(failed) > _MOST_LINES:
@@ -116,6 +119,8 @@ def _view(study: Tradeoff) -> dict[str, Any]:
         "curves": summary.main_curves(study),
         "failures": summary.failures(study),
         "options": summary.options_that_pay(study),
+        "model_columns": model_columns(study),
+        "models_told": models_told(study),
         "legend": [
             {"place": place, "name": curve.name, "colour": colour_of(curve.engine)}
             for place, curve in enumerate(study.curves)

@@ -9,6 +9,7 @@ from rich.text import Text
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report import tradeoff_summary as summary
+from mbds_xsim.report.learned_summary import model_columns, models_told
 from mbds_xsim.study.rows import Tradeoff
 
 __all__ = ["print_tradeoff"]
@@ -26,6 +27,9 @@ def print_tradeoff(study: Tradeoff, console: Console) -> None:
     title.append(f"  {study.description}", style="dim not bold")
     console.print(title, highlight=False)
     console.print(_table(study, wide=console.width >= _WIDE))
+    if study.models:
+        console.print(_models(study, wide=console.width >= _WIDE))
+        _remark(console, "trained models", models_told(study))
     _remark(console, "error", summary.what_is_charted(study))
     for line in summary.options_that_pay(study):
         _remark(console, "option that pays", line)
@@ -59,6 +63,16 @@ def _table(study: Tradeoff, *, wide: bool) -> Table:
             cells[0] = ""
         above = curve.engine
         table.add_row(*cells, style=style)
+    return table
+
+
+def _models(study: Tradeoff, *, wide: bool) -> Table:
+    columns = [column for column in model_columns(study) if wide or column.narrow]
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column.heading, justify="left" if column.text else "right", no_wrap=True)
+    for model in study.models:
+        table.add_row(*(column.cell(model) for column in columns))
     return table
 
 

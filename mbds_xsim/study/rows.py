@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-__all__ = ["SCHEMA", "CurveResult", "Kind", "Point", "Ratio", "Row", "Tradeoff", "to_json"]
+from mbds_xsim.errors import InputError
+
+__all__ = [
+    "SCHEMA",
+    "CurveResult",
+    "Kind",
+    "Learned",
+    "Point",
+    "Ratio",
+    "Row",
+    "Tradeoff",
+    "read_tradeoff",
+    "to_json",
+]
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 
@@ -120,6 +134,40 @@ class Ratio(msgspec.Struct, frozen=True, kw_only=True):
     """Place of the cheapest curve."""
 
 
+class Learned(msgspec.Struct, frozen=True, kw_only=True):
+    """A trained model on the starts of the engines, behind the frames that it was given."""
+
+    model: str
+    training: str
+    """What it was trained on, and its seed: "not-mujoco-s0"."""
+    variant: str
+    """Of that data: native or matched."""
+    engines: tuple[str, ...]
+    """Whose data it was trained on."""
+    source: str
+    """Its file."""
+    known_frames: int
+    """Of the reference, which no engine is given; times are of the frames behind them."""
+    at_once: int
+    """Trajectories of a batch."""
+    alone: Point
+    """One trajectory at a time."""
+    batched: Point
+    """A batch of them: times are each trajectory's share, errors the same."""
+    train_wall_s: float | None = None
+    """What training took [s], which is in no other time."""
+    train_cpu_s: float | None = None
+    train_trajectories: float | None = None
+    train_device: str = ""
+    machine: str = ""
+    """That it was timed on."""
+
+    @property
+    def name(self) -> str:
+        """Model, training and variant."""
+        return f"{self.model} {self.training} {self.variant}"
+
+
 class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     """Speed against accuracy of one scene."""
 
@@ -157,11 +205,30 @@ class Tradeoff(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     fingerprint: str = ""
     """Stands for the scene's physics and starts; empty in results of earlier versions."""
+    models: tuple[Learned, ...] = ()
+    """Trained models, where any were asked for."""
 
     @property
     def error_budget_m(self) -> float:
         """Allowed error at the horizon [m]."""
         return self.budget["error_1s"] * self.length_m
+
+
+def read_tradeoff(path: Path) -> Tradeoff:
+    """Read what `to_json` has written of one study.
+
+    Raises:
+        InputError: It cannot be read, or is something else.
+    """
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=Tradeoff)
+    except (OSError, msgspec.DecodeError) as error:
+        msg = f"{path}: no result of one scene of mbds-xsim tradeoff ({error})"
+        raise InputError(msg) from error
+    if found.schema != SCHEMA:
+        msg = f"{path}: got schema {found.schema!r}, allowed is {SCHEMA!r}"
+        raise InputError(msg)
+    return found
 
 
 def to_json(studies: list[Tradeoff]) -> bytes:

@@ -16,11 +16,10 @@ from typer.testing import CliRunner
 from mbds_xsim import reference, registry
 from mbds_xsim.cli import app, main
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.saved import read_model, save_model
+from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.seen import Seen, unexplained_energy
-from mbds_xsim.learn.shift.roster import _still
 from mbds_xsim.learn.trained import trained_in
 from mbds_xsim.learn.window import HISTORY, Inputs
 from mbds_xsim.report import stability_summary as summary
@@ -36,6 +35,7 @@ from mbds_xsim.study.stability.plan import Plan
 from mbds_xsim.study.stability.rows import Sweep
 from mbds_xsim.study.stability.studies import STUDIES
 from mbds_xsim.study.stability.survey import survey
+from tests.learn.models import untrained
 
 Array = np.ndarray
 CLOCK = Clock(0.02, 50)
@@ -51,23 +51,10 @@ def _apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small untrained model of a pendulum, and one of a ball."""
+    """A small untrained model of a pendulum."""
     folder = tmp_path_factory.mktemp("models")
-    save(folder, "2pendulum", "mujoco")
+    untrained(folder, "2pendulum")
     return folder
-
-
-def save(folder: Path, scene: str, training: str) -> Path:
-    """Write a model that is not trained."""
-    settings, statistics = GNSSettings(width=8, steps=1), _still()
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = GNS(Graph.of(registry.load_scene(scene)), statistics, settings)
-    facts = {"model": "gns", "train_engines": training, "variant": "native", "training": training,
-             "seed": "0", "wall_s": "12.5", "cpu_s": "12.0"}  # fmt: skip
-    path = folder / scene / "native" / "gns" / f"{training}-s0.pt"
-    save_model(path, model, "gns", settings, statistics, **facts)
-    return path
 
 
 def _solved(study: Study, value: float) -> tuple[Scene, Batch, Trajectory]:
@@ -240,7 +227,7 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
 ) -> None:
     plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=models_in([folder]))
     again = survey(plan)
-    path = save(tmp_path, "1pendulum", "mujoco")
+    path = untrained(tmp_path, "1pendulum")
     other = survey(dataclasses.replace(plan, others=models_in([path])))
 
     assert (again.measured, again.kept) == (0, 2)

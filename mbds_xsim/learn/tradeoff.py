@@ -1,0 +1,345 @@
+"""Trained models beside the engines of a trade-off: what they cost, and how far they are off.
+
+A model has no step: it is a point, not a curve. It is shown the first six frames of the starts that
+the engines have simulated, and its time is that of the frames that it predicts: alone, and in a
+batch, each trajectory its share. Random forces are told to none, as when it was trained.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mbds_xsim import registry
+from mbds_xsim.checks import agreement
+from mbds_xsim.errors import InputError
+from mbds_xsim.fingerprint import fingerprint
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.seen import Seen, gap, particle_error, unexplained_energy
+from mbds_xsim.learn.shift.sources import sources
+from mbds_xsim.learn.trained import (
+    Known,
+    Trained,
+    carry_on,
+    known_start,
+    true_motion,
+    whole_motion,
+)
+from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.reference.cache import directory, key_of
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.study.bench import Meter
+from mbds_xsim.study.curves import point_of
+from mbds_xsim.study.identity import machine
+from mbds_xsim.study.point import Truth, horizon_of
+from mbds_xsim.study.rows import Kind, Learned, Row, Tradeoff
+from mbds_xsim.study.store import Store
+from mbds_xsim.study.truths import references
+
+__all__ = ["AT_ONCE", "Trial", "measure_model", "with_models"]
+
+Array = NDArray[np.float64]
+
+AT_ONCE = 64
+"""Trajectories of a batch."""
+
+_ALONE, _BATCHED = "", f"{AT_ONCE} at a time"
+_LIMIT = 1800.0  # of a model, all starts [s]
+_ENOUGH = 0.2  # of timing [s]
+_MOST_REPEATS = 7
+_WARM_UP = 2  # frames
+_TIMED = 25  # frames of a batch
+_GUESS = 10.0  # time of a model before any is measured [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The starts that models are tried on."""
+
+    scene: Scene
+    seed: int
+    starts: Batch
+    quiet: Batch
+    """The same without the random forces."""
+    truths: tuple[Truth, ...]
+
+    @staticmethod
+    def of(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) -> Trial:
+        """Take the starts of a study, with their reference.
+
+        Raises:
+            InputError: The study is of another scene, or the reference ends too early.
+        """
+        if study.fingerprint != fingerprint(scene):
+            msg = f"the stored trade-off of {study.scene} is not of {scene.name} as it is now"
+            raise InputError(f"{msg}; measure the engines anew, without --onto")
+        starts, quiet = (
+            draw_batch(scene, study.trajectories, seed=study.seed, noise=noise)
+            for noise in (True, False)
+        )
+        truths = tuple(references(scene, starts, cache=cache, workers=workers))
+        known = min(horizon_of(truth.trajectory) for truth in truths)
+        if known < HISTORY * scene.clock.frame * (1 - 1e-9):
+            msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
+            raise InputError(msg)
+        return Trial(scene, study.seed, starts, quiet, truths)
+
+
+def with_models(
+    study: Tradeoff,
+    scene: Scene,
+    models: Sequence[Trained],
+    *,
+    workers: int | None = None,
+    fresh: bool = False,
+    cache: bool = True,
+    meter: Meter | None = None,
+    command: str = "",
+) -> tuple[Tradeoff, list[Row]]:
+    """Measure models on the starts of a study, and put them into it.
+
+    Args:
+        study: Of engines, measured or stored.
+        scene: That it is of.
+        models: Those of other scenes are left out, and the result says so.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        fresh: Whether models that were measured earlier are measured again.
+        cache: Whether reference solutions are kept.
+        meter: Told of every model that is done.
+        command: Of the whole, in place of the study's.
+
+    Returns:
+        The study with the models, and their rows.
+
+    Raises:
+        InputError: The study is of another scene, or none of the models is of this one, or no
+            reference is known that could give them their first frames.
+    """
+    able = [model for model in models if _is_of(model, scene)]
+    left_out = {
+        str(model.path): f"{model.path}: trained on {model.scene.name}, not on {scene.name}"
+        for model in models
+        if model not in able
+    }
+    if not able:
+        raise InputError(next(iter(left_out.values()), "no trained models are named"))
+    trial = Trial.of(study, scene, cache=cache, workers=workers)
+    rows = _rows(able, trial, workers=workers, fresh=fresh, meter=meter)
+    told = msgspec.structs.replace(
+        study,
+        models=tuple(_learned(*pair) for pair in zip(able, rows, strict=True)),
+        left_out=study.left_out | left_out,
+        command=command or study.command,
+        versions=study.versions | {"torch": registry.package_version("torch")},
+    )
+    return told, list(itertools.chain.from_iterable(rows))
+
+
+def measure_model(trained: Trained, trial: Trial, expected: Sequence[Row]) -> list[Row]:
+    """Predict the starts in this process, one by one, then a batch of them.
+
+    Args:
+        trained: Which model.
+        trial: The starts.
+        expected: Of each start alone, then of each in the batch, without figures.
+
+    Returns:
+        These rows with their figures.
+
+    Raises:
+        InputError: The model cannot be read.
+    """
+    torch.set_num_threads(1)
+    begin = time.perf_counter()
+    model, _ = read_model(trained.path, trial.scene)
+    setup = time.perf_counter() - begin
+    alone = []
+    for k, (bare, truth) in enumerate(zip(expected, trial.truths, strict=False)):
+        known = known_start(model, truth.trajectory, trial.quiet[[k]])
+        walls, cpus, predicted = _timed(model, known)
+        seen_so = Seen(
+            model.graph, trial.quiet[[k]], whole_motion(model, truth.trajectory, predicted)[0]
+        )
+        due = Seen(model.graph, trial.starts[[k]], true_motion(model, truth.trajectory)[0])
+        row = msgspec.structs.replace(bare, wall_s=walls, cpu_s=cpus, setup_s=setup)
+        alone.append(_judged(row, seen_so, due, truth))
+    whole = Trajectory.joined([truth.trajectory for truth in trial.truths])
+    batch = known_start(model, whole, trial.quiet).repeated(AT_ONCE).truncated(_TIMED)
+    walls, cpus, _ = _timed(model, batch)
+    return alone + [
+        msgspec.structs.replace(row, key=bare.key, variation=_BATCHED, wall_s=walls, cpu_s=cpus)
+        for row, bare in zip(alone, expected[len(alone) :], strict=True)
+    ]
+
+
+def _timed(model: Model, known: Known) -> tuple[tuple[float, ...], tuple[float, ...], torch.Tensor]:
+    """Wall and processor times per simulated second of one trajectory, and the last prediction."""
+    carry_on(model, known.truncated(_WARM_UP))
+    rows, frames = known.inputs.force.shape[:2]
+    duration = rows * frames * model.graph.frame_s
+    walls: list[float] = []
+    cpus: list[float] = []
+    while not walls or (sum(walls) < _ENOUGH and len(walls) < _MOST_REPEATS):
+        wall, cpu = time.perf_counter(), time.process_time()
+        predicted = carry_on(model, known)
+        walls.append(time.perf_counter() - wall)
+        cpus.append(time.process_time() - cpu)
+    return tuple(w / duration for w in walls), tuple(c / duration for c in cpus), predicted
+
+
+def _judged(row: Row, motion: Seen, due: Seen, truth: Truth) -> Row:
+    """Add the figures; a prediction that is lost has failed, as a run that ends early has."""
+    finite = np.isfinite(motion.position).all(axis=(1, 2))
+    frame = motion.graph.frame_s
+    if not finite.all():
+        reason = f"not finite from {finite.argmin() * frame:.3g} s on"
+        return msgspec.structs.replace(row, kind="failed", reason=reason)
+    with np.errstate(all="ignore"):
+        error = particle_error(motion, due)
+        energy, opened = unexplained_energy(motion, due), gap(motion)
+    known = np.isfinite(error)
+    weighted = agreement.growth_weighted(error[None, known], truth.growth[:, known])[0]
+    horizon = horizon_of(truth.trajectory)
+    return msgspec.structs.replace(
+        row,
+        horizon_s=horizon,
+        error_m=float(error[round(horizon / frame)]),
+        error_weighted_m=float(weighted),
+        gap_m=_worst(opened),
+        energy=_worst(energy),
+    )
+
+
+def _worst(series: Array) -> float | None:
+    known = np.abs(series[np.isfinite(series)])
+    return float(known.max()) if len(known) else None
+
+
+def _rows(
+    models: Sequence[Trained],
+    trial: Trial,
+    *,
+    workers: int | None,
+    fresh: bool,
+    meter: Meter | None,
+) -> list[list[Row]]:
+    """Take the rows of models from the store, and measure those that it lacks."""
+    store = Store(directory() / "tradeoff" / f"{trial.scene.name}-models.jsonl", Row)
+    # Named once: code that is edited meanwhile must not make tasks write elsewhere.
+    expected = [_expected(model, trial) for model in models]
+    kept = [all(row.key in store.rows for row in each) for each in expected]
+    missing = [k for k, whole in enumerate(kept) if fresh or not whole]
+
+    def finished(place: int, answer: list[Row] | Crash) -> None:
+        bare = expected[missing[place]]
+        for row in _crashed(bare, answer) if isinstance(answer, Crash) else answer:
+            store.add(row)
+        if meter is not None:
+            meter.advance(_name(models[missing[place]]))
+
+    if meter is not None:
+        meter.forecast(_GUESS * len(missing))
+    tasks = [Task(measure_model, (models[k], trial, expected[k]), _LIMIT) for k in missing]
+    run_tasks(tasks, workers=workers, finished=finished)
+    return [[store.rows[row.key] for row in each] for each in expected]
+
+
+def _expected(model: Trained, trial: Trial) -> list[Row]:
+    """Rows without figures: each start alone, each in the batch."""
+    return _bare(model, trial, _ALONE) + _bare(model, trial, _BATCHED)
+
+
+def _bare(model: Trained, trial: Trial, variation: str) -> list[Row]:
+    """Rows of the starts, without figures."""
+    frame = trial.scene.clock.frame
+    return [
+        Row(
+            key=_key(model, trial, k, variation),
+            scene=trial.scene.name,
+            engine=model.model,
+            version=registry.package_version("torch"),
+            method=f"{model.training} {model.entry.variant}",
+            variation=variation,
+            options={"known_frames": HISTORY, "file": model.entry.content[:16]},
+            steps_per_frame=1,
+            step_s=frame,
+            trajectory=int(index),
+            seed=trial.seed,
+            machine=machine(),
+            limit_s=_LIMIT,
+            kind="done",
+        )
+        for k, index in enumerate(trial.starts.index)
+    ]
+
+
+def _key(model: Trained, trial: Trial, start: int, variation: str) -> str:
+    digest = hashlib.sha256(_code(model.entry.module))
+    motion = key_of("learned tradeoff", trial.scene, trial.starts, start, 0.0)
+    torch_version = registry.package_version("torch")
+    what = (model.entry.content, motion, variation, torch_version, machine())
+    digest.update(repr(what).encode())
+    return digest.hexdigest()
+
+
+@functools.cache
+def _code(module: str) -> bytes:
+    """Hash the source of a model and of what measures it."""
+    parts = sources(
+        module, "mbds_xsim.learn.seen", "mbds_xsim.learn.saved", "mbds_xsim.learn.trained"
+    )
+    return parts + hashlib.sha256(Path(__file__).read_bytes()).digest()
+
+
+def _learned(model: Trained, rows: list[Row]) -> Learned:
+    half = len(rows) // 2
+    return Learned(
+        model=model.model,
+        training=model.training,
+        variant=model.entry.variant,
+        engines=model.entry.engines,
+        source=str(model.path),
+        known_frames=HISTORY,
+        at_once=AT_ONCE,
+        alone=point_of(rows[:half]),
+        batched=point_of(rows[half:]),
+        train_wall_s=_number(model, "wall_s"),
+        train_cpu_s=_number(model, "cpu_s"),
+        train_trajectories=_number(model, "train_trajectories"),
+        train_device=model.facts.get("device", ""),
+        machine=rows[0].machine,
+    )
+
+
+def _number(model: Trained, fact: str) -> float | None:
+    told = model.facts.get(fact, "")
+    return float(told) if told else None
+
+
+def _name(model: Trained) -> str:
+    return f"{model.model} {model.training} {model.entry.variant}"
+
+
+def _is_of(model: Trained, scene: Scene) -> bool:
+    """Whether it was trained on this scene, be it over fewer frames."""
+    own = msgspec.structs.replace(model.scene, clock=scene.clock)
+    return model.scene.clock.frame == scene.clock.frame and fingerprint(own) == fingerprint(scene)
+
+
+def _crashed(expected: Sequence[Row], crash: Crash) -> list[Row]:
+    kind: Kind = "refused" if crash.refused else "timed out" if crash.timed_out else "crashed"
+    return [msgspec.structs.replace(row, kind=kind, reason=crash.reason) for row in expected]

@@ -1,0 +1,116 @@
+"""Trained models of a trade-off study in words and figures, for all reports alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mbds_xsim.report import quantity
+from mbds_xsim.study.rows import Learned, Tradeoff
+
+__all__ = ["ModelColumn", "colour_of_model", "model_columns", "model_told", "models_told"]
+
+_COLOURS = ("#7a4fb5", "#1b1b1b", "#8c6d1f", "#5c8a00")
+"""None of the engines'."""
+
+
+@dataclass(frozen=True)
+class ModelColumn:
+    """A column of the table of models."""
+
+    heading: str
+    meaning: str
+    cell: Callable[[Learned], str]
+    text: bool = False
+    narrow: bool = True
+    """Whether it is kept on a narrow terminal."""
+
+
+def model_columns(study: Tradeoff) -> list[ModelColumn]:
+    """Give the columns, empty where there are no models."""
+    if not study.models:
+        return []
+    together = f"of {study.models[0].at_once}"
+    return [
+        ModelColumn("model", "Model", lambda m: m.model, text=True),
+        ModelColumn("trained on", "Training and seed", _trained_on, text=True),
+        ModelColumn(
+            "alone",
+            "Wall time per simulated second of one trajectory at a time",
+            lambda m: quantity.span(m.alone.wall_s),
+        ),
+        ModelColumn(
+            together,
+            f"The same of one trajectory in a batch {together}",
+            lambda m: quantity.span(m.batched.wall_s),
+        ),
+        ModelColumn(
+            f"error {study.horizon_s:g} s",
+            "RMS distance of the particles to the reference then",
+            _error,
+        ),
+        ModelColumn(
+            "all times",
+            "The largest over the growth of a disturbance",
+            lambda m: quantity.length(m.alone.error_weighted_m),
+            narrow=False,
+        ),
+        ModelColumn(
+            "gap",
+            "Largest deviation of a distance that no motion changes",
+            lambda m: quantity.length(m.alone.gap_m),
+            narrow=False,
+        ),
+        ModelColumn(
+            "energy",
+            "Largest unexplained change of the particles' energy over its scale",
+            lambda m: quantity.number(m.alone.energy),
+            narrow=False,
+        ),
+        ModelColumn("training", "Wall time of training", lambda m: quantity.span(m.train_wall_s)),
+    ]
+
+
+def models_told(study: Tradeoff) -> str:
+    """Say what models are given, and what their figures are; "" where there are none."""
+    if not study.models:
+        return ""
+    known = study.models[0].known_frames
+    return (
+        f"start with the reference's first {known} frames, which no engine is given, and are not "
+        "told the random forces, which engines are; wall time is that of the frames behind, alone "
+        f"or as a share of a batch of {study.models[0].at_once} on one core; training is in no "
+        "other time; gap and energy are what particles show" + _elsewhere(study)
+    )
+
+
+def _elsewhere(study: Tradeoff) -> str:
+    other = dict.fromkeys(m.machine for m in study.models if m.machine != study.machine)
+    return f"; timed on another machine than engines: {', '.join(other)}" if other else ""
+
+
+def model_told(model: Learned) -> str:
+    """Say what a point is when it is pointed at."""
+    point = model.alone
+    return (
+        f"{model.name}\ncost {quantity.span(point.wall_s)} a simulated second alone, "
+        f"{quantity.span(model.batched.wall_s)} in a batch of {model.at_once}\n"
+        f"error {quantity.length(point.error_m)}, over all times "
+        f"{quantity.length(point.error_weighted_m)}\ngap {quantity.length(point.gap_m)}, energy "
+        f"{quantity.number(point.energy)}\ntraining took {quantity.span(model.train_wall_s)}"
+    )
+
+
+def colour_of_model(study: Tradeoff, model: Learned) -> str:
+    """Colour of a model, whatever it was trained on."""
+    names = sorted({other.model for other in study.models})
+    return _COLOURS[names.index(model.model) % len(_COLOURS)]
+
+
+def _trained_on(model: Learned) -> str:
+    return f"{model.training} {model.variant}"
+
+
+def _error(model: Learned) -> str:
+    point = model.alone
+    return quantity.length(point.error_m) if point.kind == "done" else point.reason

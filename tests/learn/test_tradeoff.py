@@ -1,0 +1,300 @@
+"""Trained models beside engines: what is measured, what they are given, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+import torch
+from torch import Tensor
+
+from mbds_xsim import registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.cli import main
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn import tradeoff as measuring
+from mbds_xsim.learn.gns import GNS
+from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.tradeoff import AT_ONCE, Trial, with_models
+from mbds_xsim.learn.trained import Known, known_start, trained_in, true_motion
+from mbds_xsim.learn.window import HISTORY, Inputs
+from mbds_xsim.report.tradeoff_csv import to_csv
+from mbds_xsim.report.tradeoff_markdown import to_markdown
+from mbds_xsim.report.tradeoff_page import to_html, to_png
+from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.study.rows import Row, Tradeoff, read_tradeoff, to_json
+from mbds_xsim.study.tradeoff import tradeoff_with_rows
+from tests.learn.models import untrained
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep rows and references apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A pendulum over little more than a second."""
+    return msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(steps=FRAMES))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two models of the pendulum, and one of another."""
+    folder = tmp_path_factory.mktemp("models")
+    untrained(folder, "1pendulum", "mujoco")
+    untrained(folder, "1pendulum", "all", seed=1)
+    untrained(folder, "2pendulum", "mujoco")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def engines(scene: Scene) -> Tradeoff:
+    """Two of an engine's starts, at few steps: what models are put beside."""
+    study, _ = tradeoff_with_rows(
+        scene, choice=Choice.parse(engines="pybullet"), starts=2, limit=2.0, workers=0
+    )
+    return study
+
+
+@pytest.fixture(scope="module")
+def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[Row]]:
+    """The engine and the models."""
+    return with_models(engines, scene, trained_in([folder]), workers=0)
+
+
+class _Perfect(GNS):
+    """Knows the motions by heart, whatever their batch."""
+
+    truth: Tensor
+
+    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+        del inputs
+        frames = torch.tensor([self._frame(one) for one in history])
+        after = self.truth[0, frames + 1].to(history)
+        return after - 2.0 * history[:, -1] + history[:, -2]
+
+    def _frame(self, history: Tensor) -> int:
+        apart = (self.truth[0].to(history) - history[-1]).square().sum((-1, -2))
+        return min(int(apart.argmin()), self.truth.shape[1] - 2)
+
+
+def test_engines_stay_as_they_were_and_models_of_other_scenes_are_left_out(
+    engines: Tradeoff, both: tuple[Tradeoff, list[Row]]
+) -> None:
+    study, rows = both
+
+    assert study.curves == engines.curves
+    assert study.ratios == engines.ratios
+    assert [model.name for model in study.models] == ["gns all-s1 native", "gns mujoco-s0 native"]
+    (reason,) = [text for text in study.left_out.values() if "trained on" in text]
+    assert "2pendulum, not on 1pendulum" in reason
+    assert len(rows) == 2 * 2 * 2  # models, starts, alone and in a batch
+    assert {row.trajectory for row in rows} == set(engines.trajectories)
+
+
+def test_a_point_has_cost_errors_and_what_training_took(
+    both: tuple[Tradeoff, list[Row]],
+) -> None:
+    for model in both[0].models:
+        alone, batched = model.alone, model.batched
+        assert (alone.kind, batched.kind, alone.starts) == ("done", "done", 2)
+        assert alone.wall_s is not None
+        assert batched.wall_s is not None
+        assert 0.0 < batched.wall_s < alone.wall_s
+        assert alone.error_m is not None
+        assert alone.error_m > 0.01
+        assert alone.error_m == batched.error_m
+        assert alone.gap_m is not None
+        assert alone.energy is not None
+        assert (model.train_wall_s, model.train_cpu_s, model.train_device) == (12.5, 12.0, "cpu")
+        assert (model.known_frames, model.at_once) == (HISTORY, AT_ONCE)
+
+
+def test_a_model_that_knows_the_motion_has_no_error(
+    engines: Tradeoff, scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = Trial.of(engines, scene, cache=True, workers=0)
+    truth = trial.truths[0].trajectory
+    one = dataclasses.replace(trial, starts=trial.starts[[0]], quiet=trial.quiet[[0]],
+                              truths=trial.truths[:1])  # fmt: skip
+    trained = trained_in([folder / "1pendulum"])[0]
+    model, _ = read_model(trained.path, scene)
+    model.__class__ = _Perfect
+    assert isinstance(model, _Perfect)
+    model.truth = torch.from_numpy(true_motion(model, truth))
+    monkeypatch.setattr(measuring, "read_model", lambda *_: (model, {}))
+    expected = measuring._expected(trained, one)
+
+    alone, batched = measuring.measure_model(trained, one, expected)
+
+    for row in (alone, batched):
+        assert row.kind == "done"
+        assert row.error_m is not None
+        assert row.error_m < 1e-4
+        assert row.error_weighted_m is not None
+        assert row.error_weighted_m < 1e-4
+        assert row.energy is not None
+        # What random forces did is no merit of a model that happens to follow.
+        assert row.energy < 0.05
+    assert [row.key for row in (alone, batched)] == [row.key for row in expected]
+
+
+def test_a_model_is_given_the_first_frames_and_no_random_forces(
+    engines: Tradeoff, scene: Scene, folder: Path
+) -> None:
+    trial = Trial.of(engines, scene, cache=True, workers=0)
+    model, _ = read_model(trained_in([folder / "1pendulum"])[0].path, scene)
+    truth = trial.truths[0].trajectory
+
+    known = known_start(model, truth, trial.quiet[[0]])
+
+    assert trial.starts.force.any()
+    assert not known.inputs.force.any()
+    assert known.inputs.force.shape[1] == FRAMES - HISTORY + 1
+    due = true_motion(model, truth)
+    assert known.start.history.numpy() == pytest.approx(due[:, :HISTORY], abs=1e-6)
+    speed = (due[:, HISTORY] - due[:, HISTORY - 2]) / (2 * scene.clock.frame)
+    assert known.start.velocity.numpy() == pytest.approx(speed, abs=0.01)
+    assert _rows(known.repeated(5)) == 5
+
+
+def _rows(known: Known) -> int:
+    return len(known.start.history)
+
+
+def test_a_lost_prediction_is_a_failed_point(
+    engines: Tradeoff, scene: Scene, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+
+    def lost(*known: object) -> Tensor:
+        del known
+        rolled = torch.zeros(1, FRAMES - HISTORY + 1, 1, 3)
+        rolled[:, 10:] = torch.nan
+        return rolled
+
+    monkeypatch.setattr(measuring, "carry_on", lost)
+    study, _ = with_models(engines, scene, trained_in([folder / "1pendulum"])[:1], workers=0)
+
+    (model,) = study.models
+    assert model.alone.kind == "failed"
+    assert "not finite from 0.32 s on" in model.alone.reason
+    assert model.alone.error_m is None
+    assert "not finite" in to_markdown([study])
+    assert to_png([study])[:4] == b"\x89PNG"
+
+
+def test_what_is_measured_is_kept(
+    engines: Tradeoff, both: tuple[Tradeoff, list[Row]], scene: Scene, folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    fresh, _ = with_models(engines, scene, trained_in([folder]), workers=0, fresh=True)
+
+    def refused(*anything: object) -> list[Row]:
+        raise AssertionError(anything)
+
+    monkeypatch.setattr(measuring, "measure_model", refused)
+    again, _ = with_models(engines, scene, trained_in([folder]), workers=0)
+
+    assert again.models == fresh.models
+    errors = [[m.alone.error_m for m in study.models] for study in (again, both[0])]
+    assert errors[0] == errors[1]
+
+
+def test_all_files_have_the_models(both: tuple[Tradeoff, list[Row]], tmp_path: Path) -> None:
+    study, rows = both
+    (tmp_path / "study.json").write_bytes(to_json([study]))
+    table = list(csv.DictReader(to_csv(rows).decode().splitlines()))
+    page, words = to_html([study]), to_markdown([study])
+
+    assert read_tradeoff(tmp_path / "study.json") == study
+    assert {row["variation"] for row in table} == {"", f"{AT_ONCE} at a time"}
+    assert "| gns | mujoco-s0 native |" in words
+    for text in (page, words):
+        assert "first 6 frames" in text
+        assert "not told the random forces" in text.replace("\n", " ")
+    assert page.count("training took 12 s") >= 4  # two models, alone and in a batch
+    assert to_png([study])[:4] == b"\x89PNG"
+    assert "rained models" not in to_markdown([msgspec.structs.replace(study, models=())])
+
+
+def test_a_study_of_another_scene_or_no_model_of_it_is_refused(
+    engines: Tradeoff, scene: Scene, folder: Path
+) -> None:
+    longer = msgspec.structs.replace(scene, clock=Clock(steps=FRAMES + 1))
+
+    with pytest.raises(InputError, match="is not of 1pendulum as it is now"):
+        with_models(engines, longer, trained_in([folder]), workers=0)
+    with pytest.raises(InputError, match="trained on 2pendulum, not on 1pendulum"):
+        with_models(engines, scene, trained_in([folder / "2pendulum"]), workers=0)
+
+
+def test_where_the_reference_ends_at_once_nothing_can_be_given(engines: Tradeoff) -> None:
+    car = registry.load_scene("particlecar")
+    from mbds_xsim.fingerprint import fingerprint
+
+    study = msgspec.structs.replace(engines, fingerprint=fingerprint(car), trajectories=(1,))
+
+    with pytest.raises(InputError, match="the reference ends within the 6 frames"):
+        Trial.of(study, car, cache=True, workers=0)
+
+
+def test_the_command_puts_models_onto_a_stored_study(
+    engines: Tradeoff, scene: Scene, folder: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    from mbds_xsim.scene_file import write_scene
+
+    path, stored, out = (tmp_path / name for name in ("scene.toml", "study.json", "both.json"))
+    path.write_text(write_scene(scene))
+    stored.write_bytes(to_json([engines]))
+    words = ["tradeoff", str(path), "--models", str(folder / "1pendulum"), "--onto", str(stored),
+             "--json", str(out), "--workers", "1"]  # fmt: skip
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+
+    assert not ended.value.code
+    study = read_tradeoff(out)
+    assert study.curves == engines.curves
+    assert len(study.models) == 2
+    assert " && mbds-xsim tradeoff" in study.command
+    assert [model.alone.reason for model in study.models] == ["", ""]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["1pendulum", "--onto", "x.json"], "--onto"),
+        (["1pendulum", "2pendulum", "--onto", "x.json", "--models", "{models}"], "--onto"),
+        (["1pendulum", "--onto", "{text}", "--models", "{models}"], "no result of one scene"),
+        (["1pendulum", "--models", "{text}"], "no trained model"),
+        (["1pendulum", "--models", "{models}/nowhere"], "no trained model"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    words: list[str], told: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    (tmp_path / "text").write_text("{}")
+    filled = [word.format(models=folder, text=tmp_path / "text") for word in words]
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "tradeoff", *filled])
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+
+    error = capsys.readouterr().err.strip()
+    assert ended.value.code == 2
+    assert told in error
+    assert len(error.splitlines()) == 1
