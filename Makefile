@@ -12,7 +12,7 @@ export OPENBLAS_NUM_THREADS = 1
 .NOTPARALLEL:
 .PHONY: validate test lint package clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
-	reports-learn-speed reports-data reports-data-full reports-pages readme
+	reports-learn-speed reports-models reports-data reports-data-full reports-pages readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -92,6 +92,28 @@ reports-overhead: $(VENV)/ready
 
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
+
+# Trained models beside the engines, as far as there are any. Their engines are those of the two
+# reports above; the maps have one training of each model, whose scene a study is made of.
+MODELS ?= out/models
+TRAINING ?= all-s0
+CHARTED ?= *-s0
+MAPPED ?= pace/6pendulum links/6pendulum loops/3ladder throw/ballscroll
+named = --models "$(MODELS)/$$scene/*/*/$(1).pt"
+
+reports-models: $(VENV)/ready
+	for scene in $(SCENES); do \
+		[ ! -d $(MODELS)/$$scene ] || [ $$scene = particlecar ] || \
+			$(BIN)/mbds-xsim tradeoff $$scene $(call named,$(CHARTED)) \
+			--onto $(REPORTS)/tradeoff/$$scene.json $(call files,models/$$scene) \
+			$(call figures,models/$$scene) || exit; \
+	done
+	for pair in $(MAPPED); do \
+		study=$${pair%/*}; scene=$${pair#*/}; \
+		[ ! -d $(MODELS)/$$scene ] || $(BIN)/mbds-xsim stability $$study --settings matched \
+			$(call named,$(TRAINING)) $(call figures,models/$$study) \
+			--markdown $(REPORTS)/models/$$study.md || exit; \
+	done
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.
 ENGINES ?= mujoco,pybullet,dart,exudyn

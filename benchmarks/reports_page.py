@@ -16,6 +16,7 @@ CHAPTERS = (
     ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
     ("Is anything cheaper?", "make reports-cheapest", "cheapest.md"),
     ("Where methods fail", "make reports-stability", "stability/*.md"),
+    ("Where models fail, and at what price", "make reports-models", "models/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),

@@ -1,12 +1,25 @@
-"""What a command needs that is not always installed."""
+"""What commands that work with trained models share."""
 
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["check_torch"]
+__all__ = ["ModelPlaces", "check_torch"]
+
+ModelPlaces = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="PATH",
+        help="Trained models beside the engines: a file, a folder of train, or a pattern such as "
+        "'models/*/*/*/all-s0.pt'; may be repeated.",
+    ),
+]
 
 
 def check_torch(command: str) -> None:

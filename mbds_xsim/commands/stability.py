@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from mbds_xsim.commands.extras import check_torch
+from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
-    EngineNames,
     JsonFile,
     WorkerCount,
     app,
@@ -40,15 +39,11 @@ def stability(
         typer.Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="Name the studies, and end.")] = False,
-    engines: EngineNames = None,
-    models: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Trained models beside the engines: a file or a folder of train; may be repeated. "
-            "With --engines none, models only.",
-        ),
+    engines: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; all installed when left out; none: only --models."),
     ] = None,
+    models: ModelPlaces = None,
     methods: Annotated[
         str | None, typer.Option("--methods", "--method", help="Comma-separated; all by default.")
     ] = None,

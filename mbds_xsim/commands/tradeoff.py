@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbds_xsim.commands.extras import check_torch
+from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
@@ -39,13 +39,7 @@ __all__ = ["tradeoff"]
 def tradeoff(
     scenes: SceneNames,
     engines: EngineNames = None,
-    models: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Trained models beside the engines: a file or a folder of train; may be repeated.",
-        ),
-    ] = None,
+    models: ModelPlaces = None,
     onto: Annotated[
         Path | None,
         typer.Option(
@@ -89,10 +83,10 @@ def tradeoff(
     from mbds_xsim.study.rows import to_json
 
     console = console_for(json)
-    trained = _models(models, onto, scenes)
     choice = Choice.parse(engines=engines)
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     loaded = [scene_named(name) for name in scenes]
+    trained = _models(models, onto, loaded)
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
@@ -138,7 +132,8 @@ def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, lis
     return (read_tradeoff(onto), []) if onto is not None else tradeoff_with_rows(scene, **how)
 
 
-def _models(places: list[Path] | None, onto: Path | None, scenes: list[str]) -> list[Trained]:
+def _models(places: list[Path] | None, onto: Path | None, scenes: list[Scene]) -> list[Trained]:
+    """Find the models, and refuse them before engines are measured where there are none."""
     from mbds_xsim.errors import InputError
 
     if onto is not None and (not places or len(scenes) != 1):
@@ -147,6 +142,10 @@ def _models(places: list[Path] | None, onto: Path | None, scenes: list[str]) -> 
     if not places:
         return []
     check_torch("tradeoff --models")
+    from mbds_xsim.learn.tradeoff import models_of
     from mbds_xsim.learn.trained import trained_in
 
-    return trained_in(places)
+    found = trained_in(places)
+    for scene in scenes:
+        models_of(scene, found)
+    return found

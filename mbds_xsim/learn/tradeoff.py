@@ -11,6 +11,7 @@ import functools
 import hashlib
 import itertools
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +51,7 @@ from mbds_xsim.study.rows import Kind, Learned, Row, Tradeoff
 from mbds_xsim.study.store import Store
 from mbds_xsim.study.truths import references
 
-__all__ = ["AT_ONCE", "Trial", "measure_model", "with_models"]
+__all__ = ["AT_ONCE", "Trial", "measure_model", "models_of", "with_models"]
 
 Array = NDArray[np.float64]
 
@@ -129,14 +130,7 @@ def with_models(
         InputError: The study is of another scene, or none of the models is of this one, or no
             reference is known that could give them their first frames.
     """
-    able = [model for model in models if _is_of(model, scene)]
-    left_out = {
-        str(model.path): f"{model.path}: trained on {model.scene.name}, not on {scene.name}"
-        for model in models
-        if model not in able
-    }
-    if not able:
-        raise InputError(next(iter(left_out.values()), "no trained models are named"))
+    able, left_out = models_of(scene, models)
     trial = Trial.of(study, scene, cache=cache, workers=workers)
     rows = _rows(able, trial, workers=workers, fresh=fresh, meter=meter)
     told = msgspec.structs.replace(
@@ -147,6 +141,25 @@ def with_models(
         versions=study.versions | {"torch": registry.package_version("torch")},
     )
     return told, list(itertools.chain.from_iterable(rows))
+
+
+def models_of(scene: Scene, models: Sequence[Trained]) -> tuple[list[Trained], dict[str, str]]:
+    """Find the models of a scene, and say which were trained on others.
+
+    Raises:
+        InputError: None was trained on it.
+    """
+    able = [model for model in models if _is_of(model, scene)]
+    others = Counter(model.scene.name for model in models if model not in able)
+    left_out = {
+        f"models of {name}": f"{count} trained on {name}, not on this {scene.name} or its frames"
+        for name, count in others.items()
+    }
+    if not able:
+        told = "; ".join(left_out.values())
+        msg = f"no trained models of {scene.name}: {told}; name the folder of its models"
+        raise InputError(msg)
+    return able, left_out
 
 
 def measure_model(trained: Trained, trial: Trial, expected: Sequence[Row]) -> list[Row]:

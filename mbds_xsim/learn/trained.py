@@ -6,6 +6,7 @@ engine starts, and knows what no engine is told: how the motion begins.
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,19 +67,26 @@ class Trained:
 
 
 def trained_in(places: Sequence[Path]) -> list[Trained]:
-    """Find the models of files, and of all files *.pt below folders.
+    """Find the models of files, of patterns of files, and of all files *.pt below folders.
 
     Raises:
         InputError: There is none, or a file is no trained model.
     """
     found = []
     for place in places:
-        paths = sorted(place.rglob("*.pt")) if place.is_dir() else [place]
+        paths = _files(place)
         if not paths:
-            msg = f"{place}: no trained models (*.pt) in it; make some with mbds-xsim train"
+            msg = f"{place}: no trained models (*.pt) there; make some with mbds-xsim train"
             raise InputError(msg)
         found += [_trained(path) for path in paths]
     return found
+
+
+def _files(place: Path) -> list[Path]:
+    if place.is_dir():
+        return sorted(place.rglob("*.pt"))
+    pattern = glob.has_magic(str(place)) and not place.exists()
+    return sorted(map(Path, glob.glob(str(place)))) if pattern else [place]
 
 
 def _trained(path: Path) -> Trained:

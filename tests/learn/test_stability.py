@@ -288,7 +288,11 @@ def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("place", "told"),
-    [("nothing", "no trained model"), ("empty", r"no trained models \(\*.pt\)")],
+    [
+        ("nothing", "no trained model"),
+        ("empty", r"no trained models \(\*.pt\)"),
+        ("*.pt", r"no trained models \(\*.pt\)"),
+    ],
 )
 def test_what_is_no_model_is_one_clear_line(
     tmp_path: Path, place: str, told: str, monkeypatch: pytest.MonkeyPatch,
@@ -307,6 +311,13 @@ def test_what_is_no_model_is_one_clear_line(
     assert len(error.splitlines()) == 1
     with pytest.raises(InputError, match=told):
         models_in([tmp_path / place])
+
+
+def test_models_are_found_by_file_folder_and_pattern(folder: Path) -> None:
+    path = folder / "2pendulum" / "native" / "gns" / "mujoco-s0.pt"
+
+    for place in (path, folder, folder / "*" / "native" / "*" / "mujoco-s?.pt"):
+        assert [found.path for found in trained_in([place])] == [path]
 
 
 def test_the_command_runs_models_alone(folder: Path, tmp_path: Path) -> None:

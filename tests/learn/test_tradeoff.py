@@ -97,7 +97,7 @@ def test_engines_stay_as_they_were_and_models_of_other_scenes_are_left_out(
     assert study.ratios == engines.ratios
     assert [model.name for model in study.models] == ["gns all-s1 native", "gns mujoco-s0 native"]
     (reason,) = [text for text in study.left_out.values() if "trained on" in text]
-    assert "2pendulum, not on 1pendulum" in reason
+    assert reason == "1 trained on 2pendulum, not on this 1pendulum or its frames"
     assert len(rows) == 2 * 2 * 2  # models, starts, alone and in a batch
     assert {row.trajectory for row in rows} == set(engines.trajectories)
 
@@ -235,7 +235,7 @@ def test_a_study_of_another_scene_or_no_model_of_it_is_refused(
 
     with pytest.raises(InputError, match="is not of 1pendulum as it is now"):
         with_models(engines, longer, trained_in([folder]), workers=0)
-    with pytest.raises(InputError, match="trained on 2pendulum, not on 1pendulum"):
+    with pytest.raises(InputError, match="1 trained on 2pendulum, not on this 1pendulum"):
         with_models(engines, scene, trained_in([folder / "2pendulum"]), workers=0)
 
 
@@ -281,6 +281,7 @@ def test_the_command_puts_models_onto_a_stored_study(
         (["1pendulum", "--onto", "{text}", "--models", "{models}"], "no result of one scene"),
         (["1pendulum", "--models", "{text}"], "no trained model"),
         (["1pendulum", "--models", "{models}/nowhere"], "no trained model"),
+        (["ballscroll", "--models", "{models}"], "no trained models of ballscroll: 2 trained on"),
     ],
 )
 def test_bad_input_is_one_clear_line(
