@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
 from mbds_xsim.study.stability.definition import text_of
@@ -100,7 +100,7 @@ def conclusion(sweep: Sweep) -> str:
 
 
 def holding(sweep: Sweep) -> Iterator[tuple[str, str]]:
-    """Say of every trained model up to which value it holds, and what breaks beyond it."""
+    """Say of every trained model at which values it holds, and what breaks first beyond."""
     for panel in sweep.panels:
         if panel.learned:
             yield panel.name, _held([row[0] for row in panel.cells], sweep)
@@ -112,17 +112,24 @@ def learned_told(sweep: Sweep) -> str:
 
 
 def _held(cells: Sequence[Cell], sweep: Sweep) -> str:
-    stable = list(itertools.takewhile(lambda cell: not cell.failed, cells))
-    on_course = list(itertools.takewhile(lambda cell: cell.outcome == "stable", cells))
-    text = f"stable {_up_to(stable, sweep)}, on course {_up_to(on_course, sweep)}"
+    stable = _runs(cells, lambda cell: not cell.failed and cell.outcome != "refused", sweep)
+    on_course = _runs(cells, lambda cell: cell.outcome == "stable", sweep)
+    text = f"stable {stable}, on course {on_course}"
     beyond = next((cell for cell in cells if cell.failed), None)
     if beyond is None:
         return text
     return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by nobody"
 
 
-def _up_to(held: Sequence[Cell], sweep: Sweep) -> str:
-    return f"up to {text_of(held[-1].value, sweep.unit)}" if held else "nowhere"
+def _runs(cells: Sequence[Cell], holds: Callable[[Cell], bool], sweep: Sweep) -> str:
+    """Name the values that hold: neighbours as a range."""
+    groups = [list(group) for held, group in itertools.groupby(cells, holds) if held]
+    return " and ".join(f"at {_range(group, sweep)}" for group in groups) or "nowhere"
+
+
+def _range(cells: Sequence[Cell], sweep: Sweep) -> str:
+    first, last = (text_of(cells[k].value, sweep.unit) for k in (0, -1))
+    return first if len(cells) == 1 else f"{first} to {last}"
 
 
 def name_of(cell: Cell, sweep: Sweep) -> str:

@@ -32,7 +32,7 @@ from mbds_xsim.study.stability import learned
 from mbds_xsim.study.stability.definition import Study
 from mbds_xsim.study.stability.learned import TrainedModel, judge_particles, models_in, run_model
 from mbds_xsim.study.stability.plan import Plan
-from mbds_xsim.study.stability.rows import Sweep
+from mbds_xsim.study.stability.rows import Outcome, Sweep
 from mbds_xsim.study.stability.studies import STUDIES
 from mbds_xsim.study.stability.survey import survey
 from tests.learn.models import untrained
@@ -249,6 +249,26 @@ def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep
     assert "first six" in to_html([sweep])
     assert to_png([sweep])[:4] == b"\x89PNG"
     assert "most stable: mujoco RK4 (4 of 4)" in summary.conclusion(sweep)
+
+
+def test_values_that_hold_are_told_as_ranges(sweep: Sweep) -> None:
+    model = sweep.panels[1]
+    cell = model.cells[0][0]
+    outcomes: list[tuple[float, Outcome]] = [
+        (0.0, "off course"), (1.0, "stable"), (2.0, "stable"), (5.0, "comes apart"), (9.0, "stable")
+    ]  # fmt: skip
+    cells = tuple(
+        (msgspec.structs.replace(cell, value=value, outcome=outcome, broke_s=0.5),)
+        for value, outcome in outcomes
+    )
+    swept = msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(model, cells=cells),))
+
+    ((_, told),) = summary.holding(swept)
+
+    assert told == (
+        "stable at 0 m/s to 2 m/s and at 9 m/s, on course at 1 m/s to 2 m/s and at 9 m/s; "
+        "at 5 m/s comes apart from 500 ms on, told by nobody"
+    )
 
 
 def test_without_models_nothing_is_said_of_them() -> None:
