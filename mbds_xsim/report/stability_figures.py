@@ -5,15 +5,25 @@ A cell that goes wrong without a word of the engine is hatched.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mbds_xsim.report import stability_summary as summary
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.study.stability.definition import text_of
-from mbds_xsim.study.stability.rows import Cell, Outcome, Sweep
+from mbds_xsim.study.stability.rows import Cell, Outcome, Panel, Sweep
 
-__all__ = ["LIGHT_LOOKS", "LOOKS", "Look", "draw_legend", "draw_panel", "size_of", "tips"]
+__all__ = [
+    "LIGHT_LOOKS",
+    "LOOKS",
+    "Look",
+    "charts_of",
+    "draw_legend",
+    "draw_map",
+    "size_of",
+    "tips",
+]
 
 
 @dataclass(frozen=True)
@@ -44,36 +54,68 @@ LOOKS: dict[Outcome, Look] = {
 }
 LIGHT_LOOKS = {"stable", "off course", "loses energy", "comes apart", "stuck", "clamped", "refused"}
 _HATCH = "////"
-_TAKES = {False: "step [ms]", True: "frame [ms]"}
+_LETTER = 0.068  # of an upright name [in]
+_UPRIGHT: dict[bool, dict[str, Any]] = {False: {}, True: {"rotation": 90, "fontsize": 7.5}}
 _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
 
 
-def size_of(sweep: Sweep) -> tuple[float, float]:
-    """Width and height of one panel [in]."""
+def charts_of(sweep: Sweep) -> list[tuple[int, ...]]:
+    """Give the places of the panels of each map: one an engine's method, one of all models."""
+    models = tuple(k for k, panel in enumerate(sweep.panels) if panel.learned)
+    engines = [(k,) for k, panel in enumerate(sweep.panels) if not panel.learned]
+    return [*engines, models] if models else [*engines]
+
+
+def size_of(sweep: Sweep, places: Sequence[int] = ()) -> tuple[float, float]:
+    """Width and height of one map [in]; without places of an engine's."""
+    panels = [sweep.panels[place] for place in places]
+    columns = sum(len(panel.steps_s) for panel in panels) or len(sweep.steps_s)
     labels = 0.075 * max(len(text_of(value)) for value in sweep.values)
-    width = max(_CELL[0] * len(sweep.steps_s), 1.6)
-    return (_MARGIN[0] + labels + width, _MARGIN[1] + _CELL[1] * len(sweep.values))
+    names = max((_LETTER * len(panel.name) for panel in panels if panel.learned), default=0.0)
+    width = max(_CELL[0] * columns, 1.6)
+    return (_MARGIN[0] + labels + width, _MARGIN[1] + names + _CELL[1] * len(sweep.values))
 
 
-def draw_panel(axes: Any, sweep: Sweep, place: int, *, labelled: bool = True) -> None:
-    """Draw the map of one engine's method; not labelled where another one stands to its left."""
-    panel = sweep.panels[place]
-    for row, cells in enumerate(panel.cells):
-        for column, cell in enumerate(cells):
-            _draw_cell(axes, cell, column, row, f"tip-{place}-{row * len(cells) + column}")
-    steps = [summary.milliseconds(step) for step in panel.steps_s]
-    axes.set_xticks(range(len(steps)), steps)
+def draw_map(
+    axes: Any, sweep: Sweep, places: Sequence[int], *, labelled: bool = True, columns: int = 0
+) -> None:
+    """Draw a map of panels side by side.
+
+    Args:
+        axes: Where.
+        sweep: The study.
+        places: Of the panels: one of an engine's method, or those of models.
+        labelled: Whether to say what is upwards: not where another map stands to the left.
+        columns: Room for so many, where there are fewer.
+    """
+    panels = [sweep.panels[place] for place in places]
+    begin = 0
+    for place, panel in zip(places, panels, strict=True):
+        for row, cells in enumerate(panel.cells):
+            for k, cell in enumerate(cells):
+                _draw_cell(axes, cell, begin + k, row, f"tip-{place}-{row * len(cells) + k}")
+        begin += len(panel.steps_s)
+    title, x_label, ticks = _named(panels)
+    axes.set_xticks(range(begin), ticks, **_UPRIGHT[panels[0].learned])
     axes.set_yticks(range(len(sweep.values)), [text_of(value) for value in sweep.values])
-    axes.set_xlim(-0.5, max(len(steps), len(sweep.steps_s)) - 0.5)
+    axes.set_xlim(-0.5, max(begin, columns) - 0.5)
     axes.set_ylim(-0.5, len(sweep.values) - 0.5)
-    axes.set_xlabel(_TAKES[panel.learned], loc=("center", "left")[panel.learned])
+    axes.set_xlabel(x_label)
     axes.set_ylabel(_short(summary.swept(sweep)) if labelled else "")
-    axes.set_title(panel.name, fontsize=9, loc="left", color=INK)
+    axes.set_title(title, fontsize=9, loc="left", color=INK)
     axes.tick_params(length=0)
     axes.grid(visible=False)
     for side in axes.spines.values():
         side.set_visible(False)
+
+
+def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
+    """Title, label and ticks of the columns."""
+    if panels[0].learned:
+        return "trained models, one step a frame", "", [panel.name for panel in panels]
+    steps = [summary.milliseconds(step) for step in panels[0].steps_s]
+    return panels[0].name, "step [ms]", steps
 
 
 def draw_legend(figure: Any, sweep: Sweep, *, columns: int) -> None:

@@ -13,8 +13,9 @@ from mbds_xsim.report import stability_summary as summary
 from mbds_xsim.report.stability_figures import (
     LIGHT_LOOKS,
     LOOKS,
+    charts_of,
     draw_legend,
-    draw_panel,
+    draw_map,
     size_of,
     tips,
 )
@@ -26,6 +27,10 @@ __all__ = ["to_html", "to_png"]
 
 _ACROSS = 4
 """Maps side by side in a picture."""
+_CELL = 0.5
+"""Width of a cell of the map of models in a picture [in]."""
+_NARROW = 11.0
+"""Width of a picture up to which the legend has three columns [in]."""
 _HEAD = 0.9
 """Height of title and legend of a picture [in]."""
 
@@ -64,20 +69,33 @@ def to_png(sweeps: list[Sweep]) -> bytes:
 
 
 def _picture(sweep: Sweep) -> tuple[float, float]:
+    _, engines, models = _parted(sweep)
     width, height = size_of(sweep)
-    rows = math.ceil(len(sweep.panels) / _ACROSS)
-    return max(width * min(_ACROSS, len(sweep.panels)), 9.0), height * rows + _HEAD
+    rows = math.ceil(len(engines) / _ACROSS)
+    below = size_of(sweep, models) if models else (0.0, 0.0)
+    wide = max(width * min(_ACROSS, len(engines)), below[0], 9.0)
+    return wide, height * rows + below[1] + _HEAD
+
+
+def _parted(sweep: Sweep) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
+    """Give how many maps stand side by side, those of engines, and the places of models."""
+    charts = charts_of(sweep)
+    models = next((places for places in charts if sweep.panels[places[0]].learned), ())
+    engines = [places for places in charts if places != models]
+    return min(_ACROSS, len(engines)), engines, models
 
 
 def _draw_study(figure: Any, sweep: Sweep) -> None:
-    across = min(_ACROSS, len(sweep.panels))
-    charts = figure.subplots(math.ceil(len(sweep.panels) / across), across, squeeze=False)
-    for place, axes in enumerate(charts.flat):
-        if place < len(sweep.panels):
-            draw_panel(axes, sweep, place, labelled=not place % across)
-        else:
-            axes.set_axis_off()
-    draw_legend(figure, sweep, columns=4)
+    across, engines, models = _parted(sweep)
+    rows = math.ceil(len(engines) / _ACROSS)
+    grid = figure.add_gridspec(rows + bool(models), max(across, 1))
+    for k, places in enumerate(engines):
+        axes = figure.add_subplot(grid[k // across, k % across])
+        draw_map(axes, sweep, places, labelled=not k % across)
+    if models:
+        room = round(_picture(sweep)[0] / _CELL)
+        draw_map(figure.add_subplot(grid[-1, :]), sweep, models, columns=room)
+    draw_legend(figure, sweep, columns=4 if _picture(sweep)[0] > _NARROW else 3)
     title = f"{sweep.study}: {sweep.sentence}; what breaks first within {sweep.duration_s:g} s"
     figure.suptitle(title, fontsize=11, x=0.01, ha="left", color=INK)
 
@@ -97,7 +115,7 @@ def _view(sweep: Sweep) -> dict[str, Any]:
         "breaking": [*summary.breaking(sweep), *summary.holding(sweep)],
         "learned": summary.learned_told(sweep),
         "seen": [outcome for outcome in LOOKS if outcome in {c.outcome for c in sweep.cells}],
-        "maps": [_map(sweep, place, told) for place in range(len(sweep.panels))],
+        "maps": [_map(sweep, places, told) for places in charts_of(sweep)],
         "cells": [
             (cell, summary.what_happened(cell), dict(summary.told(cell, sweep)))
             for cell in sweep.cells
@@ -106,8 +124,11 @@ def _view(sweep: Sweep) -> dict[str, Any]:
     }
 
 
-def _map(sweep: Sweep, place: int, told: dict[str, str]) -> Markup:
-    title = f"{sweep.study}: {sweep.panels[place].name}"
+def _map(sweep: Sweep, places: tuple[int, ...], told: dict[str, str]) -> Markup:
+    title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
     return themed.svg(
-        title, lambda figure: draw_panel(figure.subplots(), sweep, place), size_of(sweep), told
+        title,
+        lambda figure: draw_map(figure.subplots(), sweep, places),
+        size_of(sweep, places),
+        told,
     )

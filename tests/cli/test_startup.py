@@ -28,6 +28,14 @@ def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
     assert not loaded & (_ENGINES | {"torch", "matplotlib"})
 
 
+def test_studies_of_engines_do_without_torch() -> None:
+    studies = ("study.tradeoff", "study.stability.survey", "validate")
+    reports = ("report.tradeoff_files", "report.stability_files")
+    modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
+
+    assert "torch" not in _loaded(f"import {modules}")
+
+
 _RUN = """
 import contextlib, sys
 from mbds_xsim.cli import main
