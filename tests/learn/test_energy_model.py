@@ -19,8 +19,9 @@ from mbds_xsim.learn.lgnn import Lagrangian
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
 from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Scene
 
 DYNAMICS = {"lgnn": Lagrangian, "hgnn": Hamiltonian}
 
@@ -147,6 +148,28 @@ def test_a_row_that_has_no_numbers_leaves_the_others(data: Data, name: str) -> N
         after = model.advance(state, sample.inputs.at(0))
     assert after[1].isnan().any()
     assert torch.equal(after[[0, 2]], alone[[0, 2]])
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_a_graph_without_edges_falls_freely(data: Data, name: str) -> None:
+    scene = Scene("thrown", load_scene("ballscroll").bodies, 1.0)
+    graph = Graph.of(scene)
+    assert (graph.particle_count, graph.edge_count) == (1, 0)
+    model = build(name, graph, Statistics.of(motions_of(data, "train")), track="lite")
+    assert isinstance(model, EnergyModel)
+    body = torch.zeros(2, 1, 13, dtype=torch.float64)
+    body[..., 3], body[..., 7:10] = 1.0, torch.tensor([1.0, -2.0, 3.0])
+    body[..., 10:] = torch.tensor([4.0, 5.0, 6.0])
+    still = torch.zeros(2, 1, 3, dtype=torch.float64)
+    state = model.begin(Start(still[:, None].expand(-1, HISTORY, -1, -1), still, body))
+    inputs = Inputs(still, torch.zeros(2, 0, dtype=torch.float64))
+    with torch.no_grad():
+        assert model.positions(model.advance(state, inputs)).isfinite().all()
+        model.register_module("dynamics", DYNAMICS[name](TrueEnergy(model.mechanics)))
+        moved = model.positions(model.advance(state, inputs)) - model.positions(state)
+    time = graph.frame_s
+    fallen = body[..., 7:10] * time + 0.5 * torch.tensor(scene.gravity) * time**2
+    assert (moved - fallen).abs().max() < 1e-9
 
 
 @pytest.mark.parametrize("name", list(DYNAMICS))
