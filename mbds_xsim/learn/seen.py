@@ -105,17 +105,22 @@ def unexplained_energy(motion: Seen, truth: Seen) -> Array:
 def _energy(seen: Seen) -> tuple[Array, Array]:
     """Kinetic and potential [J], each (frame,)."""
     mass = seen.graph.mass[: seen.graph.particle_count].numpy()
-    velocity = _velocity(seen.position, seen.graph.frame_s)
+    differences = _kinked if seen.graph.scene.contacts else _smooth
+    velocity = np.full(seen.position.shape, np.nan)
+    velocity[_REACH:-_REACH] = differences(seen.position) / seen.graph.frame_s
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ mass
     return kinetic, -(seen.position @ seen.graph.gravity.numpy()) @ mass
 
 
-def _velocity(position: Array, frame: float) -> Array:
-    """By differences of fourth order; not a number at the first and last frames."""
-    velocity = np.full(position.shape, np.nan)
+def _smooth(position: Array) -> Array:
+    """Change of positions over a frame, of fourth order."""
     near, far = position[3:-1] - position[1:-3], position[4:] - position[:-4]
-    velocity[_REACH:-_REACH] = (8.0 * near - far) / (12.0 * frame)
-    return velocity
+    return (8.0 * near - far) / 12.0
+
+
+def _kinked(position: Array) -> Array:
+    """The same of second order, which at a bounce overshoots neither side."""
+    return 0.5 * (position[3:-1] - position[1:-3])
 
 
 def _work(seen: Seen) -> Array:

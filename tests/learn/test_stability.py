@@ -153,6 +153,23 @@ def test_what_is_no_number_has_blown_up(swing: Seen) -> None:
     assert lost.ended_s == pytest.approx(0.78)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("throw", 15.0), ("throw", 150.0), ("restitution", 0.9)]
+)
+def test_a_bounce_is_no_rise_of_energy_and_a_faster_ball_is(name: str, value: float) -> None:
+    ball = _seen(*_solved(STUDIES[name], value))
+
+    def lift(position: Array) -> Array:
+        position[30:] += np.linspace(0.0, 3.0, len(position) - 30)[:, None, None] ** 2 * value
+        return position
+
+    energy = unexplained_energy(ball, ball)
+
+    assert np.nanmax(energy) < 1e-9
+    assert judge_particles(ball, ball).outcome == "stable"
+    assert judge_particles(_spoilt(ball, lift), ball).outcome == "gains energy"
+
+
 def test_a_ball_in_the_ground_is_seen() -> None:
     ball = _seen(*_solved(STUDIES["throw"], 0.0))
 
