@@ -52,7 +52,7 @@ files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-contact reports-tradeoff reports-cheapest reports-stability \
-	reports-ablation reports-overhead reports-learn-speed reports-data reports-data-full reports-pages readme
+	reports-models reports-ablation reports-overhead reports-learn-speed reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready

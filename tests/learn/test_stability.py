@@ -91,7 +91,10 @@ def test_the_true_motion_is_stable_and_nobody_says_anything(swing: Seen) -> None
     assert verdict.energy == 0.0
 
 
-@pytest.mark.parametrize(("name", "value"), [("swing", 20.0), ("pace", 1.0), ("throw", 5.0)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("swing", 20.0), ("pace", 1.0), ("throw", 5.0), ("loops", 1.0), ("restitution", 0.9)],
+)
 def test_an_engine_that_holds_holds_by_its_particles_too(name: str, value: float) -> None:
     study = STUDIES[name]
     scene, batch, truth = _solved(study, value)
