@@ -325,7 +325,7 @@ def _learned(model: Trained, rows: list[Row]) -> Learned:
         training=model.training,
         variant=model.entry.variant,
         engines=model.entry.engines,
-        source=str(model.path),
+        source=str(model.named),
         known_frames=HISTORY,
         at_once=AT_ONCE,
         alone=point_of(rows[:half]),

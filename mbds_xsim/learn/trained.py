@@ -48,10 +48,12 @@ class Trained:
     scene: Scene
     """That it was trained on, with its clock."""
     facts: dict[str, str]
+    named: Path
+    """Its file as it was named: in results no paths of a machine are to stand."""
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """Where it is, absolute."""
         assert self.entry.path is not None
         return self.entry.path
 
@@ -91,7 +93,7 @@ def _files(place: Path) -> list[Path]:
 
 def _trained(path: Path) -> Trained:
     model, facts = read_model(path)
-    return Trained(entry_of(path), model.graph.scene, facts)
+    return Trained(entry_of(path), model.graph.scene, facts, path)
 
 
 @dataclass(frozen=True, eq=False)

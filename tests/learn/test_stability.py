@@ -355,6 +355,15 @@ def test_what_is_no_model_is_one_clear_line(
         models_in([tmp_path / place])
 
 
+def test_results_name_files_as_the_user_did(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+
+    (model,) = models_in([Path("2pendulum")])
+
+    assert model.source == "2pendulum/native/gns/mujoco-s0.pt"
+    assert model.trained.path.is_absolute()
+
+
 def test_models_are_found_by_file_folder_and_pattern(folder: Path) -> None:
     path = folder / "2pendulum" / "native" / "gns" / "mujoco-s0.pt"
 

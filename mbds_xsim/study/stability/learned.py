@@ -87,7 +87,7 @@ class TrainedModel:
     @property
     def source(self) -> str:
         """Where it is, as it was named."""
-        return str(self.trained.path)
+        return str(self.trained.named)
 
     @property
     def version(self) -> str:
