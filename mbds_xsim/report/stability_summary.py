@@ -93,9 +93,10 @@ def conclusion(sweep: Sweep) -> str:
     most = max(stable.values())
     best = [name for name, count in stable.items() if count == most]
     shown = ", ".join(best[:3]) + (f" and {len(best) - 3} more" if len(best) > 3 else "")
+    of_most = f"most stable: {shown} ({most} of {sum(map(len, ranked[0].cells))})"
     return (
         f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
-        f"engine; most stable: {shown} ({most} of {sum(map(len, ranked[0].cells))})"
+        f"engine; {of_most if most else 'none is stable'}"
     )
 
 

@@ -268,6 +268,7 @@ def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep
     assert "first six" in to_markdown([sweep])
     assert "first six" in to_html([sweep])
     alone = msgspec.structs.replace(sweep, panels=sweep.panels[1:])
+    assert summary.conclusion(alone).endswith("none is stable")
     for each in (sweep, alone):
         assert to_png([each])[:4] == b"\x89PNG"
     assert "most stable: mujoco RK4 (4 of 4)" in summary.conclusion(sweep)
