@@ -20,7 +20,7 @@ from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.model import FlowModel
-from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe, weighed
+from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Sample, Start
 
@@ -143,8 +143,9 @@ class EnergyModel(FlowModel):
             faster = self.graph.frame_s * (self.velocities(state) - sample.velocity[:, frame])
             total = total + (away**2 + faster**2).mean((1, 2))
         error = total / (frames * self.spread**2)
-        loss = weighed(error, self.floor)
-        return loss if self.floor is None else loss - torch.log1p(error).mean()
+        if self.floor is None:
+            return error.mean()
+        return (torch.log1p(error / self.floor) - torch.log1p(error)).mean()
 
 
 def _multiply(p: Tensor, q: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe, weighed
+from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample
 
@@ -41,10 +41,6 @@ class GNSSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     loss: Literal["mse", "l1"] = "mse"
     """Of normalised accelerations, summed over axes. Those of a chain that whips are heavy-tailed:
     their square asks for little but the rare violent frames."""
-    floor: float | None = None
-    """Loss of a window below which windows count alike. With it a window's loss e counts as
-    log(1 + e / floor), by its ratio: slow motions, whose e is small, as much as fast ones. Left
-    out, the loss is the mean of e."""
     recipe: Recipe = Recipe()
 
 
@@ -60,7 +56,6 @@ class GNS(PointModel):
             steps=5,
             noise=1e-3,
             loss="l1",
-            floor=0.1,
             recipe=Recipe(rate=1e-3, schedule=Cosine()),
         ),
     }
@@ -129,7 +124,7 @@ class GNS(PointModel):
         target = self.target(history, noise, sample.position[:, 0])
         error = (self(history + noise, sample.inputs.at(0)) - target) * self.moving
         size = error.abs() if self.settings.loss == "l1" else error**2
-        return weighed(size.sum(-1).mean(1), self.settings.floor)
+        return size.sum(-1).mean()
 
     def target(self, history: Tensor, noise: Tensor, after: Tensor) -> Tensor:
         """Give the normalised acceleration that leads from a noisy history to the true velocity.

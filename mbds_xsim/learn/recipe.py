@@ -1,16 +1,14 @@
-"""How a model is trained: optimiser, schedule of its rate, batch, weights of windows."""
+"""How a model is trained: optimiser, schedule of its rate, batch."""
 
 from __future__ import annotations
 
 import math
 
 import msgspec
-import torch
-from torch import Tensor
 
 from mbds_xsim import bounds
 
-__all__ = ["Cosine", "Decay", "Plateau", "Recipe", "weighed"]
+__all__ = ["Cosine", "Decay", "Plateau", "Recipe"]
 
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
@@ -65,8 +63,3 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         bounds.positive("rate", self.rate)
         bounds.at_least_one("batch", self.batch)
         bounds.at_least_one("horizon", self.horizon)
-
-
-def weighed(errors: Tensor, floor: float | None) -> Tensor:
-    """Mean over windows of their errors (window,), or of log(1 + error / floor)."""
-    return errors.mean() if floor is None else torch.log1p(errors / floor).mean()

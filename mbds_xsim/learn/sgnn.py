@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe, weighed
+from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
 from mbds_xsim.learn.sgnn_topology import Hierarchy
@@ -43,9 +43,6 @@ class SGNNSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the network gives: the displacement, or its change since the last one."""
     loss: Literal["l1", "mse"] = "l1"
     """Of the normalised target."""
-    floor: float | None = None
-    """Loss of a window below which windows count alike. With it a window's loss e counts as
-    log(1 + e / floor), by its ratio. Left out, the loss is the mean of e."""
     noise: float = 0.0
     """On both positions in training, as a part of the displacements' deviation."""
     rigid: bool = False
@@ -65,7 +62,6 @@ class SGNN(PointModel):
             hidden=64,
             unit="spacing",
             target="change",
-            floor=0.1,
             rigid=True,
             recipe=Recipe(rate=1e-3, schedule=Cosine()),
         ),
@@ -114,8 +110,7 @@ class SGNN(PointModel):
         given = self.normalised(history, sample.inputs.at(0))
         wanted = self.target(history, after)
         miss = (given - wanted) * self.graph.moving.to(given)
-        size = miss.abs() if self.settings.loss == "l1" else miss.square()
-        return weighed(size.mean((1, 2)), self.settings.floor)
+        return miss.abs().mean() if self.settings.loss == "l1" else miss.square().mean()
 
     def noisy(self, sample: Sample, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Disturb the positions; what follows moves along with the last of them.

@@ -13,7 +13,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build
-from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe, weighed
+from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training, train
@@ -197,20 +197,6 @@ def test_a_cosine_ends_with_the_run_however_long_it_is(parts: tuple[Motions, Mot
         expected = [0.5e-3 * (1.0 + math.cos(angle)) for angle in angles]
         assert [point.rate for point in curve] == pytest.approx(expected)
     assert Cosine().at(1e-3, 40, 40) == 0.0
-
-
-def test_windows_weigh_by_the_ratio_of_their_errors_down_to_a_floor() -> None:
-    errors = torch.tensor([1e-5, 0.2, 3.0], dtype=torch.float64, requires_grad=True)
-
-    def weights(floor: float | None) -> list[float]:
-        (slope,) = torch.autograd.grad(weighed(errors, floor), errors)
-        return (3.0 * slope * errors).tolist()
-
-    assert weights(None) == pytest.approx([1e-5, 0.2, 3.0])
-    none, some, whole = weights(1e-2)
-    assert none < 2e-3
-    assert some == pytest.approx(whole, rel=0.06)
-    assert whole == pytest.approx(1.0, rel=0.01)
 
 
 def test_smoke_is_short() -> None:
