@@ -32,7 +32,7 @@ class Cost:
     validation_s: float
     """Of one validation [s]."""
     hours: float
-    """Of a run that takes all its steps [h]; most end before, when validation is level."""
+    """Of a run that takes all its steps [h]; it may end before where validation is level."""
 
 
 def measure(run: Run) -> Cost:
