@@ -5,7 +5,6 @@ Every command imports what it needs when it runs: `--help` stays quick.
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -38,8 +37,6 @@ __all__ = [
     "scene_named",
     "write_json",
 ]
-
-_PIPED = 160  # columns
 
 _WRITES = ("--json", "--html", "--markdown", "--png", "--csv", "--figures", "--out")
 
@@ -94,12 +91,9 @@ def scene_named(name: str) -> Scene:
 
 def console_for(json: Path | None) -> Console:
     """Where people read: standard output, or standard error when JSON goes there."""
-    from rich.console import Console
+    from mbds_xsim.report.console import Outlet
 
-    console = Console(stderr=json is not None and str(json) == "-")
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = _PIPED  # a file has no edge to cut tables at
-    return console
+    return Outlet(stderr=json is not None and str(json) == "-")
 
 
 def progress_on(console: Console) -> ProgressBar:

@@ -266,6 +266,17 @@ def test_a_full_disk_and_an_output_that_hangs_up(program: Callable[..., Any]) ->
     assert "Traceback" not in ended.err
 
 
+def test_what_nobody_reads_is_written_all_the_same(program: Callable[..., Any], here: Path) -> None:
+    """`validate … --markdown page.md | head -1`: the reader is gone before files are written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = ("validate", "5pendulum", "--engines", "mujoco", "--trajectories", "1")
+    ended = program(*words, "--markdown", "page.md", stdout=writing)
+    os.close(writing)
+    assert (ended.code, ended.err) == (0, "")
+    assert "5pendulum" in (here / "page.md").read_text("utf-8")
+
+
 def test_devices_and_links_are_written_through(run: Callable[..., Any], here: Path) -> None:
     """Renaming a finished file onto /dev/null would put a file in its place."""
     (here / "link.json").symlink_to("target.json")
