@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +18,14 @@ from mbds_xsim.learn.shift.board import ENGINE, Board, cells_of, valid_time
 from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
 from mbds_xsim.learn.shift.domains import Paired, Recorded
 from mbds_xsim.learn.shift.floors import chaos_floor, noise_floor
-from mbds_xsim.learn.shift.gaps import Draws, Training, gaps_of, kind_of, why_unresolved
+from mbds_xsim.learn.shift.gaps import (
+    UNKNOWN,
+    Draws,
+    Training,
+    gaps_of,
+    kind_of,
+    why_unresolved,
+)
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures, measure, one_step_error
 from mbds_xsim.learn.shift.result import Gap
 from mbds_xsim.learn.shift.rigid import RigidPairs
@@ -241,10 +249,27 @@ def test_a_model_worse_than_the_engines_differ_resolves_nothing() -> None:
         (1.0, 2.0, -0.5, 1.0, "interval contains 0"),
         (1.0, 2.0, 0.0, 1.0, "interval contains 0"),
         (1.0, 2.0, np.nan, np.nan, "interval contains 0"),
+        (np.nan, 2.0, 0.5, 1.0, UNKNOWN),
+        (1.0, np.nan, 0.5, 1.0, UNKNOWN),
     ],
 )
 def test_what_is_resolvable(own: float, floor: float, low: float, high: float, why: str) -> None:
     assert why_unresolved(own, floor, low, high) == why
+
+
+def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
+    board = _board(_shifted, floor=100.0)
+    fewer = [domain for domain in board.test.domains if domain.engine != "a"]
+    test = dataclasses.replace(board.test, domains=tuple(fewer))
+    seen = {key: value for key, value in board.figures.items() if key[1] != "a-native"}
+    apart = {key: value for key, value in board.oracles.items() if "a-native" not in key}
+    board = Board(test, board.frames, seen, apart)
+    gaps = _gaps(board)
+    assert {gap.training for gap in gaps if not all(gap.resolved)} == {"a-native"}
+    assert {why for gap in gaps if gap.training == "a-native" for why in gap.why} == {UNKNOWN}
+    told = next(answers_of(board, Draws(board), gaps, FRAMES)).answer
+    assert "2 of 4 shifts between single engines are resolved" in told
+    assert told.endswith("2 because the model's own domain is not tested")
 
 
 def test_kinds_of_gaps() -> None:

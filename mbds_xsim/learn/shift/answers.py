@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,17 @@ from numpy.typing import NDArray
 
 from mbds_xsim.learn.shift.board import Board
 from mbds_xsim.learn.shift.bootstrap import bounds_of
-from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE, Draws, Training, trainings_of
+from mbds_xsim.learn.shift.gaps import (
+    ALL,
+    LEAVE_ONE_OUT,
+    SINGLE,
+    UNKNOWN,
+    UNSURE,
+    WEAK,
+    Draws,
+    Training,
+    trainings_of,
+)
 from mbds_xsim.learn.shift.result import Answer, Gap, values
 
 __all__ = ["answers_of"]
@@ -87,13 +98,14 @@ def _field(board: Board, model: str, variant: str) -> _Field:
 def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     """How many shifts can be told at all."""
     single = [gap for gap in gaps if gap.kind == SINGLE]
-    seen = sum(gap.resolved[place] for gap in single)
-    weak = sum("floor" in gap.why[place] for gap in single)
+    count = Counter(gap.why[place] for gap in single)
     text = (
-        f"At t = {frame}, {seen} of {len(single)} shifts between single engines are resolved; "
-        f"{weak} are not because the model's own error exceeds the engine floor, "
-        f"{len(single) - seen - weak} because the interval of the difference contains 0"
+        f"At t = {frame}, {count['']} of {len(single)} shifts between single engines are resolved; "
+        f"{count[WEAK]} are not because the model's own error exceeds the engine floor, "
+        f"{count[UNSURE]} because the interval of the difference contains 0"
     )
+    if count[UNKNOWN]:
+        text += f", {count[UNKNOWN]} because the model's own domain is not tested"
     return Answer("Is a shift resolvable?", text)
 
 

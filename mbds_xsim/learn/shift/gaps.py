@@ -20,6 +20,11 @@ Array = NDArray[np.float64]
 
 SINGLE, LEAVE_ONE_OUT, ALL = "single", "leave-one-out", "all"
 
+WEAK = "own error exceeds the engine floor"
+UNSURE = "interval contains 0"
+UNKNOWN = "own domain is not tested, so neither own error nor engine floor is known"
+"""Why gaps tell nothing of a shift."""
+
 
 @dataclass(frozen=True)
 class Training:
@@ -103,16 +108,16 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     """Say why a gap tells nothing of a shift; "" where it does.
 
     Args:
-        own: Error of the training on its own domain [m²].
-        floor: Distance of its engine from the target's [m²].
+        own: Error of the training on its own domain [m²]; NaN where that is not tested.
+        floor: Distance of its engine from the target's [m²], alike.
         low: Of the interval of the difference [m²].
         high: The same.
     """
+    if np.isnan(own) or np.isnan(floor):
+        return UNKNOWN
     if own > floor:
-        return "own error exceeds the engine floor"
-    if not (low > 0.0 or high < 0.0):
-        return "interval contains 0"
-    return ""
+        return WEAK
+    return "" if low > 0.0 or high < 0.0 else UNSURE
 
 
 def _training(entry: Entry) -> Training:
