@@ -273,7 +273,7 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
 
 
 def test_kinds_of_gaps() -> None:
-    every = ["a-native", "b-native", "c-native", "a-matched"]
+    every = ["a-native", "b-native", "c-native", "a-matched", "c-matched"]
 
     def kind(engines: tuple[str, ...], test: str) -> str:
         return kind_of(Training("gns", "any", engines, "native"), test, every)
@@ -282,7 +282,9 @@ def test_kinds_of_gaps() -> None:
     assert kind(("a",), "b-native") == "single"
     assert kind(("a",), "a-matched") == "single"
     assert kind(("a", "b"), "c-native") == "leave-one-out"
+    assert kind(("a", "b"), "c-matched") == "leave-one-out"
     assert kind(("a", "b"), "a-native") == ""
+    assert kind(("a", "b"), "a-matched") == ""
     assert kind(("a", "b", "c"), "b-native") == "all"
 
 
@@ -331,6 +333,20 @@ def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
     assert "gns has the smallest worst-engine gap" in told
     assert "6 of 6 gaps are resolved" in told
     assert "gns 4 [" in told
+
+
+def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
+    board = _board(_shifted, floor=100.0)
+    tested = ("a-native", "b-native")
+    domains = tuple(domain for domain in board.test.domains if domain.name in tested)
+    figures = {key: value for key, value in board.figures.items() if key[1] in tested}
+    for name, engines, error in (("not-c", ("a", "b"), 50.0), ("all", ("a", "b", "c"), 1e-3)):
+        entry = _entry(name, 0, engines)
+        figures |= {(entry, test): _figures(np.full((COUNT, FRAMES), error)) for test in tested}
+    test = dataclasses.replace(board.test, domains=domains)
+    board = Board(test, board.frames, figures, board.oracles)
+    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    assert "helps" in found["Does training on all engines help gns (native)?"]
 
 
 def test_bootstrap_intervals_cover_the_mean() -> None:

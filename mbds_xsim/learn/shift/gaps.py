@@ -70,6 +70,9 @@ def trainings_of(board: Board, model: str) -> list[Training]:
 def kind_of(training: Training, test: str, every: Sequence[str]) -> str:
     """Give what a training is to a test domain; "" where there is no shift between them.
 
+    Of several engines' trainings only engines that were left out are told, in either variant: what
+    other settings of a known engine do, single ones tell.
+
     Args:
         training: What was trained.
         test: Where it is tested.
@@ -81,7 +84,7 @@ def kind_of(training: Training, test: str, every: Sequence[str]) -> str:
         training.domains
     ):
         return ALL
-    return "" if test in training.domains else LEAVE_ONE_OUT
+    return "" if test.rpartition("-")[0] in training.engines else LEAVE_ONE_OUT
 
 
 def gaps_of(board: Board, draws: Draws, noise: Array, chaos: Array) -> Iterator[Gap]:
