@@ -8,6 +8,7 @@ import dataclasses
 import json
 import math
 import shutil
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,16 +25,19 @@ from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.shift import evaluate, study
+from mbds_xsim.learn.shift import evaluate, restart, study
 from mbds_xsim.learn.shift.domains import load_paired
+from mbds_xsim.learn.shift.measure import Figures, figures_on
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.shift.roster import check_data, find_entries, refusal
+from mbds_xsim.learn.shift.roster import check_data, find_entries, refusal, trivial_entries
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.report.shift_tables import tables
 from mbds_xsim.scene import Clock
+from mbds_xsim.state import Batch
 from tests.learn.conftest import Silence
 
 SCENE = "1pendulum"
@@ -139,6 +143,44 @@ def test_what_was_tested_is_not_tested_again(
     again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
+
+
+def test_restarts_that_were_interrupted_go_on(
+    folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = load_paired(folder / "data", SCENE).domains
+    restart._Job(one, two, shift.horizon).path.unlink()
+    predicted, done = restart._predicted, []
+
+    def noted(job: restart._Job, motions: Motions, inputs: Batch) -> torch.Tensor:
+        done.append((job.engine.name, job.domain.name))
+        return predicted(job, motions, inputs)
+
+    monkeypatch.setattr(restart, "_predicted", noted)
+    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    assert done == [(one.name, two.name)]
+    assert again.gaps == shift.gaps
+
+
+def test_memory_holds_one_domain_and_no_figures(
+    folder: Path, shift: Shift, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    test = load_paired(folder / "data", SCENE)
+    seen: list[weakref.ref[Motions]] = []
+
+    def watched(model: Model, motions: Motions, *, horizon: int, stride: int) -> Figures:
+        alive = {id(found) for ref in seen if (found := ref()) is not None}
+        assert alive <= {id(motions)}
+        seen.append(weakref.ref(motions))
+        return figures_on(model, motions, horizon=horizon, stride=stride)
+
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+    monkeypatch.setattr(evaluate, "figures_on", watched)
+    entries, plan = trivial_entries(), evaluate.Plan(shift.horizon)
+    found = evaluate.evaluate(test.scene, entries, test.domains, plan, workers=0)
+    assert len(seen) == len(found) == len(entries) * len(test.domains)
+    figures = weakref.ref(next(iter(found.values())))
+    assert figures() is None
 
 
 def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:

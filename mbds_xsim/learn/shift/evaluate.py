@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def evaluate(
     *,
     workers: int | None = None,
     tell: Tell | None = None,
-) -> dict[tuple[Entry, str], Figures]:
+) -> Mapping[tuple[Entry, str], Figures]:
     """Test every model on every domain.
 
     Args:
@@ -56,6 +56,9 @@ def evaluate(
         plan: How long to predict.
         workers: Processes at a time.
         tell: Told of every model that is done now.
+
+    Returns:
+        Figures by model and domain, read each time that they are asked for.
 
     Raises:
         InputError: A model cannot be tested; those tested before are kept.
@@ -80,11 +83,27 @@ def evaluate(
         if isinstance(answer, Crash):
             msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
             raise InputError(msg if not answer.refused else answer.reason)
-    return {
-        (entry, domain.name): _needed(paths[entry, domain.name])
-        for entry in entries
-        for domain in domains
-    }
+    return _Kept(paths)
+
+
+class _Kept(Mapping[tuple[Entry, str], Figures]):
+    """Reads figures when they are asked for: those of a large study together fill the memory."""
+
+    def __init__(self, paths: Paths) -> None:
+        self._paths = paths
+
+    def __getitem__(self, key: tuple[Entry, str]) -> Figures:
+        found = read_figures(self._paths[key])
+        if found is None:
+            msg = f"{self._paths[key]}: cannot be read; remove it and run again"
+            raise InputError(msg)
+        return found
+
+    def __iter__(self) -> Iterator[tuple[Entry, str]]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
 
 
 def _places(paths: Paths, entries: Sequence[Entry]) -> Paths:
@@ -93,22 +112,14 @@ def _places(paths: Paths, entries: Sequence[Entry]) -> Paths:
 
 def _carry_out(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: Plan) -> None:
     torch.set_num_threads(1)
-    by_name = {domain.name: domain for domain in domains}
-    motions = functools.cache(lambda name, dtype: by_name[name].motions(dtype))
     load = functools.cache(lambda entry: entry.load(scene))
-    for (entry, name), path in paths.items():
-        if not path.is_file():
-            model = load(entry)
-            known = motions(name, model.dtype)
-            figures_on(model, known, horizon=plan.horizon, stride=plan.stride).write(path)
-
-
-def _needed(path: Path) -> Figures:
-    found = read_figures(path)
-    if found is None:
-        msg = f"{path}: cannot be read; remove it and run again"
-        raise InputError(msg)
-    return found
+    for domain in domains:  # outermost, so that the motions of one alone are in memory
+        motions = functools.cache(domain.motions)
+        for (entry, name), path in paths.items():
+            if name == domain.name and not path.is_file():
+                model = load(entry)
+                known = motions(model.dtype)
+                figures_on(model, known, horizon=plan.horizon, stride=plan.stride).write(path)
 
 
 def _path(entry: Entry, domain: Domain, plan: Plan) -> Path:

@@ -37,6 +37,7 @@ __all__ = ["restarted"]
 Array = NDArray[np.float64]
 
 _LAST = HISTORY - 1
+_TIMEOUT = 4 * 3600.0  # of an engine, all domains [s]
 
 
 @dataclass(frozen=True)
@@ -66,15 +67,15 @@ def restarted(
         Figures by engine and domain, and by engine why there are none.
     """
     jobs = {engine: [_Job(engine, d, horizon) for d in domains] for engine in test.domains}
-    missing, lost = [], {}
+    missing, lost = {}, {}
     for engine, each in jobs.items():
         try:
             # All places are named here: tasks take them along.
-            if [job for job in each if not job.path.is_file()]:
-                missing.append(engine)
+            missing[engine] = [job for job in each if not job.path.is_file()]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
-    tasks = [Task(_carry_out, (test.batch, jobs[engine])) for engine in missing]
+    missing = {engine: each for engine, each in missing.items() if each}
+    tasks = [Task(_carry_out, (test.batch, each), _TIMEOUT) for each in missing.values()]
     for engine, answer in zip(missing, run_tasks(tasks, workers=workers), strict=True):
         if isinstance(answer, Crash):
             lost[engine.name] = answer.reason
