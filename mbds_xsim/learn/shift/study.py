@@ -6,8 +6,9 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +17,7 @@ from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.board import RESTART, Board, cells_of
 from mbds_xsim.learn.shift.bootstrap import DRAWS
-from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, load_paired
+from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, Solved, load_paired
 from mbds_xsim.learn.shift.evaluate import Plan, evaluate
 from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, known_mean, noise_floor, oracles
 from mbds_xsim.learn.shift.gaps import Draws, gaps_of
@@ -91,24 +92,41 @@ def study(
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
     figures = _evaluated(test, entries, domains, plan, workers, meter)
-    oracle = restarted(test, domains, plan.horizon, workers=workers)
-    board = Board(
-        test=test,
-        frames=frames,
-        figures=figures,
-        oracles=oracles(domains, plan.horizon),
-        restarted=oracle[0],
+    gone_on, refused = restarted(test, domains, plan.horizon, workers=workers)
+    board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
+    left_out = {} if solved else {REFERENCE: reason}
+    left_out |= {f"{RESTART} {name}": why for name, why in refused.items()} | _absent(test, board)
+    shift = _shift(
+        board,
+        plan,
+        at,
+        _floors(test, solved, plan),
+        command=command,
+        domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
+        left_out=left_out,
+        models=tuple(map(_facts, entries)),
     )
-    noise = chaos = None
-    if solved is not None:
-        truth = read_truth(solved.path)
-        noise, chaos = noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
-    draws = Draws(board)
-    gaps = tuple(gaps_of(board, draws, _mean(board, noise), _mean(board, chaos)))
-    shift = Shift(
+    shift = msgspec.structs.replace(shift, wall_s=time.perf_counter() - began)
+    return Studied(shift, board, domains)
+
+
+def _floors(test: Paired, solved: Solved | None, plan: Plan) -> tuple[Array | None, Array | None]:
+    """Give the noise floor and the chaos floor, where the reference is known."""
+    if solved is None:
+        return None, None
+    truth = read_truth(solved.path)
+    return noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
+
+
+def _shift(
+    board: Board, plan: Plan, at: int, floors: tuple[Array | None, Array | None], **facts: Any
+) -> Shift:
+    """Say what was measured and what follows from it."""
+    test, draws = board.test, Draws(board)
+    gaps = tuple(gaps_of(board, draws, *(_mean(board, floor) for floor in floors)))
+    return Shift(
         scene=test.scene.name,
         description=test.scene.description,
-        command=command,
         machine=machine(),
         versions={name: package_version(name) for name in ("mbds-xsim", "torch", "numpy")},
         frame_s=test.scene.clock.frame,
@@ -123,19 +141,14 @@ def study(
         at=at,
         index=tuple(test.index.tolist()),
         noise=test.noise,
-        domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
-        left_out=({} if solved else {REFERENCE: reason})
-        | {f"{RESTART} {name}": why for name, why in oracle[1].items()}
-        | _absent(test, board),
-        models=tuple(map(_facts, entries)),
         cells=tuple(cells_of(board)),
-        floors=tuple(floors_of(board, noise, chaos)),
+        floors=tuple(floors_of(board, *floors)),
         gaps=gaps,
         agreements=tuple(agreements_of(board, draws)),
         answers=tuple(answers_of(board, draws, gaps, at)),
-        wall_s=time.perf_counter() - began,
+        wall_s=0.0,
+        **facts,
     )
-    return Studied(shift, board, domains)
 
 
 def _frame_of(frames: tuple[int, ...], asked: int | None) -> int:
