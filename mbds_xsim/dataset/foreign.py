@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import tomllib
 import zipfile
 import zlib
@@ -26,13 +27,16 @@ __all__ = ["FACTS", "Foreign", "read_foreign"]
 
 Array = NDArray[np.float64]
 
-FACTS: dict[str, Callable[[Any], Any]] = {
-    "seed": int,
-    "noise": lambda text: str(text).lower() in ("true", "1"),
-    "step_s": float,
-    "method_order": int,
-    "velocity_lag_s": float,
-    "contact_time_s": float,
+_NATURAL = "a whole number from 0"
+_NUMBER = "a finite number"
+
+FACTS = {
+    "seed": _NATURAL,
+    "noise": "true or false",
+    "step_s": _NUMBER,
+    "method_order": _NATURAL,
+    "velocity_lag_s": _NUMBER,
+    "contact_time_s": _NUMBER,
 }
 """What a file may say beside its numbers: of its start, and of how it was made."""
 
@@ -138,7 +142,7 @@ def _read_csv(path: Path, scene: Scene | None) -> Iterator[_Raw]:
     if "input/torque" in arrays:
         arrays["input/torque"] = arrays["input/torque"][..., 0]
     if "index" in facts:
-        arrays["index"] = np.array([_fact("index", facts["index"], int, str(path))])
+        arrays["index"] = np.array([_fact("index", facts["index"], _NATURAL, str(path))])
     yield _Raw(arrays, rounding, facts)
 
 
@@ -235,11 +239,15 @@ def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:
     arrays: dict[str, Array] = {TIME: np.asarray(clock.frame * frames)}
     arrays |= _shaped(raw, scene, clock, source)
     facts = {
-        key: _fact(key, raw.facts[key], kind, source)
-        for key, kind in FACTS.items()
+        key: _fact(key, raw.facts[key], allowed, source)
+        for key, allowed in FACTS.items()
         if key in raw.facts
     }
-    index = np.asarray(raw.arrays["index"], dtype=np.int64) if "index" in raw.arrays else None
+    index = None
+    if "index" in raw.arrays:
+        given = raw.arrays["index"].ravel().tolist()
+        numbers = [_fact("index", number, _NATURAL, source) for number in given]
+        index = np.array(numbers, dtype=np.int64)
     found = msgspec.structs.replace(scene, clock=clock)
     return Foreign(source, scene, found, arrays, raw.rounding, index, facts, raw.first, raw.total)
 
@@ -303,9 +311,34 @@ def _refuse_nan(values: Array, name: str, source: str, first: int) -> None:
         raise InputError(msg)
 
 
-def _fact(key: str, value: Any, kind: Callable[[Any], Any], source: str) -> Any:
+def _fact(key: str, value: Any, allowed: str, source: str) -> Any:
     try:
-        return kind(value)
-    except (TypeError, ValueError):
-        msg = f"{source}: {key}: got {value!r}, allowed is a number"
+        return _READERS[allowed](value)
+    except (TypeError, ValueError, OverflowError, KeyError):
+        msg = f"{source}: {key}: got {value!r}, allowed is {allowed}"
         raise InputError(msg) from None
+
+
+def _natural(value: Any) -> int:
+    number = int(value)
+    if number < 0 or number != float(value):
+        raise ValueError
+    return number
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError
+    return number
+
+
+def _truth(value: Any) -> bool:
+    return {"true": True, "1": True, "false": False, "0": False}[str(value).lower()]
+
+
+_READERS: dict[str, Callable[[Any], Any]] = {
+    _NATURAL: _natural,
+    _NUMBER: _finite,
+    FACTS["noise"]: _truth,
+}

@@ -273,6 +273,27 @@ def test_wrong_arrays_are_refused(
     assert says in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [
+        ("index", np.array([3, -4])),
+        ("index", np.array([3.0, 4.5])),
+        ("seed", -1),
+        ("seed", np.inf),
+        ("method_order", 1.5),
+        ("step_s", np.nan),
+        ("noise", "perhaps"),
+    ],
+)
+def test_wrong_facts_are_refused(
+    fact: str, value: Any, rod: Scene, swing: Arrays, audited: Audit
+) -> None:
+    arrays = {"seed": np.array(7), "index": np.array(INDEX)} | _only(swing, "position")
+    with pytest.raises(InputError, match=rf"{fact}: got .*, allowed is ") as caught:
+        audited(rod, arrays | {fact: np.array(value)}, Told())
+    assert "\n" not in str(caught.value)
+
+
 def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -> None:
     with pytest.raises(InputError, match="--index: got 1 numbers"):
         audited(rod, swing, Told(index=(3,)))
