@@ -283,8 +283,10 @@ class _Case:
         truth = reference.solve(scene, batch)
         growth = reference.sensitivity(scene, batch)
         growth[~np.isfinite(truth.position).all(axis=(2, 3))] = np.nan
-        if len(rows) < self.foreign.total:
-            self.taken.append(f"reference: compared with the first {len(rows)} trajectories only")
+        if self.foreign.total > _MOST_COMPARED:
+            self.taken.append(
+                f"reference: compared with the first {_MOST_COMPARED} trajectories only"
+            )
         apart = self._positions()[rows] - points.motion(truth)[0]
         error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
         found = error_findings(scene, batch, error, truth, growth)
