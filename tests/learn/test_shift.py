@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -347,6 +348,43 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
     board = Board(test, board.frames, figures, board.oracles)
     found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
     assert "helps" in found["Does training on all engines help gns (native)?"]
+
+
+def _of_variants(away: dict[str, float], spread: float) -> Board:
+    """Two engines, natively and matched; errors away from home are so many times those at home."""
+    test = _set(("a", "b"))
+    parts = [dataclasses.replace(d, variant=v) for v in away for d in test.domains]
+    test = dataclasses.replace(test, domains=tuple(parts))
+    figures, rng = {}, np.random.default_rng(5)
+    for home, seed in itertools.product(parts, range(3)):
+        entry = Entry(
+            "gns", home.name, (home.engine,), home.variant, seed, Path(f"{home.name}{seed}"), "", ""
+        )
+        for domain in parts:
+            luck = np.exp(spread * rng.standard_normal((COUNT, 1)) * (home.variant == "matched"))
+            error = luck * (1.0 if domain is home else away[home.variant])
+            figures[entry, domain.name] = _figures(np.tile(error, (1, FRAMES)))
+    pairs = itertools.permutations([domain.name for domain in parts], 2)
+    apart = {pair: _figures(np.full((COUNT, FRAMES), 100.0)) for pair in pairs}
+    return Board(test, (1, FRAMES), figures, apart)
+
+
+@pytest.mark.parametrize(
+    ("native", "matched", "spread", "says"),
+    [
+        (1.0, 1.0, 0.0, "native data show no shift that"),
+        (4.0, 1.0, 0.0, "matched data show no shift any more"),
+        (4.0, 2.0, 0.0, "matched data lessen the shift"),
+        (4.0, 4.0, 0.0, "the shift is there on matched data too"),
+        (1.2, 1.0, 2.0, "whether matched data remove the shift cannot be told"),
+    ],
+)
+def test_whether_matched_data_remove_a_shift(
+    native: float, matched: float, spread: float, says: str
+) -> None:
+    board = _of_variants({"native": native, "matched": matched}, spread)
+    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    assert says in found["Does matched data remove the shift of gns?"]
 
 
 def test_bootstrap_intervals_cover_the_mean() -> None:
