@@ -78,12 +78,10 @@ def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | No
     watch = _Watch()
     batch = draw_batch(variant.scene, item.indices, seed=variant.seed, noise=variant.noise)
     watch.lap("draw_s")
-    trajectory, readback = _simulated(variant, batch, crashes or {})
+    trajectory, misbuilt = _simulated(variant, batch, crashes or {})
     watch.lap("simulate_s")
     verdict = judge_rows(variant.scene, batch, trajectory, Making.of(variant.contender))
-    if readback is not None:
-        lines = compare(Mechanism.of(variant.scene), batch, variant.contender.settings, readback)
-        verdict.misbuilt += [f"read-back: {line}" for line in lines]
+    verdict.misbuilt += misbuilt
     watch.lap("check_s")
     passed = verdict.published(certified=variant.certified)
     counts = {"published": int(passed.sum()), "rejected": int((~passed).sum())}
@@ -124,24 +122,28 @@ class _Watch:
         self._last = now
 
 
-def _simulated(
-    variant: Variant, batch: Batch, crashes: Crashes
-) -> tuple[Trajectory, Readback | None]:
-    """Run the engine on what does not crash it."""
+def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajectory, list[str]]:
+    """Run the engine on what does not crash it, and tell what its model has otherwise."""
     contender, scene = variant.contender, variant.scene
     runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
     if len(runs) == len(batch):
         done = simulate(scene, batch, contender.engine, contender.settings)
-        return done.trajectory, done.readback
+        return done.trajectory, _misbuilt(variant, batch, done.readback)
     time_of_frames = np.asarray(scene.clock.frame * np.arange(batch.steps + 1), dtype=np.float64)
     whole = Trajectory.empty(time_of_frames, len(batch), len(scene.bodies))
     if not runs:
-        return _with_failures(whole, batch, crashes, {}), None
+        return _with_failures(whole, batch, crashes, {}), []
     done = simulate(scene, batch[runs], contender.engine, contender.settings)
     for key in ("position", "orientation", "velocity", "angular_velocity"):
         getattr(whole, key)[runs] = getattr(done.trajectory, key)
     own = dict(zip(runs, done.trajectory.failures, strict=True))
-    return _with_failures(whole, batch, crashes, own), None
+    whole = _with_failures(whole, batch, crashes, own)
+    return whole, _misbuilt(variant, batch[runs], done.readback)
+
+
+def _misbuilt(variant: Variant, batch: Batch, readback: Readback) -> list[str]:
+    lines = compare(Mechanism.of(variant.scene), batch, variant.contender.settings, readback)
+    return [f"read-back: {line}" for line in lines]
 
 
 def _with_failures(

@@ -80,6 +80,15 @@ def test_the_trajectories_that_crash_are_rejected(
         assert np.isnan(file["body/position"][()]).all()
 
 
+def test_models_are_read_back_where_others_crash_too(
+    rod: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _fatal_to(FATAL, monkeypatch)
+    monkeypatch.setattr(shard, "compare", lambda *_: ["mass: other"])
+    (count,) = _make(rod, tmp_path).variants
+    assert (count.published, count.rejected_by) == (0, {"read-back": 700})
+
+
 def test_nothing_crashes_here(rod: Scene, whole: Path, tmp_path: Path) -> None:
     _make(rod, tmp_path)
     assert contents(tmp_path) == contents(whole)
