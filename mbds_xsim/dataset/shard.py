@@ -30,6 +30,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 
 __all__ = [
     "LOG",
+    "SHARD_TIMEOUT",
     "Crashes",
     "claim",
     "make_shard",
@@ -41,7 +42,8 @@ __all__ = [
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
 
-_TIMEOUT = 3600.0  # of a shard [s]
+SHARD_TIMEOUT = 3600.0
+"""Longest that a shard may take [s]."""
 
 Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
@@ -54,7 +56,7 @@ def make_shards(
     for item, crashes in work:
         if claim(claims, variant, item):
             # An engine that hangs must not be waited for; this ends the process even then.
-            faulthandler.dump_traceback_later(_TIMEOUT, exit=True)
+            faulthandler.dump_traceback_later(SHARD_TIMEOUT, exit=True)
             make_shard(variant, item, out, crashes=crashes)
             faulthandler.cancel_dump_traceback_later()
 

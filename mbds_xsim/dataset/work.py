@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from mbds_xsim.dataset.shard import Crashes, claim, make_shards, try_out
+from mbds_xsim.dataset.shard import SHARD_TIMEOUT, Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
@@ -100,9 +100,7 @@ def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> 
     found: dict[int, str] = {}
     groups = [list(item.indices)]
     while groups:
-        tasks = [
-            Task(try_out, (variant, group), _TRAJECTORY_TIMEOUT * len(group)) for group in groups
-        ]
+        tasks = [Task(try_out, (variant, group), _patience(len(group))) for group in groups]
         answers = carry_out(tasks, workers=workers)
         guilty = [
             (group, answer.reason)
@@ -113,6 +111,11 @@ def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> 
         larger = [group for group, _ in guilty if len(group) > 1]
         groups = [half for group in larger for half in _halves(group)]
     return found
+
+
+def _patience(count: int) -> float:
+    """Give the longest that so many trajectories may take [s]: no longer than a whole shard may."""
+    return min(_TRAJECTORY_TIMEOUT * count, SHARD_TIMEOUT)
 
 
 def _halves(group: list[int]) -> tuple[list[int], list[int]]:

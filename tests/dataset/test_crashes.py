@@ -89,6 +89,21 @@ def test_models_are_read_back_where_others_crash_too(
     assert (count.published, count.rejected_by) == (0, {"read-back": 700})
 
 
+def test_a_search_for_crashes_waits_no_longer_than_for_a_shard(
+    rod: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waited: list[float] = []
+
+    def noted(tasks: Sequence[Task], **options: Any) -> list[Any]:
+        waited.extend(task.timeout for task in tasks if task.function is shard.try_out)
+        return fork(tasks, **options)
+
+    _fatal_to(FATAL, monkeypatch)
+    request = Request((rod,), Choice.parse(engines="mujoco"), 700, tmp_path)
+    generate(request, workers=2, progress=Silence(), carry_out=noted)
+    assert (min(waited), max(waited)) == (600.0, shard.SHARD_TIMEOUT)
+
+
 def test_nothing_crashes_here(rod: Scene, whole: Path, tmp_path: Path) -> None:
     _make(rod, tmp_path)
     assert contents(tmp_path) == contents(whole)
