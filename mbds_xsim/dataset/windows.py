@@ -59,8 +59,9 @@ class Windows:
             IndexError: A number is not one of `len(windows)`.
         """
         numbers = np.asarray(numbers, dtype=np.int64)
-        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < len(self)):
-            msg = f"window {numbers.max()} of {len(self)}"
+        wrong = numbers[(numbers < 0) | (numbers >= len(self))]
+        if len(wrong):
+            msg = f"window {wrong[0]} of {len(self)}"
             raise IndexError(msg)
         row, frame = self.where(numbers)
         shard = np.searchsorted(self.series[0].first, row, side="right") - 1

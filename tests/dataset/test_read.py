@@ -79,6 +79,8 @@ def test_windows_fetch_as_torch_does(data: Dataset) -> None:
         windows[len(windows)]
     with pytest.raises(IndexError):
         windows.take([len(windows)])
+    with pytest.raises(IndexError, match="window -1 of"):
+        windows.take([3, -1])
 
 
 def test_windows_of_a_part(data: Dataset) -> None:
