@@ -89,7 +89,7 @@ def conclusion(sweep: Sweep) -> str:
     ranked = [panel for panel in sweep.panels if not panel.learned] or sweep.panels
     failed = [cell for cell in cells if cell.failed]
     silent = [cell for cell in failed if cell.silent]
-    stable = Counter({p.name: sum(not c.failed for row in p.cells for c in row) for p in ranked})
+    stable = Counter({p.name: sum(_holds(c) for row in p.cells for c in row) for p in ranked})
     most = max(stable.values())
     best = [name for name, count in stable.items() if count == most]
     shown = ", ".join(best[:3]) + (f" and {len(best) - 3} more" if len(best) > 3 else "")
@@ -98,6 +98,10 @@ def conclusion(sweep: Sweep) -> str:
         f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
         f"engine; {of_most if most else 'none is stable'}"
     )
+
+
+def _holds(cell: Cell) -> bool:
+    return not cell.failed and cell.outcome != "refused"
 
 
 def holding(sweep: Sweep) -> Iterator[tuple[str, str]]:
@@ -113,7 +117,7 @@ def learned_told(sweep: Sweep) -> str:
 
 
 def _held(cells: Sequence[Cell], sweep: Sweep) -> str:
-    stable = _runs(cells, lambda cell: not cell.failed and cell.outcome != "refused", sweep)
+    stable = _runs(cells, _holds, sweep)
     on_course = _runs(cells, lambda cell: cell.outcome == "stable", sweep)
     text = f"stable {stable}, on course {on_course}"
     beyond = next((cell for cell in cells if cell.failed), None)

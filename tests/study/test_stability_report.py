@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from mbds_xsim import cli
@@ -64,6 +65,16 @@ def test_what_breaks_is_counted_with_what_is_silent(sweep: Sweep) -> None:
     assert f"{len(silent)} of them without a word" in conclusion(sweep)
     lines = dict(breaking(sweep))
     assert "without a word of the engine" in lines["pybullet semi-implicit-euler"]
+
+
+def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Sweep) -> None:
+    best = sweep.panels[0]
+    refused = msgspec.structs.replace(best.cells[0][0], outcome="refused")
+    unable = msgspec.structs.replace(
+        best, engine="unable", cells=tuple(tuple(refused for _ in row) for row in best.cells)
+    )
+    said = conclusion(msgspec.structs.replace(sweep, panels=(unable, *sweep.panels)))
+    assert said.split("; ")[1] == conclusion(sweep).split("; ")[1]
 
 
 def test_every_outcome_has_its_own_look() -> None:
