@@ -336,6 +336,22 @@ def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
     assert "gns 4 [" in told
 
 
+def test_two_engines_less_one_are_told_once() -> None:
+    board = _board(_shifted, floor=100.0)
+    tested = ("a-native", "b-native")
+    figures = {key: value for key, value in board.figures.items() if key[0].training in tested}
+    for (entry, name), value in list(figures.items()):
+        other = {"a": "not-b", "b": "not-a"}[entry.engines[0]]
+        figures[_entry(other, entry.seed, entry.engines), name] = value
+    domains = tuple(domain for domain in board.test.domains if domain.name in tested)
+    test = dataclasses.replace(board.test, domains=domains)
+    gaps = _gaps(Board(test, board.frames, figures, board.oracles))
+    assert [(gap.training, gap.test) for gap in gaps] == [
+        ("a-native", "b-native"),
+        ("b-native", "a-native"),
+    ]
+
+
 def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
     board = _board(_shifted, floor=100.0)
     tested = ("a-native", "b-native")

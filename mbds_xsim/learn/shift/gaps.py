@@ -62,9 +62,12 @@ class Draws:
 
 
 def trainings_of(board: Board, model: str) -> list[Training]:
-    """Trainings of a model, in order."""
-    found = [_training(entry) for entry in board.entries if entry.model == model]
-    return list(dict.fromkeys(found))
+    """Trainings of a model, in order; to leave one of two engines out is to train on the other."""
+    found: dict[tuple[str, ...], Training] = {}
+    for training in (_training(entry) for entry in board.entries if entry.model == model):
+        if training.domains not in found or training.name in training.domains:
+            found[training.domains] = training
+    return list(found.values())
 
 
 def kind_of(training: Training, test: str, every: Sequence[str]) -> str:
