@@ -30,7 +30,10 @@ Mask = NDArray[np.bool_]
 
 _FACTOR = 3.0
 _SAFETY = 1.25  # Roache's grid convergence index with a confirmed order
-_ORDER_OFF = 0.25
+_SHORT = 0.5
+"""So much below the declared order rounds to it. RK4 on 300 starts of 6pendulum, at 10 ms, shows 3.4
+to 3.8 in some where it shows 4 to 5 at 20 ms; the deviation stays below 0.7 uncertainties."""
+_OVER = 0.25
 LEAST_SPAN = 10
 """Frames that a stretch must have to be judged by."""
 
@@ -47,8 +50,8 @@ class Extrapolation:
     """Observed order of convergence up to each frame; NaN with two runs, or where the runs agree
     to the resolution; shape (trajectory, frame)."""
     asymptotic: Mask
-    """Where the observed order is the declared one or higher, so that the uncertainty holds, same
-    shape."""
+    """Where the observed order rounds to the declared one or is higher, so that the uncertainty
+    holds, same shape."""
 
 
 def consistency(
@@ -132,9 +135,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
     coarse, fine = map(_gathered, moved)
     with np.errstate(divide="ignore", invalid="ignore"):
         observed = np.where(settled, np.nan, np.log2(coarse / fine))
-    faster = observed > order + _ORDER_OFF
+    faster = observed > order + _OVER
     unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
-    asymptotic = settled | (observed >= order - _ORDER_OFF)
+    asymptotic = settled | (observed >= order - _SHORT)
     return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
 
