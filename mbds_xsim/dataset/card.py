@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.dataset.additions import with_additions
 from mbds_xsim.dataset.croissant import croissant
 from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.join import JOINT, causes
@@ -26,11 +27,13 @@ CROISSANT = "croissant.json"
 def write_card(folder: Path) -> None:
     """Write the card and the metadata of all data sets of one scene; the same for the same data.
 
+    What a publisher added to those that are there is kept.
+
     Raises:
         InputError: They cannot be written.
     """
     for name, content in descriptions(folder).items():
-        put(folder / name, content)
+        put(folder / name, with_additions(folder / name, content))
 
 
 def descriptions(folder: Path) -> dict[str, bytes]:

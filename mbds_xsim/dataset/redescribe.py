@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mbds_xsim.dataset.additions import missing_lines
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions
 from mbds_xsim.dataset.reaudit import FileReport
 from mbds_xsim.errors import InputError
@@ -35,7 +36,11 @@ def recheck_card(path: Path) -> FileReport:
         text, wanted = path.read_bytes().decode(), descriptions(path.parent)[CARD].decode()
     except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
         return FileReport(str(path), "card", 0, (f"cannot be compared: {error}",))
-    return _report(path, "card", tuple(_missing_lines(text, wanted)))
+    differing = (
+        f"does not say what the data give, first line {number}: {line[:100]!r}"
+        for number, line in missing_lines(text, wanted)
+    )
+    return _report(path, "card", tuple(differing))
 
 
 def recheck_metadata(path: Path) -> FileReport:
@@ -58,14 +63,6 @@ def _report(path: Path, kind: str, differing: tuple[str, ...]) -> FileReport:
     sure = tuple(each for each in differing if each.startswith(_FILES))
     note = f"{kind}: words not compared, for the data are not of {here}, which is here"
     return FileReport(str(path), kind, 0, sure, (note,))
-
-
-def _missing_lines(text: str, wanted: str) -> Iterator[str]:
-    rest = iter(text.split("\n"))
-    for number, line in enumerate(wanted.split("\n"), 1):
-        if line not in rest:  # takes lines up to it
-            yield f"does not say what the data give, first line {number}: {line[:100]!r}"
-            return
 
 
 def _other_entries(found: dict[str, Any], wanted: dict[str, Any]) -> Iterator[str]:

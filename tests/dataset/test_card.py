@@ -55,6 +55,28 @@ def test_the_card_tells_what_each_file_is(two: Path) -> None:
     assert str(two) not in text
 
 
+def test_what_a_publisher_added_stays(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=FEW)
+    card, metadata = tmp_path / "1pendulum" / CARD, tmp_path / "1pendulum" / CROISSANT
+    card.write_text(card.read_text("utf-8") + "\nAsk the rod's owner.\n", "utf-8")
+    license_ = "https://example.org/license"
+    found = json.loads(metadata.read_text("utf-8"))
+    metadata.write_text(json.dumps(found | {"license": license_, "name": "mine"}), "utf-8")
+
+    make(tmp_path, trajectories=FEW)
+    assert card.read_text("utf-8").endswith("\nAsk the rod's owner.\n")
+    assert json.loads(metadata.read_text("utf-8")) == found | {"license": license_}
+
+    make(tmp_path, trajectories=FEW + 1)  # other data: their card, and still that licence
+    assert "owner" not in card.read_text("utf-8")
+    assert "7 of 7 are published" in card.read_text("utf-8")
+    changed = json.loads(metadata.read_text("utf-8"))
+    assert (changed["license"], changed["distribution"] == found["distribution"]) == (
+        license_,
+        False,
+    )
+
+
 def test_the_commands_of_the_card_exist(two: Path) -> None:
     from mbds_xsim.cli import app
 
