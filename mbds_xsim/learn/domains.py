@@ -54,6 +54,12 @@ class Group:
         """The open files, by engine."""
         return {engine: load_dataset(path) for engine, path in self.files.items()}
 
+    @property
+    def drawn(self) -> dict[str, int]:
+        """What the split depends on: the seed, and the number of trajectories drawn."""
+        told = next(iter(self.data.values())).attributes
+        return {"seed": int(told["seed"]), "trajectories": int(told["count"])}
+
     def __getstate__(self) -> dict[str, object]:
         """Leave open files behind when it goes to another process."""
         return {key: value for key, value in vars(self).items() if key != "data"}

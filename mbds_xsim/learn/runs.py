@@ -88,6 +88,7 @@ class Run:
             "profile": msgspec.json.encode(self.profile).decode(),
             "data": json.dumps({engine: _content(self.group, engine) for engine in self.engines}),
             "starts": _starts(self.group),
+            "drawn": json.dumps(self.group.drawn),
         }
 
 

@@ -336,6 +336,18 @@ def test_other_training_data_are_refused(folder: Path) -> None:
         check_data([good, bad], paired)
 
 
+def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
+    """None of its domains is there, so checksums say nothing; a larger set has another split."""
+    paired = load_paired(folder / "data", SCENE)
+    entry = dataclasses.replace(find_entries(folder / "models", SCENE)[0], data=())
+    same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
+    for drawn in (None, (0, same), (1, 10 * same)):
+        check_data([dataclasses.replace(entry, drawn=drawn)], paired)
+    seen = dataclasses.replace(entry, drawn=(0, 10 * same))
+    with pytest.raises(InputError, match=f"by trajectory {paired.index[0]} of the test part"):
+        check_data([seen], paired)
+
+
 def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
     whole, part = (load_paired(folder / "data", SCENE, count) for count in (None, 3))
     assert part.index.tolist() == whole.index[:3].tolist()

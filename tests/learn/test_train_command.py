@@ -185,7 +185,7 @@ def test_end_to_end(
     both = told["runs"]["2pendulum/native/gns/all-s0"]
     assert (each["train_engines"], both["train_engines"]) == ("mujoco", "mujoco,pybullet")
     assert (each["variant"], each["seed"]) == ("native", "0")
-    for key in ("steps", "train_trajectories", "validation_trajectories", "starts"):
+    for key in ("steps", "train_trajectories", "validation_trajectories", "starts", "drawn"):
         assert each[key] == both[key]
     capsys.readouterr()
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}

@@ -104,6 +104,8 @@ class Paired:
     """Whether random forces act."""
     quiet: Array
     """Forces without the noise [N], of the shape of `batch.force`."""
+    seed: int
+    """Of the draw: another one has other starts."""
 
     @functools.cached_property
     def graph(self) -> Graph:
@@ -150,6 +152,7 @@ def load_paired(folder: Path, scene: str, trajectories: int | None = None) -> Pa
         batch=_batch(files[0], rows[0]),
         noise=bool(files[0].attributes["noise"]),
         quiet=_quiet(files[0], rows[0]),
+        seed=int(files[0].attributes["seed"]),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from mbds_xsim.dataset.split import NAMES, split_of
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.learn.channels import CHANNELS
 from mbds_xsim.learn.graph import Graph
@@ -61,6 +62,8 @@ class Entry:
     ended: str = ""
     data: tuple[tuple[str, str], ...] = ()
     """Engines and checksums of the files that it was trained on, as far as stated."""
+    drawn: tuple[int, int] | None = None
+    """Seed and number of the trajectories that its training part is of, as far as stated."""
 
     @property
     def single(self) -> bool:
@@ -132,17 +135,27 @@ def entry_of(path: Path) -> Entry:
         steps=int(facts.get("steps", 0)),
         ended=facts.get("ended", ""),
         data=_data(facts),
+        drawn=_drawn(facts),
     )
 
 
 def check_data(entries: Sequence[Entry], test: Paired) -> None:
-    """Refuse a model that was trained on other data of a domain: its split may be another.
+    """Refuse a model that was trained on other data of a domain, or on what it is tested on.
 
     Raises:
-        InputError: The checksums differ.
+        InputError: The checksums differ, or the split of its data is another.
     """
     contents = {domain.name: domain.content for domain in test.domains}
     for entry in entries:
+        if entry.drawn is not None and entry.drawn[0] == test.seed:
+            known = split_of(test.index, entry.drawn[1]) != NAMES.index("test")
+            if known.any():
+                msg = (
+                    f"{entry.path}: was trained or chosen by trajectory {test.index[known][0]} of "
+                    f"the test part, being made of {entry.drawn[1]} drawn with the same seed; test "
+                    "it on as many"
+                )
+                raise InputError(msg)
         for engine, content in entry.data:
             name = f"{engine}-{entry.variant}"
             if contents.get(name, content) != content:
@@ -177,6 +190,11 @@ def trivial_entries() -> list[Entry]:
 def _data(facts: dict[str, str]) -> tuple[tuple[str, str], ...]:
     told: dict[str, str] = json.loads(facts.get("data", "{}"))
     return tuple(sorted(told.items()))
+
+
+def _drawn(facts: dict[str, str]) -> tuple[int, int] | None:
+    told: dict[str, int] | None = json.loads(facts.get("drawn", "null"))
+    return None if told is None else (told["seed"], told["trajectories"])
 
 
 def _order(entry: Entry) -> tuple[str, str, int, str, int]:
