@@ -31,8 +31,8 @@ Mask = NDArray[np.bool_]
 _FACTOR = 3.0
 _SAFETY = 1.25  # Roache's grid convergence index with a confirmed order
 _SHORT = 0.5
-"""So much below the declared order rounds to it. Of 300 starts of 6pendulum, RK4 at 10 ms has 2 that
-nowhere come within 0.25 of order 4 in energy; their limits, as all 300, are within 0.7 uncertainties.
+"""So much below the declared order rounds to it. Of 300 starts of 6pendulum, RK4 at 10 ms has 2
+that nowhere come within 0.25 of order 4 in energy; all 300 limits are within 0.7 uncertainties.
 """
 _OVER = 0.25
 LEAST_SPAN = 10
