@@ -6,6 +6,8 @@ import io
 import os
 import signal
 import sys
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
@@ -16,6 +18,22 @@ from mbds_xsim.errors import InputError
 __all__ = ["app", "commands", "main"]
 
 _INTERRUPTED = 130
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"mbds-xsim {version('mbds-xsim')}")
+        raise typer.Exit
+
+
+_Version = Annotated[
+    bool,
+    typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version."),
+]
+
+
+@app.callback()
+def _of_all_commands(_version: _Version = False) -> None: ...
 
 
 def main() -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
+
+from tests.cli.conftest import CommandLine
 
 _ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
 _HEAVY = _ENGINES | {"torch", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}
@@ -19,6 +22,12 @@ def test_importing_loads_nothing_heavy(module: str) -> None:
 @pytest.mark.parametrize("words", [["--help"], ["validate", "--help"], ["show", "--help"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     assert not _loaded(_RUN.format(words=words)) & _HEAVY
+
+
+def test_version_is_that_of_the_package(run: CommandLine) -> None:
+    ended = run("--version")
+
+    assert (ended.code, ended.out) == (0, f"mbds-xsim {version('mbds-xsim')}\n")
 
 
 def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:

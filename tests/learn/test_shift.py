@@ -270,7 +270,7 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     assert {why for gap in gaps if gap.training == "a-native" for why in gap.why} == {UNKNOWN}
     told = next(answers_of(board, Draws(board), gaps, FRAMES)).answer
     assert "2 of 4 shifts between single engines are resolved" in told
-    assert told.endswith("2 because the model's own domain is not tested")
+    assert "2 because the model's own domain is not tested. Of 2 intervals at 95 %" in told
 
 
 def test_kinds_of_gaps() -> None:

@@ -31,7 +31,14 @@ from mbds_xsim.learn.shift import evaluate, restart, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.measure import Figures, figures_on
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.shift.roster import check_data, find_entries, refusal, trivial_entries
+from mbds_xsim.learn.shift.roster import (
+    Entry,
+    check_budget,
+    check_data,
+    find_entries,
+    refusal,
+    trivial_entries,
+)
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
@@ -334,6 +341,19 @@ def test_other_training_data_are_refused(folder: Path) -> None:
     bad = dataclasses.replace(entry, data=(("mujoco", content["exudyn"]),))
     with pytest.raises(InputError, match="another data set mujoco-native than is tested on"):
         check_data([good, bad], paired)
+
+
+def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
+    entry = find_entries(folder / "models", SCENE)[0]
+
+    def trained(**facts: str) -> Entry:
+        return dataclasses.replace(entry, budget=tuple(facts.items()))
+
+    check_budget([trained(profile="a", starts="b"), trained(profile="a"), trained()])
+    other = dataclasses.replace(trained(profile="c"), model="sgnn")
+    check_budget([trained(profile="a"), other])
+    with pytest.raises(InputError, match="another starts than"):
+        check_budget([trained(profile="a", starts="b"), trained(profile="a", starts="c")])
 
 
 def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:

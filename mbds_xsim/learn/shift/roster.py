@@ -24,6 +24,7 @@ from mbds_xsim.scene import Scene
 __all__ = [
     "TRIVIAL",
     "Entry",
+    "check_budget",
     "check_data",
     "entry_of",
     "find_entries",
@@ -36,6 +37,8 @@ TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 
 _TRIVIAL_MODULE = "mbds_xsim.learn.trivial"
 _FACTS = ("train_engines", "variant", "training", "seed")
+_ALIKE = ("profile", "track", "settings", "drawn", "starts")
+"""Facts that trainings must share to differ in their engines alone."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Entry:
     """Engines and checksums of the files that it was trained on, as far as stated."""
     drawn: tuple[int, int] | None = None
     """Seed and number of the trajectories that its training part is of, as far as stated."""
+    budget: tuple[tuple[str, str], ...] = ()
+    """What else it was made with, as far as stated: a profile, starts."""
 
     @property
     def single(self) -> bool:
@@ -136,7 +141,26 @@ def entry_of(path: Path) -> Entry:
         ended=facts.get("ended", ""),
         data=_data(facts),
         drawn=_drawn(facts),
+        budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
     )
+
+
+def check_budget(entries: Sequence[Entry]) -> None:
+    """Refuse models of one kind and variant that do not differ in their engines alone.
+
+    Raises:
+        InputError: They had other steps, hyper-parameters or trajectories.
+    """
+    firsts: dict[tuple[str, str, str], tuple[str, Entry]] = {}
+    for entry in entries:
+        for key, value in entry.budget:
+            told, first = firsts.setdefault((entry.model, entry.variant, key), (value, entry))
+            if value != told:
+                msg = (
+                    f"{entry.path}: has another {key} than {first.path}; to compare them would "
+                    "tell of that, not of engines: train both alike, or remove one"
+                )
+                raise InputError(msg)
 
 
 def check_data(entries: Sequence[Entry], test: Paired) -> None:

@@ -24,7 +24,14 @@ from mbds_xsim.learn.shift.gaps import Draws, gaps_of
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
 from mbds_xsim.learn.shift.restart import restarted
 from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
-from mbds_xsim.learn.shift.roster import Entry, check_data, find_entries, refusal, trivial_entries
+from mbds_xsim.learn.shift.roster import (
+    Entry,
+    check_budget,
+    check_data,
+    find_entries,
+    refusal,
+    trivial_entries,
+)
 from mbds_xsim.learn.shift.truth import read_truth, solve_domain
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.registry import package_version
@@ -84,6 +91,7 @@ def study(
     began = time.perf_counter()
     test = load_paired(data, scene, trajectories)
     trained = find_entries(models, scene)
+    check_budget(trained)
     check_data(trained, test)
     entries = [*trivial_entries(), *trained]
     plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
