@@ -1,0 +1,98 @@
+"""How much faster models predict many trajectories at once than one by one.
+
+python -m benchmarks.rollout_speed [SCENE…] > reports/rollout-speed.md
+
+All four models in their `lite` size and untrained, as time does not depend on weights, go on for
+some frames from true motions of the scene: one trajectory a call, and many. They take turns.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from statistics import median, quantiles
+
+import torch
+
+from benchmarks.learn_speed import spent
+from mbds_xsim.learn.channels import CHANNELS
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import Model, build
+from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.trained import Known, carry_on, known_start
+from mbds_xsim.matched import settings_for
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.simulate import simulate
+
+SCENES = ("6pendulum", "3ladder")
+MODELS = ("gns", "sgnn", "hgnn", "lgnn")
+BATCHES = (1, 64, 512)
+FRAMES, STARTS, ROUNDS = 5, 30, 9
+AIM = 20
+
+
+def starts(name: str, models: list[Model]) -> list[Known]:
+    """What each model is given of the same slow motions."""
+    scene = load_scene(name)
+    batch = draw_batch(scene, range(0, 3 * STARTS, 3), noise=False)
+    settings = settings_for(scene, load_adapter("mujoco"), "matched")
+    motion = simulate(scene, batch, "mujoco", settings).trajectory
+    return [known_start(model, motion, batch).truncated(FRAMES) for model in models]
+
+
+def still() -> Statistics:
+    """Changes are small, so that untrained models stay near the motions."""
+    one, small = (
+        Moments(torch.zeros(3).double(), torch.full((3,), size).double()) for size in (1.0, 1e-4)
+    )
+    return Statistics(one, small, small, torch.ones(len(CHANNELS)).double())
+
+
+def measured(name: str) -> dict[str, list[list[float]]]:
+    """Seconds a trajectory and frame: rounds of all batches, model by model."""
+    graph = Graph.of(load_scene(name))
+    models = [build(kind, graph, still(), track="lite") for kind in MODELS]
+    known = starts(name, models)
+
+    def work(model: Model, given: Known) -> Callable[[], object]:
+        return lambda: carry_on(model, given)
+
+    found: dict[str, list[list[float]]] = {kind: [] for kind in MODELS}
+    for turn in range(ROUNDS + 1):
+        for kind, model, given in zip(MODELS, models, known, strict=True):
+            times = [spent(work(model, given.repeated(n))) / (n * FRAMES) for n in BATCHES]
+            if turn:  # the first warms up
+                found[kind].append(times)
+    return found
+
+
+def rows(name: str) -> Iterator[str]:
+    for kind, rounds in measured(name).items():
+        times = [f"{1e3 * median(column):.3g}" for column in zip(*rounds, strict=True)]
+        ratios = [each[0] / each[-1] for each in rounds]
+        low, middle, high = quantiles(ratios, n=4)
+        yield (f"| {name} | {kind} | {' | '.join(times)} | {middle:.0f} ({low:.0f} … {high:.0f}) |")
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    print("# Rollouts of models, one by one and many at once\n")
+    print(
+        f"Milliseconds of the processor a trajectory and frame, one thread, `lite` models; medians "
+        f"of {ROUNDS} rounds in which models and batches take turns. {platform.machine()}, "
+        f"{os.cpu_count()} cores, torch {torch.__version__}. *Ratio*: batch {BATCHES[-1]} over 1, "
+        f"with its quartiles; the aim is {AIM}.\n"
+    )
+    heads = " | ".join(f"batch {n}" for n in BATCHES)
+    print(f"| scene | model | {heads} | ratio |")
+    print(f"| :-- | :-- |{' --: |' * (len(BATCHES) + 1)}")
+    for name in sys.argv[1:] or SCENES:
+        for row in rows(name):
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
