@@ -41,13 +41,14 @@ _HEAD = f"""\
 
 Matched settings are found by search, on the starts of the search. Here every point of a scene's
 [chart](README.md) that keeps all budgets on the chart's few starts, and costs less than the
-cheapest matched settings of any engine, is tried on {_STARTS} starts of each interval (seed
-{_SEED}), judged as `validate` judges, limits of contact included. Times are those of the trial:
-processor time per simulated second, the mean of all starts. The matched settings come first, bold.
+cheapest matched settings on it, is tried on {_STARTS} starts of each interval (seed {_SEED}),
+judged as `validate` judges, limits of contact included. Times are those of the trial: processor
+time per simulated second, the mean of all starts. Matched settings come first, bold: the cheapest
+on the chart, and those at steps that the chart does not have.
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Place:
     """One setting of one engine."""
 
@@ -64,26 +65,52 @@ def main() -> None:
     print(_HEAD)
     print("| scene | engine, method, step | cost | budgets | what is not kept |")
     print("| :-- | :-- | --: | :-- | :-- |")
+    found: list[str] = []
     for file in sorted(asked.folder.glob("*.json")):
         study = msgspec.json.decode(file.read_bytes(), type=Tradeoff)
-        for line in _lines(study):
+        for line in _lines(study, found):
             print(line, flush=True)
+    print("\n" + "\n".join(found))
     print(f"\nMade on {machine()}.")
 
 
-def _lines(study: Tradeoff) -> Iterator[str]:
+def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
+    """Give the rows of a scene, and tell at the end what was cheapest."""
     scene = load_scene(study.scene)
-    engines = dict.fromkeys(curve.engine for curve in study.curves)
-    cost = {engine: _cost_of_matched(study, scene, engine) for engine in engines}
-    best = min(cost, key=lambda engine: cost[engine])
-    settings = settings_for(scene, load_adapter(best), "matched")
-    places = [Place(best, settings, f"**{_label(best, settings)}**"), *_cheaper(study, cost[best])]
-    print(f"{study.scene}: {len(places) - 1} points are cheaper", file=sys.stderr)
+    matched, least = _matched(study, scene)
+    places = [*matched, *_cheaper(study, least)]
+    print(f"{study.scene}: {len(places) - len(matched)} points are cheaper", file=sys.stderr)
+    kept = {}
     for place, trial in zip(places, _tried(scene, places), strict=True):
-        kept = "kept" if trial.passed else "not kept"
+        if trial.passed:
+            kept[place] = trial.cpu_s
+        told = "kept" if trial.passed else "not kept"
         why = "" if trial.passed else trial.reasons[0].splitlines()[0].replace("|", "/")
         span = quantity.span(trial.cpu_s)
-        yield f"| {study.scene} | {place.label} | {span} | {kept} | {why} |"
+        yield f"| {study.scene} | {place.label} | {span} | {told} | {why} |"
+    found.append(f"- {study.scene}: {_cheapest(kept, matched)}.")
+
+
+def _cheapest(kept: dict[Place, float], matched: list[Place]) -> str:
+    own = [cost for place, cost in kept.items() if place in matched]
+    if not own:
+        return "none of these matched settings keeps all budgets"
+    first = min(kept, key=lambda place: kept[place])
+    if first in matched:
+        return f"nothing is cheaper than what is matched, {first.label}"
+    return f"{first.label} costs {kept[first] / min(own):.2f} of what is matched"
+
+
+def _matched(study: Tradeoff, scene: Scene) -> tuple[list[Place], float]:
+    """Give the cheapest matched settings on the chart, those that are not on it, and the cost."""
+    engines = dict.fromkeys(curve.engine for curve in study.curves)
+    cost = {engine: _cost_of_matched(study, scene, engine) for engine in engines}
+    least = min(cost.values())
+    places = []
+    for engine in (name for name in engines if cost[name] in (least, math.inf)):
+        settings = settings_for(scene, load_adapter(engine), "matched")
+        places.append(Place(engine, settings, f"**{_label(engine, settings)}**"))
+    return places, least
 
 
 def _cost_of_matched(study: Tradeoff, scene: Scene, engine: str) -> float:
