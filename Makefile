@@ -94,6 +94,8 @@ reports-overhead: $(VENV)/ready
 
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
+	$(BIN)/python -m benchmarks.lagrangian_speed > $(REPORTS)/lagrangian-speed.md
+	$(BIN)/python -m benchmarks.rollout_speed > $(REPORTS)/rollout-speed.md
 
 # Trained models beside the engines, as far as there are any. Their engines are those of the two
 # reports above; the maps have one training of each model, whose scene a study is made of.

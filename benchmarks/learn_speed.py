@@ -185,6 +185,8 @@ def spent(work: Callable[[], object]) -> float:
 def table(lines: Iterator[Line]) -> Iterator[str]:
     yield "# Training throughput of the graph networks"
     yield ""
+    yield "<!-- Written by: python -m benchmarks.learn_speed > reports/learn-speed.md -->"
+    yield ""
     yield (
         f"Graphs a second in training (loss, gradient, Adam), batch {BATCH}, one thread, by the "
         "processor's time; medians of rounds in which the models take turns. "

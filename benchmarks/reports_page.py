@@ -21,7 +21,10 @@ CHAPTERS = (
     ("Data sets", "make reports-data reports-data-full", "data.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
+    ("Models under a change of engine", "make reports-shift", "shift/*.md"),
     ("Training throughput", "make reports-learn-speed", "learn-speed.md"),
+    ("Closed forms beside differentiation", "make reports-learn-speed", "lagrangian-speed.md"),
+    ("Rollouts in batches", "make reports-learn-speed", "rollout-speed.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
 _WRITES = re.compile(r" (?:--(?:json|csv|png|markdown)|>) \S+")  # the files stand beside it

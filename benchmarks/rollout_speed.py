@@ -8,8 +8,6 @@ some frames from true motions of the scene: one trajectory a call, and many. The
 
 from __future__ import annotations
 
-import os
-import platform
 import sys
 from collections.abc import Callable, Iterator
 from statistics import median, quantiles
@@ -26,12 +24,21 @@ from mbds_xsim.matched import settings_for
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
+from mbds_xsim.study.identity import machine
 
 SCENES = ("6pendulum", "3ladder")
 MODELS = ("gns", "sgnn", "hgnn", "lgnn")
 BATCHES = (1, 64, 512)
 FRAMES, STARTS, ROUNDS = 5, 30, 9
 AIM = 20
+_HEAD = f"""\
+# Rollouts of models, one by one and many at once
+
+<!-- Written by: python -m benchmarks.rollout_speed > reports/rollout-speed.md -->
+
+Milliseconds of the processor a trajectory and frame, one thread, untrained models in their `lite`
+size; medians of {ROUNDS} rounds in which models and batches take turns. *Ratio*: batch {BATCHES[0]}
+over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}."""
 
 
 def starts(name: str, models: list[Model]) -> list[Known]:
@@ -79,19 +86,14 @@ def rows(name: str) -> Iterator[str]:
 
 def main() -> None:
     torch.set_num_threads(1)
-    print("# Rollouts of models, one by one and many at once\n")
-    print(
-        f"Milliseconds of the processor a trajectory and frame, one thread, `lite` models; medians "
-        f"of {ROUNDS} rounds in which models and batches take turns. {platform.machine()}, "
-        f"{os.cpu_count()} cores, torch {torch.__version__}. *Ratio*: batch {BATCHES[-1]} over 1, "
-        f"with its quartiles; the aim is {AIM}.\n"
-    )
+    print(f"{_HEAD}\n")
     heads = " | ".join(f"batch {n}" for n in BATCHES)
     print(f"| scene | model | {heads} | ratio |")
     print(f"| :-- | :-- |{' --: |' * (len(BATCHES) + 1)}")
     for name in sys.argv[1:] or SCENES:
         for row in rows(name):
             print(row, flush=True)
+    print(f"\nMade on {machine()}, torch {torch.__version__}.")
 
 
 if __name__ == "__main__":
