@@ -38,10 +38,11 @@ class Frames:
         self._told = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])
         self._kept = tuple(np.full((count, frames, *told.shape), np.nan) for told in self._told)
 
-    def keep(self, row: int, frame: int) -> None:
-        """Keep the present state."""
+    def keep(self, row: int, frame: int, *, placed: bool = False) -> None:
+        """Keep the present state; bodies may be placed by its coordinates already."""
         model, data = self._model, self._data
-        mujoco.mj_kinematics(model, data)
+        if not placed:
+            mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         at = row, frame

@@ -161,24 +161,23 @@ class Spheres:
         It is 0 if it is less than the `least`, and told roughly, but not too long, if that is
         `enough`.
         """
-        # The lowest alone mostly tells, without arrays; where it rests, without its speed.
+        # The lowest alone mostly tells; where it rests, without its speed.
         if low < _REACH * least * self._gravity * least:
             return 0.0
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
-        if (rough := self._time(low, self._fastest(data))) >= enough:
-            return rough
-        speed = self._speed(data, int(gap.argmin()))
+        lowest = int(gap.argmin())
+        speed = self._speed(data, lowest)
         if low < _REACH * least * (speed + self._gravity * least):
             return 0.0
-        twist = data.cvel[self._bodies]
-        arm = data.geom_xpos[self._geoms] - data.subtree_com[self._roots]
-        velocity = twist[:, 3:] + rotation.cross(twist[:, :3], arm)
-        # gap = _REACH (speed time + gravity time²)
-        way = gap * (2.0 / _REACH)
-        square = np.einsum("ki,ki->k", velocity, velocity)
-        rate = np.sqrt(square) + np.sqrt(square + 2.0 * self._gravity * way)
-        return float((way / np.maximum(rate, _TINY)).min())
+        fastest = self._fastest(data)
+        if (rough := self._time(low, fastest)) >= enough:
+            return rough
+        first = self._time(low, speed)
+        # What is higher than the fastest falls until then cannot come before the lowest.
+        others = np.flatnonzero(gap < _REACH * first * (fastest + self._gravity * first)).tolist()
+        times = (self._time(float(gap[k]), self._speed(data, k)) for k in others if k != lowest)
+        return min([first, *times])
 
     def _time(self, gap: float, speed: float) -> float:
         """Solve gap = _REACH (speed time + gravity time²)."""

@@ -128,7 +128,8 @@ class ModelRun(Run):
         self, one: Batch, frames: Frames, row: int, bends: Array, warnings: list[str]
     ) -> None:
         """Step through one trajectory; frames from a warning on stay as they are."""
-        model, data, frame = self._model, self._data, self._stepper.frame
+        model, data = self._model, self._data
+        frame, placed = self._stepper.frame, self._stepper.placed
         # At the centre of mass and along W in every stage of a step. MuJoCo's first body is W.
         push, force = data.xfrc_applied[1:, :3], one.force[0][:, self._order]
         drive, torque = data.ctrl, one.torque[0]
@@ -140,7 +141,7 @@ class ModelRun(Run):
             frame(model, data)
             if warnings:
                 return
-            frames.keep(row, k + 1)
+            frames.keep(row, k + 1, placed=placed)
             if len(second):
                 bends[k + 1] = qpos[second]
 

@@ -26,6 +26,8 @@ class Stepper(Protocol):
 
     remark: str
     """What the model's text does not tell about the steps."""
+    placed: bool
+    """Whether a frame leaves bodies and geoms where the coordinates say."""
 
     def frame(self, model: Any, data: Any) -> None:
         """Step to the next frame; after a warning the state is of no use."""
@@ -37,7 +39,7 @@ class OneCall:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self.remark = ""
+        self.remark, self.placed = "", False
 
     def frame(self, model: Any, data: Any) -> None:
         mujoco.mj_step(model, data, self._count)
@@ -67,6 +69,7 @@ class FinerWhereFast:
             f" A frame takes {count} steps times the fastest rate of a joint, counted in "
             f"{self._rate:.9g} rad/s and rounded up, {_MOST} times at most."
         )
+        self.placed = False
 
     def frame(self, model: Any, data: Any) -> None:
         rates = data.qvel[self._turning]
@@ -119,6 +122,7 @@ class FinerNearGround:
             " This is the model near the ground. Where no sphere can come down to it, integrator "
             f"{integrator} and timestep {self._step:.9g} are set for a step."
         )
+        self.placed = True  # to look for the ground
 
     def frame(self, model: Any, data: Any) -> None:
         left = self._count
@@ -131,8 +135,6 @@ class FinerNearGround:
                 self._step_near(model, data)
                 aloft = 1
             left -= aloft
-            if left and data.warning.number.any():
-                return
         self._seen = data.time
 
     def _look(self, model: Any, data: Any) -> None:
