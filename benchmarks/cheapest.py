@@ -41,11 +41,11 @@ _HEAD = f"""\
 
 Matched settings are found by search, on the starts of the search. Here every point of a scene's
 [chart](README.md) that keeps all budgets on the chart's few starts, and costs less than the
-cheapest matched settings on it, is tried on {_STARTS} starts of each interval (seed {_SEED}),
-judged as `validate` judges, limits of contact included. Times are those of the trial: processor
-time per simulated second, the mean of all starts. Matched settings come first, bold: the cheapest
-on the chart, and those at steps that the chart does not have. What keeps all budgets and costs less
-than they do is tried on {_MORE} starts of each interval (seed {_PROOF}), too.
+cheapest matched settings that keep them, is tried on {_STARTS} starts of each interval (seed
+{_SEED}), judged as `validate` judges, limits of contact included. Times are those of the trial:
+processor time per simulated second, the mean of all starts. Matched settings of all engines come
+first, bold. What keeps all budgets and costs less is tried on {_MORE} starts of each interval (seed
+{_PROOF}), too.
 """
 
 
@@ -78,12 +78,13 @@ def main() -> None:
 def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
     """Give the rows of a scene, and tell at the end what was cheapest."""
     scene = load_scene(study.scene)
-    matched, least = _matched(study, scene)
-    places = [*matched, *_cheaper(study, least)]
-    print(f"{study.scene}: {len(places) - len(matched)} points are cheaper", file=sys.stderr)
-    trials = dict(zip(places, _tried(scene, places, _STARTS, _SEED), strict=True))
-    own = min((trials[p].cpu_s for p in matched if trials[p].passed), default=math.inf)
-    rivals = [p for p in places if trials[p].passed and p not in matched and trials[p].cpu_s < own]
+    matched = _matched(study, scene)
+    trials = dict(zip(matched, _tried(scene, matched, _STARTS, _SEED), strict=True))
+    own = min((trial.cpu_s for trial in trials.values() if trial.passed), default=math.inf)
+    others = _cheaper(study, own)
+    print(f"{study.scene}: {len(others)} points are cheaper", file=sys.stderr)
+    trials |= dict(zip(others, _tried(scene, others, _STARTS, _SEED), strict=True))
+    rivals = [p for p in others if trials[p].passed and trials[p].cpu_s < own]
     more = dict(zip(rivals, _tried(scene, rivals, _MORE, _PROOF), strict=True))
     kept = {}
     for place, trial in trials.items():
@@ -108,39 +109,17 @@ def _cheapest(kept: dict[Place, float], matched: list[Place]) -> str:
     return f"{first.label} costs {kept[first] / min(own):.2f} of what is matched"
 
 
-def _matched(study: Tradeoff, scene: Scene) -> tuple[list[Place], float]:
-    """Give the cheapest matched settings on the chart, those that are not on it, and the cost."""
-    engines = dict.fromkeys(curve.engine for curve in study.curves)
-    cost = {engine: _cost_of_matched(study, scene, engine) for engine in engines}
-    least = min(cost.values())
+def _matched(study: Tradeoff, scene: Scene) -> list[Place]:
+    """Give the matched settings of all engines on the chart."""
     places = []
-    for engine in (name for name in engines if cost[name] in (least, math.inf)):
+    for engine in dict.fromkeys(curve.engine for curve in study.curves):
         settings = settings_for(scene, load_adapter(engine), "matched")
         places.append(Place(engine, settings, f"**{_label(engine, settings)}**"))
-    return places, least
-
-
-def _cost_of_matched(study: Tradeoff, scene: Scene, engine: str) -> float:
-    """Cost on the chart of an engine's matched settings; infinite where they fail there."""
-    wanted = settings_for(scene, load_adapter(engine), "matched")
-    for curve, point in _points(study):
-        here = Settings(curve.method, point.step_s, curve.options)
-        if curve.engine == engine and not point.broken and _same(scene, here, wanted):
-            return _cost(point)
-    return math.inf
+    return places
 
 
 def _cost(point: Point) -> float:
     return math.inf if point.cpu_s is None else point.cpu_s
-
-
-def _same(scene: Scene, one: Settings, other: Settings) -> bool:
-    frame = scene.clock.frame
-    return (one.method, one.substeps(frame), dict(one.options)) == (
-        other.method,
-        other.substeps(frame),
-        dict(other.options),
-    )
 
 
 def _cheaper(study: Tradeoff, cost: float) -> list[Place]:
