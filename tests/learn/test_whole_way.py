@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmarks.shift_summary import rows_of
 from mbds_xsim.cli import app
 from mbds_xsim.learn.saved import read_facts
 from mbds_xsim.learn.shift.result import Shift
@@ -50,6 +51,9 @@ def test_generate_train_shift_page(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert error is not None
         assert error < 0.3 * trivial
     assert all(answer.answer for answer in shift.answers)
+    ((scene, variant, model, beside_formula, *_),) = rows_of(shift)
+    assert (scene, variant, model) == ("[1pendulum](1pendulum.md), t = 10", "native", "gns")
+    assert float(beside_formula) < 0.3
     text = page.read_text()
     assert "1pendulum" in text
     assert text.count("<svg") >= len(shift.frames)

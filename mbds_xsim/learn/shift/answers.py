@@ -24,9 +24,12 @@ from mbds_xsim.learn.shift.gaps import (
     Training,
     trainings_of,
 )
-from mbds_xsim.learn.shift.result import Answer, Gap, values
+from mbds_xsim.learn.shift.result import Answer, Gap, Ratio, values
 
-__all__ = ["answers_of"]
+__all__ = ["MATCHED", "RESOLVABLE", "ROBUST", "answers_of"]
+
+RESOLVABLE, ROBUST, MATCHED = "resolvable", "robust", "matched"
+"""Kinds of answers beside those that are named after a kind of training."""
 
 Array = NDArray[np.float64]
 Look = Callable[[Training, str], Array]
@@ -48,6 +51,10 @@ class _Ratio:
         if self.high[place] < 1.0:
             return less
         return more if self.low[place] > 1.0 else same
+
+    @property
+    def result(self) -> Ratio:
+        return Ratio(values(self.value), values(self.low), values(self.high))
 
 
 @dataclass(frozen=True)
@@ -110,7 +117,7 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     tried = count[""] + count[UNSURE]
     if tried > 1:
         text += f". Of {tried} intervals at 95 % each, {0.05 * tried:.2g} miss 0 without a shift"
-    return Answer("Is a shift resolvable?", text)
+    return Answer(RESOLVABLE, "Is a shift resolvable?", text)
 
 
 def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
@@ -126,9 +133,11 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], pl
         f"of several is above 1 even without a shift): {told}"
     )
     return Answer(
+        ROBUST,
         f"Which model is most robust ({variant})?",
         text,
-        {model: values(ratio.value) for model, ratio in ratios.items()},
+        variant,
+        {model: ratio.result for model, ratio in ratios.items()},
     )
 
 
@@ -183,7 +192,7 @@ def _several_engines(draws: Draws, field: _Field, place: int) -> Iterator[Answer
             f"left out, against training on a single other engine: error ratio {ratio.told(place)}"
         )
         question = f"Does training on several others help {field.model} ({field.variant})?"
-        yield Answer(question, text, {LEAVE_ONE_OUT: values(ratio.value)})
+        yield Answer(LEAVE_ONE_OUT, question, text, field.variant, {field.model: ratio.result})
     if field.everything is not None:
         ratio = _ratio(draws, functools.partial(_worst_of_all_ratio, field))
         text = (
@@ -192,7 +201,7 @@ def _several_engines(draws: Draws, field: _Field, place: int) -> Iterator[Answer
             f"{ratio.told(place)}"
         )
         question = f"Does training on all engines help {field.model} ({field.variant})?"
-        yield Answer(question, text, {ALL: values(ratio.value)})
+        yield Answer(ALL, question, text, field.variant, {field.model: ratio.result})
 
 
 def _left_out_ratio(field: _Field, targets: Sequence[str], look: Look) -> Array:
@@ -229,8 +238,8 @@ def _matched(draws: Draws, fields: Sequence[_Field], place: int) -> Iterator[Ans
             text = f"At t = {frame} {_removal(native, matched, change, place)}: mean gap ratio "
             text += f"{native.told(place)} on native, {matched.told(place)} on matched data, "
             text += f"{change.told(place)} of the two"
-            figures = {"native": values(native.value), "matched": values(matched.value)}
-            yield Answer(f"Does matched data remove the shift of {model}?", text, figures)
+            question = f"Does matched data remove the shift of {model}?"
+            yield Answer(MATCHED, question, text, ratios={model: change.result})
 
 
 def _lessening(variants: dict[str, _Field], look: Look) -> Array:

@@ -22,6 +22,7 @@ __all__ = [
     "Floor",
     "Gap",
     "ModelFacts",
+    "Ratio",
     "Shift",
     "Values",
     "values",
@@ -150,12 +151,24 @@ class Agreement(msgspec.Struct, frozen=True):
     """Kendall's τ-b."""
 
 
-class Answer(msgspec.Struct, frozen=True):
+class Ratio(msgspec.Struct, frozen=True):
+    """A figure that is 1 where nothing changes, at the frames, with its 95 % interval."""
+
+    value: Values
+    low: Values
+    high: Values
+
+
+class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
     """A question, and its answer from the figures."""
 
+    kind: str
+    """"resolvable", "robust", "leave-one-out", "all" or "matched"."""
     question: str
     answer: str
-    figures: dict[str, Values] = {}
+    variant: str = ""
+    ratios: dict[str, Ratio] = {}
+    """By model: of "robust" the worst gap, of the others the ratio that decides the answer."""
 
 
 class Shift(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,0 +1,131 @@
+"""Write reports/shift/README.md: the study of models under a change of engine, in short.
+
+python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
+from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
+from mbds_xsim.learn.shift.result import Answer, Gap, Shift
+from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.shift_markdown import protocol
+from mbds_xsim.report.shift_tables import at, matrix_of, trained_models
+
+_HEAD = """\
+# Learned models under a change of engine, in short
+
+<!-- Written by: python -m benchmarks.shift_summary reports/shift > reports/shift/README.md -->
+
+Models trained on one engine's trajectories, on all but one engine's or on all, at equal budget,
+and tested on every engine's. [What the figures mean](../../docs/shift.md); each scene's page has
+them all.
+
+- *beside a formula*: the error of a model where it was trained, over that of the best of hold,
+  constant velocity and constant acceleration there; geometric mean over the engines.
+- *resolved*: of the shifts from one engine to another, how many can be told from the model's own
+  error and from chance.
+- *worst gap*: error on another engine over that of the model trained there, the worst pair.
+- *without the target*: error of a training on all engines but the tested one, over that of single
+  other engines. *all engines*: the worst engine's error of a training on all, over the worst of
+  single ones.
+- *native over matched*: mean gap on native data over that on matched data.
+
+Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
+"""
+_HEADING = (
+    "scene, frame", "data", "model", "beside a formula", "resolved", "worst gap",
+    "without the target", "all engines", "native over matched",
+)  # fmt: skip
+
+
+def main(folder: Path) -> None:
+    """Print the page."""
+    files = sorted(folder.glob("*.json"))
+    studies = [msgspec.json.decode(file.read_bytes(), type=Shift) for file in files]
+    print(_HEAD)
+    print(f"| {' | '.join(_HEADING)} |")
+    print(f"| :-- | :-- | :-- |{' --: |' * (len(_HEADING) - 3)}")
+    for shift in studies:
+        for row in rows_of(shift):
+            print(f"| {' | '.join(row)} |")
+    for shift in studies:
+        print("\n".join(_answers(shift)))
+
+
+def rows_of(shift: Shift) -> Iterator[tuple[str, ...]]:
+    """Give a line of texts for each model on each variant of the data."""
+    place = shift.frames.index(shift.at)
+    for variant in dict.fromkeys(domain.variant for domain in shift.domains if domain.variant):
+        for model in trained_models(shift):
+            own = [gap for gap in shift.gaps if _within(gap, model, variant)]
+            yield (
+                f"[{shift.scene}]({shift.scene}.md), t = {shift.at}",
+                variant,
+                model,
+                _beside_formula(shift, model, variant),
+                f"{sum(gap.resolved[place] for gap in own)} of {len(own)}",
+                *(
+                    _ratio(shift, kind, model, "" if kind == MATCHED else variant, place)
+                    for kind in (ROBUST, LEAVE_ONE_OUT, ALL, MATCHED)
+                ),
+            )
+
+
+def _within(gap: Gap, model: str, variant: str) -> bool:
+    """Whether it is one of a model's gaps between two engines of a variant."""
+    ends = f"-{variant}"
+    kind = gap.model == model and gap.kind == SINGLE
+    return kind and gap.training.endswith(ends) and gap.test.endswith(ends)
+
+
+def _beside_formula(shift: Shift, model: str, variant: str) -> str:
+    """Mean over the engines of what a model leaves of the best formula's error."""
+    pick = at(shift, shift.at)
+    learned = matrix_of(shift, model, pick)
+    formulas = [matrix_of(shift, name, pick).values[0] for name in TRIVIAL]
+    parts = []
+    for column, name in enumerate(learned.columns):
+        if not name.endswith(f"-{variant}") or name not in learned.rows:
+            continue
+        error = learned.values[learned.rows.index(name)][column]
+        known = [error for row in formulas if (error := row[column]) is not None]
+        if error is None or not known:
+            return NONE
+        parts.append(error / min(known))
+    return number(statistics.geometric_mean(parts)) if parts else NONE
+
+
+def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:
+    for answer in shift.answers:
+        if (answer.kind, answer.variant) == (kind, variant) and model in answer.ratios:
+            ratio = answer.ratios[model]
+            return (
+                f"{number(ratio.value[place])} "
+                f"[{number(ratio.low[place])}, {number(ratio.high[place])}]"
+            )
+    return NONE
+
+
+def _answers(shift: Shift) -> Iterator[str]:
+    yield f"\n## {shift.scene}\n"
+    yield f"![Error by training and test domain, {shift.scene}]({shift.scene}.png)\n"
+    yield f"{protocol(shift)}.\n"
+    yield from (_answer(answer) for answer in shift.answers)
+    yield from (f"- {name} left out: {reason}." for name, reason in shift.left_out.items())
+
+
+def _answer(answer: Answer) -> str:
+    return f"- **{answer.question}** {answer.answer}."
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
