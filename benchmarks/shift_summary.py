@@ -5,6 +5,7 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 
 from __future__ import annotations
 
+import math
 import statistics
 import sys
 from collections.abc import Iterator
@@ -97,8 +98,8 @@ def _beside_formula(shift: Shift, model: str, variant: str) -> str:
         if not name.endswith(f"-{variant}") or name not in learned.rows:
             continue
         error = learned.values[learned.rows.index(name)][column]
-        known = [error for row in formulas if (error := row[column]) is not None]
-        if error is None or not known:
+        known = [row[column] or math.inf for row in formulas]
+        if error is None:
             return NONE
         parts.append(error / min(known))
     return number(statistics.geometric_mean(parts)) if parts else NONE
