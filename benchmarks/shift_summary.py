@@ -15,10 +15,10 @@ import msgspec
 
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
-from mbds_xsim.learn.shift.result import Answer, Gap, Shift
+from mbds_xsim.learn.shift.result import Gap, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.report.shift_markdown import protocol
+from mbds_xsim.report.shift_markdown import in_words
 from mbds_xsim.report.shift_tables import at, matrix_of, trained_models
 
 _HEAD = """\
@@ -119,13 +119,7 @@ def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str
 def _answers(shift: Shift) -> Iterator[str]:
     yield f"\n## {shift.scene}\n"
     yield f"![Error by training and test domain, {shift.scene}]({shift.scene}.png)\n"
-    yield f"{protocol(shift)}.\n"
-    yield from (_answer(answer) for answer in shift.answers)
-    yield from (f"- {name} left out: {reason}." for name, reason in shift.left_out.items())
-
-
-def _answer(answer: Answer) -> str:
-    return f"- **{answer.question}** {answer.answer}."
+    yield from in_words(shift)
 
 
 if __name__ == "__main__":

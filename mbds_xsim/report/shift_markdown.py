@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.shift_tables import Table, tables
 
-__all__ = ["protocol", "to_markdown"]
+__all__ = ["in_words", "protocol", "to_markdown"]
 
 _ENOUGH = 3  # seeds
 
@@ -27,14 +27,19 @@ def to_markdown(studies: Sequence[Shift], picture: str = "") -> str:
 
 def _scene(shift: Shift) -> Iterator[str]:
     yield f"# {shift.scene}: learned models under a change of engine\n"
-    yield f"{protocol(shift)}.\n"
-    yield from (f"- **{a.question}** {a.answer}." for a in shift.answers)
-    yield from (f"- {name} left out: {reason}." for name, reason in shift.left_out.items())
+    yield from in_words(shift)
     for table in tables(shift):
         yield f"\n## {table.title}\n"
         yield f"{table.note}.\n"
         yield from _rows(table)
     yield f"\nMade by `{shift.command}` in {shift.wall_s:.0f} s on {shift.machine}."
+
+
+def in_words(shift: Shift) -> Iterator[str]:
+    """Give the protocol, the answers, and what was left out."""
+    yield f"{protocol(shift)}.\n"
+    yield from (f"- **{a.question}** {a.answer}." for a in shift.answers)
+    yield from (f"- {name} left out: {reason}." for name, reason in shift.left_out.items())
 
 
 def protocol(shift: Shift) -> str:

@@ -26,7 +26,7 @@ from mbds_xsim.learn.shift.gaps import (
 )
 from mbds_xsim.learn.shift.result import Answer, Gap, Ratio, values
 
-__all__ = ["MATCHED", "RESOLVABLE", "ROBUST", "answers_of"]
+__all__ = ["MATCHED", "ROBUST", "answers_of"]
 
 RESOLVABLE, ROBUST, MATCHED = "resolvable", "robust", "matched"
 """Kinds of answers beside those that are named after a kind of training."""
