@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.energy import Kinetic, rod_velocity, squares
+from mbds_xsim.learn.energy import Kinetic, squares, velocities
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import kinds_of
 
@@ -60,64 +60,77 @@ class ConvexScalar(nn.Module):
 
     def forward(self, s: Tensor, kind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, first and second derivatives at s (batch, k) of kinds (k,), of the shape of s."""
-        value, first, second = s[..., None], torch.ones_like(s)[..., None], s[..., None] * 0.0
         shifts = self.shift(kind).chunk(len(self.raw), dim=-1)
+        jet = torch.stack([s, torch.ones_like(s), torch.zeros_like(s)])[..., None]
         for raw, shift in zip(self.raw, shifts, strict=True):
-            weight = (_squareplus(raw) / raw.shape[1]).T
-            value, first, second = _bend(value @ weight + shift, first @ weight, second @ weight)
-        last = _squareplus(self.last) / len(self.last)
+            value, first, second = (jet @ (_squareplus(raw) / raw.shape[1]).T).unbind()
+            jet = torch.stack(_bend(value + shift, first, second))
+        value, first, second = (jet @ (_squareplus(self.last) / len(self.last))).unbind()
         slope = 0.5 * _squareplus(self.slope(kind))[:, 0]
-        return value @ last + slope * s, first @ last + slope, second @ last
+        return value + slope * s, first + slope, second
 
 
 class Potential(nn.Module):
     """V over its unit, of positions in units of the scene's length."""
 
-    edge_map: Tensor
-    ends: Tensor
     kind: Tensor
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
         width = shape.width
-        edge_map, ends = _edges(mechanics)
         kind, kinds = kinds_of(mechanics.points)
-        for name, values in (("edge_map", edge_map), ("ends", ends), ("kind", kind)):
-            self.register_buffer(name, torch.as_tensor(values), persistent=False)
-        self.passes = shape.passes
+        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
         self.embed = nn.Embedding(kinds, width)
+        self.of_place = _perceptron(width + 3, 1, shape)
+        self.slope = nn.Linear(width, 3)
+        # A function of distances that nothing changes has a slope along the constraints alone,
+        # whose forces take it up: it moves nothing.
+        self.of_distances = OfDistances(mechanics, shape) if mechanics.mechanism.springs else None
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
+        place = x[:, : len(self.kind)]
+        kind = self.embed(self.kind).expand(len(x), -1, -1)
+        at = self.of_place(torch.cat([kind, place], -1))[..., 0]
+        energy = (at + (self.slope(kind) * place).sum(-1)).sum(1)
+        return energy if self.of_distances is None else energy + self.of_distances(x, kind)
+
+
+class OfDistances(nn.Module):
+    """The part of V that message passing on distances gives."""
+
+    edge_map: Tensor
+    ends: Tensor
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        width = shape.width
+        for name, values in zip(("edge_map", "ends"), _edges(mechanics), strict=True):
+            self.register_buffer(name, values, persistent=False)
+        self.passes = shape.passes
         self.of_distance = _perceptron(1, width, shape)
         self.message = _perceptron(2 * width, width, shape)
         self.renew = _perceptron(width, width, shape)
         self.of_edge = _perceptron(width, 1, shape)
         self.of_node = _perceptron(width, 1, shape)
-        self.of_place = _perceptron(width + 3, 1, shape)
-        self.slope = nn.Linear(width, 3)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
+    def forward(self, x: Tensor, node: Tensor) -> Tensor:
+        """Give it, shape (batch,), at all nodes (batch, all nodes, 3) and their embeddings."""
         span = torch.linalg.vector_norm(self.edge_map @ x, dim=-1, keepdim=True)
-        place = x[:, : len(self.kind)]
-        kind = self.embed(self.kind).expand(len(x), -1, -1)
-        node, edge = kind, self.of_distance(span)
+        edge = self.of_distance(span)
         for _ in range(self.passes):
             a, b = node[:, self.ends[0]], node[:, self.ends[1]]
             node = node.index_add(1, self.ends[0], self.message(torch.cat([a, edge], -1)))
             node = node.index_add(1, self.ends[1], self.message(torch.cat([b, edge], -1)))
             edge = edge + self.renew(node[:, self.ends[0]] * node[:, self.ends[1]])
-        at = self.of_place(torch.cat([kind, place], -1))[..., 0] + (self.slope(kind) * place).sum(
-            -1
-        )
-        return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2)) + at.sum(1)
+        return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2))
 
 
 class EnergyNetwork(nn.Module):
     """Learned kinetic and potential energy (an `Energy`)."""
 
-    mass: Tensor
-    rod_mass: Tensor
-    node_kind: Tensor
-    rod_kind: Tensor
+    kind: Tensor
+    """Of free nodes, then of rods."""
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
@@ -125,25 +138,20 @@ class EnergyNetwork(nn.Module):
         points = mechanics.points
         node_kind, node_kinds = kinds_of(points)
         _, rod_kind = np.unique(np.round(_rod_columns(mechanics), 12), axis=0, return_inverse=True)
-        for name, values in (
-            ("mass", points.mass[: points.free]),
-            ("rod_mass", points.rod_mass),
-            ("node_kind", node_kind[: points.free]),
-            ("rod_kind", rod_kind.reshape(-1)),
-        ):
-            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+        kind = np.concatenate([node_kind[: points.free], node_kinds + rod_kind.reshape(-1)])
+        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
+        self.kinds = int(kind.max()) + 1
         self.length, self.square_speed = _units(mechanics)
         self.unit = self.square_speed * float(points.mass[points.mass > 0].mean())
-        self.of_speed = ConvexScalar(node_kinds, shape)
-        self.of_rod = ConvexScalar(int(rod_kind.max()) + 1, shape)
+        self.of_speed = ConvexScalar(self.kinds, shape)
         self.of_place = Potential(mechanics, shape)
 
     def kinetic(self, v: Tensor) -> Kinetic:
         """See `Energy`."""
-        square = self.square_speed
-        nodes = self.of_speed(squares(v) / square, self.node_kind)
-        rods = self.of_rod(squares(rod_velocity(self.mechanics, v)) / square, self.rod_kind)
-        return Kinetic(_scaled(nodes, self.mass, square), _scaled(rods, self.rod_mass, square))
+        square, mass = self.square_speed, self.mechanics.moved_mass
+        speed = squares(velocities(self.mechanics, v)) / square
+        value, first, second = self.of_speed(speed, self.kind)
+        return Kinetic(mass * square * value, mass * first, mass / square * second)
 
     def potential(self, q: Tensor) -> Tensor:
         """See `Energy`."""
@@ -157,25 +165,20 @@ class Drag(nn.Module):
     def __init__(self, energy: EnergyNetwork, shape: EnergyShape) -> None:
         super().__init__()
         self.energy = [energy]  # not a part: its parameters are not the drag's
-        kinds = [int(kind.max()) + 1 for kind in (energy.node_kind, energy.rod_kind)]
-        self.embed = nn.ModuleList(nn.Embedding(count, shape.width) for count in kinds)
-        self.of_speed = nn.ModuleList(_perceptron(shape.width + 1, 1, shape) for _ in kinds)
+        self.embed = nn.Embedding(energy.kinds, shape.width)
+        self.of_speed = _perceptron(shape.width + 1, 1, shape)
 
     def forward(self, v: Tensor) -> Tensor:
         """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
         (energy,) = self.energy
-        rate = math.sqrt(energy.square_speed) / energy.length
-        rods = rod_velocity(energy.mechanics, v)
-        at = rate * energy.mass * self._share(0, v, energy.node_kind)
-        along = rate * energy.rod_mass * self._share(1, rods, energy.rod_kind)
-        return -at[..., None] * v - energy.mechanics.rod_map.T @ (along[..., None] * rods)
-
-    def _share(self, which: int, v: Tensor, kind: Tensor) -> Tensor:
+        mechanics = energy.mechanics
+        each = velocities(mechanics, v)
         # Of a whip's speed itself the share would grow until the integrator is unstable.
-        speed = torch.log1p(squares(v)[..., None] / self.energy[0].square_speed)
-        kinds = self.embed[which](kind).expand(len(v), -1, -1)
-        raw: Tensor = self.of_speed[which](torch.cat([kinds, speed], -1))[..., 0]
-        return 0.1 * raw**2
+        speed = torch.log1p(squares(each)[..., None] / energy.square_speed)
+        kinds = self.embed(energy.kind).expand(len(v), -1, -1)
+        share = 0.1 * self.of_speed(torch.cat([kinds, speed], -1)) ** 2
+        rate = math.sqrt(energy.square_speed) / energy.length
+        return -mechanics.speed_map.T @ (rate * mechanics.moved_mass[:, None] * share * each)
 
 
 def _squareplus(x: Tensor) -> Tensor:
@@ -187,12 +190,6 @@ def _bend(value: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor,
     root = torch.sqrt(value * value + 4.0)
     slope = 0.5 * (1.0 + value / root)
     return 0.5 * (value + root), slope * first, slope * second + 2.0 / root**3 * first**2
-
-
-def _scaled(
-    jets: tuple[Tensor, Tensor, Tensor], mass: Tensor, square: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    return mass * square * jets[0], mass * jets[1], mass / square * jets[2]
 
 
 def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:

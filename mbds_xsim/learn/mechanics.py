@@ -6,7 +6,7 @@ what LGNN and HGNN are told of a scene: topology, lengths, masses and known forc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -101,12 +101,12 @@ class Mechanics(nn.Module):
     hinge_axis: Tensor
     turning: Tensor
     gravity: Tensor
-    rod_map: Tensor
-    """Velocities of free nodes to those of rods, shape (rod, node)."""
-    diagonal: Tensor
-    rod_place: Tensor
-    rod_index: Tensor
-    rod_sign: Tensor
+    moved_mass: Tensor
+    """Of free nodes, then of rods [kg], shape (node + rod,): kinetic energy is a sum over both."""
+    speed_map: Tensor
+    """Velocities of free nodes to those of nodes and rods, shape (node + rod, node)."""
+    coupling: Tensor
+    """What each of them adds to each block of the mass matrix, shape (node · node, node + rod)."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
@@ -115,7 +115,8 @@ class Mechanics(nn.Module):
         self.points = points_of(self.mechanism)
         self.free = self.points.free
         rows = rows_of(self.mechanism, self.points)
-        mass = _mass_matrix(self.points)
+        moved_mass, speed_map = _terms(self.points)
+        mass = speed_map.T @ (moved_mass[:, None] * speed_map)
         for name, values in (
             ("fixed", self.points.fixed),
             ("mass", mass),
@@ -131,8 +132,9 @@ class Mechanics(nn.Module):
             ("hinge_axis", _hinge_axes(self.mechanism, self.points)),
             ("turning", _turning(self.mechanism, self.points)),
             ("gravity", np.array(scene.gravity)),
-            ("diagonal", np.arange(self.free) * (self.free + 1)),
-            *_rods(self.points),
+            ("moved_mass", moved_mass),
+            ("speed_map", speed_map),
+            ("coupling", np.einsum("ki,kj->ijk", speed_map, speed_map).reshape(-1, len(speed_map))),
         ):
             self.register_buffer(name, torch.as_tensor(values), persistent=False)
 
@@ -255,31 +257,14 @@ def refuse_contact(scene: Scene) -> None:
         raise Unsupported(msg)
 
 
-def _mass_matrix(points: Points) -> Array:
-    """M of the free nodes; each component of W has the same, shape (node, node) [kg]."""
-    mass = np.diag(points.mass)
-    for (tip, com), value in zip(points.rods, points.rod_mass, strict=True):
-        mass[[tip, com], [tip, com]] += value
-        mass[[tip, com], [com, tip]] -= value
-    return mass[: points.free, : points.free]
-
-
-def _rods(points: Points) -> Iterator[tuple[str, Array | Indices]]:
-    """The map of velocities, and the blocks of the mass matrix that each rod adds to."""
-    rods, free = np.arange(len(points.rods)), points.free
+def _terms(points: Points) -> tuple[Array, Array]:
+    """Masses and velocities of the terms of the kinetic energy: nodes, then rods."""
+    rods = np.arange(len(points.rods))
     span = np.zeros((len(rods), points.count))
     span[rods, points.rods[:, 0]], span[rods, points.rods[:, 1]] = 1.0, -1.0
-    yield "rod_map", span[:, :free]
-    ends = [
-        (rod, row, column)
-        for rod in rods
-        for row in points.rods[rod]
-        for column in points.rods[rod]
-    ]
-    inside = np.array([end for end in ends if max(end[1:]) < free], dtype=np.int64).reshape(-1, 3)
-    yield "rod_place", inside[:, 1] * free + inside[:, 2]
-    yield "rod_index", inside[:, 0]
-    yield "rod_sign", np.where(inside[:, 1] == inside[:, 2], 1.0, -1.0)
+    free = points.free
+    mass = np.concatenate([points.mass[:free], points.rod_mass])
+    return mass, np.concatenate([np.eye(free), span[:, :free]])
 
 
 def _springs(mechanism: Mechanism, points: Points) -> Array:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.learn.energy import mass_matrix, momentum
-from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape
+from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape, OfDistances
 from mbds_xsim.learn.hgnn import Hamiltonian
 from mbds_xsim.learn.lgnn import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
@@ -49,6 +49,27 @@ def test_the_mass_matrix_is_positive_whatever_the_parameters() -> None:
             v = 10.0 * torch.randn(16, 6, 3, dtype=torch.float64)
             values = torch.linalg.eigvalsh(mass_matrix(energy.mechanics, energy.kinetic(v), v))
             assert values.min() > 0
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "3ladder"])
+@pytest.mark.parametrize("dynamics", [Lagrangian, Hamiltonian])
+def test_what_distances_that_nothing_changes_store_moves_nothing(
+    name: str, dynamics: type[Lagrangian | Hamiltonian]
+) -> None:
+    """So that it is left out of the energy; without springs all distances are such."""
+    energy = random_energy(name)
+    assert energy.of_place.of_distances is None
+    model = dynamics(energy)
+    q, v = drawn_states(energy.mechanics)
+    inputs = no_inputs(energy.mechanics, len(q))
+    without, stored = model.acceleration(q, v, *inputs), energy.potential(q)
+    more = OfDistances(energy.mechanics, EnergyShape()).double()
+    for parameter in more.parameters():
+        parameter.data += 0.3 * torch.randn_like(parameter)
+    energy.of_place.of_distances = more
+    assert (energy.potential(q) - stored).abs().max() > 0.1 * stored.abs().max()
+    apart = (model.acceleration(q, v, *inputs) - without).abs().max()
+    assert apart < 1e-10 * without.abs().max()
 
 
 @pytest.mark.parametrize(("name", "steps"), [("6pendulum", 10), ("3ladder", 20)])
