@@ -9,10 +9,11 @@ the scene without it is not rotating all of them, and the map may tell up from d
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from mbds_xsim.learn.sgnn_topology import Edges, pool
@@ -140,8 +141,32 @@ def end_scalars(scalars: Tensor, edges: Edges) -> tuple[Scalars, Scalars]:
 
 def invariants(vectors: Tensor) -> Tensor:
     """All inner products of the vectors (…, channel, 3), scaled to a unit norm, (…, channel²)."""
-    products = (vectors @ vectors.mT).flatten(-2)
-    return functional.normalize(products, dim=-1, eps=LEAST_NORM)
+    found: Tensor = _Invariants.apply(vectors)  # type: ignore[no-untyped-call]
+    return found
+
+
+class _Invariants(torch.autograd.Function):
+    """Its slope is symmetric, of which torch does not know: by hand it takes half the products.
+
+    Differentiable once.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, vectors: Tensor) -> Tensor:
+        gram = vectors @ vectors.mT
+        norm = torch.linalg.matrix_norm(gram, keepdim=True)
+        scaled = gram / norm.clamp(min=LEAST_NORM)
+        ctx.save_for_backward(vectors, scaled, norm)
+        return scaled.flatten(-2)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        vectors, scaled, norm = ctx.saved_tensors
+        slope = slope.reshape(scaled.shape)
+        along = (slope * scaled).sum((-2, -1), keepdim=True) * (norm > LEAST_NORM)
+        slope = (slope - along * scaled) / norm.clamp(min=LEAST_NORM)
+        return (slope + slope.mT) @ vectors
 
 
 def mlp(inputs: int, outputs: int, *, hidden: int, layers: int) -> nn.Sequential:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
+from mbds_xsim.learn.sgnn_layer import LEAST_NORM, invariants
 from mbds_xsim.learn.sgnn_network import PARTICLE, READ, Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
 from mbds_xsim.learn.sgnn_topology import Hierarchy
@@ -282,3 +283,16 @@ def test_rigid_rollout_keeps_distances() -> None:
     same = owner[:, None] == owner
     assert (gaps(after) - gaps(now))[:, same].abs().max() < 1e-12
     assert (gaps(after) - gaps(now))[:, ~same].abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("size", [1.0, 0.1 * LEAST_NORM**0.5])
+def test_the_slope_of_the_invariants_is_that_of_their_formula(size: float) -> None:
+    torch.manual_seed(0)
+    vectors = (size * torch.randn(4, 5, 3, dtype=torch.float64)).requires_grad_()
+    products = (vectors @ vectors.mT).flatten(-2)
+    formula = torch.nn.functional.normalize(products, dim=-1, eps=LEAST_NORM)
+    assert torch.allclose(invariants(vectors), formula, rtol=1e-14)
+    weights = torch.randn_like(formula)
+    (expected,) = torch.autograd.grad((formula * weights).sum(), vectors)
+    (found,) = torch.autograd.grad((invariants(vectors) * weights).sum(), vectors)
+    assert (found - expected).abs().max() < 1e-12 * expected.abs().max()
