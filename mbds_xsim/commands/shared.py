@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CacheUse",
+    "Device",
+    "DeviceWorkers",
     "EngineNames",
     "JsonFile",
     "SceneName",
@@ -63,6 +65,10 @@ Seed = Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)]
 CacheUse = Annotated[bool, typer.Option(help="Use stored reference solutions.")]
 WorkerCount = Annotated[
     int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
+]
+Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+DeviceWorkers = Annotated[
+    int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")

@@ -9,8 +9,9 @@ import typer
 
 from mbds_xsim.commands.shared import (
     CacheUse,
+    Device,
+    DeviceWorkers,
     JsonFile,
-    WorkerCount,
     app,
     check_targets,
     command_line,
@@ -46,7 +47,8 @@ def shift(
         typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
     ] = None,
     cache: CacheUse = True,
-    workers: WorkerCount = None,
+    workers: DeviceWorkers = None,
+    device: Device = "cpu",
     json: JsonFile = None,
     csv: Annotated[
         Path | None,
@@ -61,12 +63,14 @@ def shift(
     ] = None,
 ) -> None:
     """Test models that were trained on one engine's data on every other engine's."""
+    from mbds_xsim.learn.accelerate import check_device
     from mbds_xsim.learn.shift.study import study
     from mbds_xsim.report.shift_files import write_files
     from mbds_xsim.report.shift_terminal import print_shift
 
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    check_device(device)
     studies = []
     for name in scene or _scenes(models, data):
         with progress_on(console) as meter:
@@ -78,6 +82,7 @@ def shift(
                 at=at,
                 cache=cache,
                 workers=workers,
+                device=device,
                 meter=meter,
                 command=command_line(),
             )

@@ -11,6 +11,8 @@ import typer
 
 from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
+    Device,
+    DeviceWorkers,
     JsonFile,
     app,
     check_targets,
@@ -52,13 +54,9 @@ _Track = Annotated[
     typer.Option(help="Hyper-parameters: lite, native or paper; the profile's when left out."),
 ]
 _Plan = Annotated[bool, typer.Option("--plan", help="Only measure and print the cost.")]
-_Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 _Mixed = Annotated[bool, typer.Option("--bf16", help="On cuda: mixed precision with bfloat16.")]
 _Compiled = Annotated[
     bool, typer.Option("--compile", help="On cuda: compiled networks, as CUDA graphs.")
-]
-_Workers = Annotated[
-    int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
 _Scheduler = Annotated[
     str | None,
@@ -86,10 +84,10 @@ def train(
     steps: _Steps = None,
     track: _Track = None,
     plan: _Plan = False,
-    device: _Device = "cpu",
+    device: Device = "cpu",
     bf16: _Mixed = False,
     compiled: _Compiled = False,
-    workers: _Workers = None,
+    workers: DeviceWorkers = None,
     scheduler: _Scheduler = None,
     tensorboard: _Events = None,
     png: _Curves = None,
@@ -196,7 +194,8 @@ def _carrier(
 ) -> tuple[Carrier, int]:
     """Give what carries runs out, and how many at a time."""
     from mbds_xsim.dataset.cluster import Cluster
-    from mbds_xsim.isolate import core_count, run_tasks
+    from mbds_xsim.isolate import run_tasks
+    from mbds_xsim.learn.accelerate import process_count
 
     if scheduler is not None and workers is not None:
         msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"
@@ -204,7 +203,7 @@ def _carrier(
     if scheduler is not None:
         cluster = stack.enter_context(Cluster(scheduler, out))
         return cluster, cluster.workers
-    return run_tasks, workers or (1 if device == "cuda" else core_count())
+    return run_tasks, process_count(workers, device)
 
 
 def _draw(curves: Sequence[Path], png: Path | None) -> None:

@@ -8,9 +8,10 @@ import torch
 from torch import nn
 
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import core_count
 from mbds_xsim.learn.model import Model, PointModel
 
-__all__ = ["check_device", "compile_networks", "precision", "put"]
+__all__ = ["check_device", "compile_networks", "precision", "process_count", "put"]
 
 
 def check_device(device: str, *, here: bool = True) -> None:
@@ -21,6 +22,13 @@ def check_device(device: str, *, here: bool = True) -> None:
     if here and device == "cuda" and not torch.cuda.is_available():
         msg = "--device: got 'cuda', but torch finds no GPU here; allowed is cpu"
         raise InputError(msg)
+
+
+def process_count(asked: int | None, device: str) -> int:
+    """As many at a time as asked; left out, one for a GPU, which they would share, or all cores."""
+    if asked is not None:
+        return asked
+    return 1 if device == "cuda" else core_count()
 
 
 def put(model: Model, device: str) -> None:

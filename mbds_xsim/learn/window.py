@@ -118,14 +118,14 @@ class Motions:
             return torch.from_numpy(np.stack([data[name][int(row)] for row in chosen]))
 
         return Motions(
-            graph=graph.to(device),
+            graph=graph,
             split=split,
             index=data.index[chosen],
-            position=graph.embed(read("position").to(dtype)).to(device),
-            velocity=graph.embed(read("velocity").to(dtype), rest=0.0).to(device),
-            inputs=_inputs(data, chosen, device, dtype),
-            body=_bodies(data, chosen).to(device) if bodies else None,
-        )
+            position=graph.embed(read("position").to(dtype)),
+            velocity=graph.embed(read("velocity").to(dtype), rest=0.0),
+            inputs=_inputs(data, chosen, dtype),
+            body=_bodies(data, chosen) if bodies else None,
+        ).to(device)
 
     @staticmethod
     def joined(parts: Sequence[Motions]) -> Motions:
@@ -150,6 +150,18 @@ class Motions:
                 torch.cat([part.inputs.torque for part in parts]),
             ),
             body=torch.cat(bodies) if len(bodies) == len(parts) else None,
+        )
+
+    def to(self, device: torch.device | str) -> Motions:
+        """Move everything to a device."""
+        return Motions(
+            graph=self.graph.to(device),
+            split=self.split,
+            index=self.index,
+            position=self.position.to(device),
+            velocity=self.velocity.to(device),
+            inputs=Inputs(self.inputs.force.to(device), self.inputs.torque.to(device)),
+            body=None if self.body is None else self.body.to(device),
         )
 
     def __len__(self) -> int:
@@ -210,16 +222,14 @@ class Motions:
         )
 
 
-def _inputs(
-    data: Dataset, rows: NDArray[np.int64], device: torch.device | str, dtype: torch.dtype
-) -> Inputs:
+def _inputs(data: Dataset, rows: NDArray[np.int64], dtype: torch.dtype) -> Inputs:
     """What a model may be told: `input/force` has the noise in it and is never read."""
     bodies, steps = len(data.scene.bodies), int(data.attributes["steps"])
     force = torch.zeros(1, 1, 1, 1).expand(len(rows), steps, bodies, 3)
     if _has(data, "input/known_force"):
         force = _stacked(data, "input/known_force", rows)
     torque = _stacked(data, "input/torque", rows)
-    return Inputs(force.to(device, dtype), torque.to(device, dtype))
+    return Inputs(force.to(dtype), torque.to(dtype))
 
 
 def _bodies(data: Dataset, rows: NDArray[np.int64]) -> Tensor:

@@ -11,6 +11,7 @@ import shutil
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import msgspec
@@ -175,11 +176,11 @@ def test_memory_holds_one_domain_and_no_figures(
     test = load_paired(folder / "data", SCENE)
     seen: list[weakref.ref[Motions]] = []
 
-    def watched(model: Model, motions: Motions, *, horizon: int, stride: int) -> Figures:
+    def watched(model: Model, motions: Motions, **plan: Any) -> Figures:
         alive = {id(found) for ref in seen if (found := ref()) is not None}
         assert alive <= {id(motions)}
         seen.append(weakref.ref(motions))
-        return figures_on(model, motions, horizon=horizon, stride=stride)
+        return figures_on(model, motions, **plan)
 
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
     monkeypatch.setattr(evaluate, "figures_on", watched)
@@ -237,6 +238,23 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     assert "![" in Path(names["md"]).read_text()
     assert Path(names["png"]).read_bytes().startswith(b"\x89PNG")
     assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
+
+
+@pytest.mark.parametrize(
+    ("device", "line"),
+    [
+        ("tpu", "--device: got 'tpu', allowed is cpu or cuda"),
+        pytest.param(
+            "cuda",
+            "torch finds no GPU here; allowed is cpu",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
+        ),
+    ],
+)
+def test_a_device_that_is_not_there_is_refused(folder: Path, device: str, line: str) -> None:
+    words = ["shift", str(folder / "models"), str(folder / "data"), "--device", device]
+    with pytest.raises(InputError, match=line):
+        app(words, standalone_mode=False)
 
 
 def _check_viewer(page: str) -> None:

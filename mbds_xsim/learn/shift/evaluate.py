@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +13,8 @@ import torch
 
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.learn.accelerate import process_count, put
+from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.shift.domains import Domain
 from mbds_xsim.learn.shift.measure import Figures, figures_on, read_figures
 from mbds_xsim.learn.shift.roster import Entry
@@ -30,12 +33,14 @@ Paths = dict[tuple[Entry, str], Path]
 
 @dataclass(frozen=True)
 class Plan:
-    """How long to predict."""
+    """What to predict, and where."""
 
     horizon: int
     """Frames of a rollout."""
     stride: int = 8
     """Frames from a window of the teacher-forced prediction to the next."""
+    device: str = "cpu"
+    """Of the models."""
 
 
 def evaluate(
@@ -78,7 +83,9 @@ def evaluate(
                 tell(entry)
 
     for part, answer in zip(
-        parts, run_tasks(tasks, workers=workers, finished=finished), strict=True
+        parts,
+        run_tasks(tasks, workers=process_count(workers, plan.device), finished=finished),
+        strict=True,
     ):
         if isinstance(answer, Crash):
             msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
@@ -112,14 +119,20 @@ def _places(paths: Paths, entries: Sequence[Entry]) -> Paths:
 
 def _carry_out(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: Plan) -> None:
     torch.set_num_threads(1)
-    load = functools.cache(lambda entry: entry.load(scene))
+
+    @functools.cache
+    def load(entry: Entry) -> Model:
+        model = entry.load(scene)
+        put(model, plan.device)
+        return model
+
     for domain in domains:  # outermost, so that the motions of one alone are in memory
         motions = functools.cache(domain.motions)
         for (entry, name), path in paths.items():
             if name == domain.name and not path.is_file():
                 model = load(entry)
                 known = motions(model.dtype)
-                figures_on(model, known, horizon=plan.horizon, stride=plan.stride).write(path)
+                figures_on(model, known, **dataclasses.asdict(plan)).write(path)
 
 
 def _path(entry: Entry, domain: Domain, plan: Plan) -> Path:

@@ -68,21 +68,25 @@ def read_figures(path: Path) -> Figures | None:
         return None
 
 
-def figures_on(model: Model, motions: Motions, *, horizon: int, stride: int) -> Figures:
+def figures_on(
+    model: Model, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
+) -> Figures:
     """Test a model; trajectories whose first window is not known are left unknown.
 
     Args:
-        model: Of the motions' type of numbers.
-        motions: The truth.
+        model: Of the motions' type of numbers, on the device.
+        motions: The truth, on the CPU.
         horizon: Frames of a rollout.
         stride: Frames from a window of the teacher-forced predictions to the next.
+        device: Where to predict; what is predicted is measured on the CPU.
     """
     start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
     rows = torch.nonzero(start)[:, 0]
     known = motions[rows]
-    rolled = rollout(model, known, steps=horizon)
-    step = one_step_error(model, known, frames=horizon, stride=stride)
-    return _spread(measure(known, rolled.position, step), rows.numpy(), len(motions))
+    shown = known.to(device)
+    predicted = rollout(model, shown, steps=horizon).position.cpu()
+    step = one_step_error(model, shown, frames=horizon, stride=stride)
+    return _spread(measure(known, predicted, step), rows.numpy(), len(motions))
 
 
 def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> Figures:
@@ -130,7 +134,8 @@ def one_step_error(model: Model, motions: Motions, *, frames: int, stride: int) 
         with torch.no_grad():
             state = model.advance(model.begin(sample.start), sample.inputs.at(0))
             after = model.positions(state).double()
-        error = _squared_distance(after, sample.position[:, 0].double())
+        error = _squared_distance(after, sample.position[:, 0].double()).cpu()
+        rows = rows.cpu()
         total[rows] += torch.where(error.isfinite(), error, torch.inf)
         count[rows] += 1
     return np.asarray((total / count).numpy())

@@ -68,6 +68,7 @@ def study(
     at: int | None = None,
     cache: bool = True,
     workers: int | None = None,
+    device: str = "cpu",
     meter: Meter | None = None,
     command: str = "",
 ) -> Studied:
@@ -81,6 +82,7 @@ def study(
         at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
         cache: Whether stored reference solutions are used.
         workers: Processes at a time.
+        device: Of the models.
         meter: Told of every model that is done.
         command: What was typed.
 
@@ -94,7 +96,7 @@ def study(
     check_budget(trained)
     check_data(trained, test)
     entries = [*trivial_entries(), *trained]
-    plan = Plan(horizon=min(max(FRAMES), test.batch.steps + 1 - HISTORY))
+    plan = Plan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
     at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
