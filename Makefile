@@ -124,7 +124,7 @@ reports-models: $(VENV)/ready
 # Single-engine trainings alone have one seed; more: SEEDS=3.
 STUDY ?= out/study
 DRAWN ?= 1000
-STEPS ?= 2000
+STEPS ?= 1000
 WAYS = each,leave-one-out,all
 POINTS = gns,sgnn
 SEEDS ?= 1

@@ -5,7 +5,6 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 
 from __future__ import annotations
 
-import math
 import statistics
 import sys
 from collections.abc import Iterator
@@ -16,10 +15,9 @@ import msgspec
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
-from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.report.shift_markdown import in_words
-from mbds_xsim.report.shift_tables import at, matrix_of, trained_models
+from mbds_xsim.report.shift_tables import at, best_formula, matrix_of, trained_models
 
 _HEAD = """\
 # Learned models under a change of engine, in short
@@ -91,17 +89,15 @@ def _within(gap: Gap, model: str, variant: str) -> bool:
 def _beside_formula(shift: Shift, model: str, variant: str) -> str:
     """Mean over the engines of what a model leaves of the best formula's error."""
     pick = at(shift, shift.at)
-    learned = matrix_of(shift, model, pick)
-    formulas = [matrix_of(shift, name, pick).values[0] for name in TRIVIAL]
+    learned, formulas = matrix_of(shift, model, pick), best_formula(shift, pick)
     parts = []
     for column, name in enumerate(learned.columns):
         if not name.endswith(f"-{variant}") or name not in learned.rows:
             continue
         error = learned.values[learned.rows.index(name)][column]
-        known = [row[column] or math.inf for row in formulas]
-        if error is None:
+        if error is None or not formulas.get(name):
             return NONE
-        parts.append(error / min(known))
+        parts.append(error / formulas[name])
     return number(statistics.geometric_mean(parts)) if parts else NONE
 
 

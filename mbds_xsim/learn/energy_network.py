@@ -1,7 +1,7 @@
 """The learned energy of HGNN and LGNN: a graph network on nodes and rods.
 
-Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023. V sums edges, nodes
-and positions behind message passing on distances; T sums nodes and, beyond these papers, rods.
+Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023. V is of places and,
+by message passing, of distances; T sums nodes and, beyond these papers, rods.
 Lengths are in units of the scene's, times in √(length / gravity), kinetic terms in known masses.
 Functions of squared speeds are convex and grow (Amos, Xu, Kolter: Input convex neural networks,
 ICML 2017), so that the mass matrix is positive definite whatever the parameters.

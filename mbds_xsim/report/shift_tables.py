@@ -16,6 +16,7 @@ from mbds_xsim.report.quantity import NONE, number
 __all__ = [
     "Matrix",
     "Table",
+    "best_formula",
     "matrix_of",
     "tables",
     "trained_models",
@@ -59,6 +60,17 @@ def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]
         found.setdefault((cell.training, cell.test), []).append(pick(cell))
     values = tuple(tuple(_mean(found.get((row, c), [])) for c in columns) for row in rows)
     return Matrix(model, rows, columns, values)
+
+
+def best_formula(shift: Shift, pick: Pick, interval: str = INTERVALS[0]) -> dict[str, float]:
+    """Give the least figure of the models that learn nothing, by domain, where all have one."""
+    matrices = [matrix_of(shift, name, pick, interval) for name in TRIVIAL]
+    figures = zip(*(matrix.values[0] for matrix in matrices), strict=True)
+    return {
+        domain: min(x for x in row if x is not None)
+        for domain, row in zip(matrices[0].columns, figures, strict=True)
+        if None not in row
+    }
 
 
 def at(shift: Shift, frame: int) -> Pick:
@@ -224,20 +236,27 @@ def _floor_name(kind: str, first: str, test: str) -> str:
 def _covariate(shift: Shift, frame: int) -> Table:
     """Each training at home, by interval: no change of engine."""
     pick = at(shift, frame)
+    formulas = [best_formula(shift, pick, name) for name in INTERVALS[1:]]
     rows = []
     for model in trained_models(shift):
         by_interval = [matrix_of(shift, model, pick, name) for name in INTERVALS[1:]]
-        for training in by_interval[0].rows if by_interval else ():
+        for training in by_interval[0].rows:
             if training in by_interval[0].columns:
-                texts = [number(_at_home(matrix, training)) for matrix in by_interval]
-                rows.append((f"{model}, {training}", *texts))
+                errors = [_at_home(matrix, training) for matrix in by_interval]
+                parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
+                rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))
     return Table(
         f"The covariate axis: error at home by interval, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
-        "and inputs matters, without any change of engine",
-        ("", *INTERVALS[1:]),
+        "and inputs matters, without any change of engine; and as a part of the least that hold, "
+        "constant velocity and constant acceleration reach there",
+        ("", *INTERVALS[1:], *(f"{name}, part" for name in INTERVALS[1:])),
         tuple(rows),
     )
+
+
+def _over(error: float | None, other: float | None) -> float | None:
+    return error / other if error is not None and other else None
 
 
 def _at_home(matrix: Matrix, training: str) -> float | None:
