@@ -8,11 +8,13 @@ SCENE ?= 3ladder
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
+comma = ,
+
 # One at a time: the reports take times.
 .NOTPARALLEL:
 .PHONY: validate test lint package clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
-	reports-learn-speed study reports-shift reports-models reports-data reports-data-full \
+	reports-learn-speed reports-shift reports-models reports-data reports-data-full \
 	reports-pages readme
 
 validate: $(VENV)/ready
@@ -119,35 +121,41 @@ reports-models: $(VENV)/ready
 			--markdown $(REPORTS)/models/$$study.md || exit; \
 	done
 
-# The study of models under a change of engine, in some ten core-hours; whatever is there is gone
-# on with. Data that keep no budget are what the field has: they are published as uncertified.
-# Single-engine trainings alone have one seed; more: SEEDS=3.
+# Models under a change of engine, in some ten core-hours; a study has a target of its own, such as
+# shift-3ladder, and whatever is there is gone on with. Data that keep no budget are what the field
+# has: they are published as uncertified. Single-engine trainings alone have one seed; more: SEEDS=3.
 STUDY ?= out/study
 DRAWN ?= 1000
 STEPS ?= 1000
 WAYS = each,leave-one-out,all
-POINTS = gns,sgnn
 SEEDS ?= 1
-drawn = $(BIN)/mbds-xsim generate $(1) --trajectories $(DRAWN) --out $(STUDY) || [ $$? -eq 1 ]
-trained = $(BIN)/mbds-xsim train $(1) --steps $(STEPS) --out $(MODELS)
+SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli
+drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
+	|| [ $$? -eq 1 ]
+trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS)
+shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call files,shift/$(1)) \
+	--png $(REPORTS)/shift/$(1).png
+shift-targets = $(addprefix shift-,$(SHIFTED))
+.PHONY: $(shift-targets)
 
-study: $(VENV)/ready
-	$(call drawn,6pendulum balldrop 3ladder simplecubli --settings native)
-	$(call drawn,6pendulum --settings matched)
-	$(call trained,$(STUDY)/6pendulum/*-native.h5 --on $(WAYS))
-	$(call trained,$(STUDY)/6pendulum/*-matched.h5 --on each --seeds $(SEEDS))
-	$(call trained,$(STUDY)/balldrop/*-native.h5 --on $(WAYS))
-	$(call trained,$(STUDY)/3ladder/*-native.h5 --models $(POINTS) --on each \
-		--seeds $(SEEDS))
-	$(call trained,$(STUDY)/simplecubli/*-native.h5 --models $(POINTS) --on each \
-		--seeds $(SEEDS))
-
-reports-shift: study
-	for scene in 6pendulum balldrop 3ladder simplecubli; do \
-		$(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $$scene \
-			$(call files,shift/$$scene) --png $(REPORTS)/shift/$$scene.png || exit; \
-	done
+reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
+
+shift-6pendulum shift-balldrop: shift-%: $(VENV)/ready
+	$(call drawn,$*,native)
+	$(call trained,$*/*-native.h5,$(WAYS))
+	$(call shifted,$*,$* --settings native)
+
+shift-3ladder shift-simplecubli: shift-%: $(VENV)/ready
+	$(call drawn,$*,native)
+	$(call trained,$*/*-native.h5,each --models gns$(comma)sgnn --seeds $(SEEDS))
+	$(call shifted,$*,$* --settings native)
+
+# The same starts at either settings.
+shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
+	$(call drawn,$*,native$(comma)matched)
+	$(call trained,$*,each --seeds $(SEEDS))
+	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.
 ENGINES ?= mujoco,pybullet,dart,exudyn

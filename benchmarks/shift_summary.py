@@ -41,7 +41,7 @@ them all.
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
 """
 _HEADING = (
-    "scene, frame", "data", "model", "beside a formula", "resolved", "worst gap",
+    "study, frame", "data", "model", "beside a formula", "resolved", "worst gap",
     "without the target", "all engines", "native over matched",
 )  # fmt: skip
 
@@ -49,25 +49,25 @@ _HEADING = (
 def main(folder: Path) -> None:
     """Print the page."""
     files = sorted(folder.glob("*.json"))
-    studies = [msgspec.json.decode(file.read_bytes(), type=Shift) for file in files]
+    studies = {file.stem: msgspec.json.decode(file.read_bytes(), type=Shift) for file in files}
     print(_HEAD)
     print(f"| {' | '.join(_HEADING)} |")
     print(f"| :-- | :-- | :-- |{' --: |' * (len(_HEADING) - 3)}")
-    for shift in studies:
-        for row in rows_of(shift):
+    for name, shift in studies.items():
+        for row in rows_of(shift, name):
             print(f"| {' | '.join(row)} |")
-    for shift in studies:
-        print("\n".join(_answers(shift)))
+    for name, shift in studies.items():
+        print("\n".join(_answers(shift, name)))
 
 
-def rows_of(shift: Shift) -> Iterator[tuple[str, ...]]:
-    """Give a line of texts for each model on each variant of the data."""
+def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
+    """Give a line of texts for each model on each variant of the data, with links by name."""
     place = shift.frames.index(shift.at)
     for variant in dict.fromkeys(domain.variant for domain in shift.domains if domain.variant):
         for model in trained_models(shift):
             own = [gap for gap in shift.gaps if _within(gap, model, variant)]
             yield (
-                f"[{shift.scene}]({shift.scene}.md), t = {shift.at}",
+                f"[{name}]({name}.md), t = {shift.at}",
                 variant,
                 model,
                 _beside_formula(shift, model, variant),
@@ -112,9 +112,9 @@ def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str
     return NONE
 
 
-def _answers(shift: Shift) -> Iterator[str]:
-    yield f"\n## {shift.scene}\n"
-    yield f"![Error by training and test domain, {shift.scene}]({shift.scene}.png)\n"
+def _answers(shift: Shift, name: str) -> Iterator[str]:
+    yield f"\n## {name}\n"
+    yield f"![Error by training and test domain, {name}]({name}.png)\n"
     yield from in_words(shift)
 
 

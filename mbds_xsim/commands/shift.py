@@ -42,6 +42,16 @@ def shift(
         int | None,
         typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
     ] = None,
+    settings: Annotated[
+        str | None, typer.Option(help="Only these: native or matched; both when left out.")
+    ] = None,
+    on: Annotated[
+        str | None,
+        typer.Option(help="Only models so trained: each, leave-one-out, all."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)
+    ] = None,
     at: Annotated[
         int | None,
         typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
@@ -64,6 +74,7 @@ def shift(
 ) -> None:
     """Test models that were trained on one engine's data on every other engine's."""
     from mbds_xsim.learn.accelerate import check_device
+    from mbds_xsim.learn.shift.roster import Part
     from mbds_xsim.learn.shift.study import study
     from mbds_xsim.report.shift_files import write_files
     from mbds_xsim.report.shift_terminal import print_shift
@@ -71,6 +82,7 @@ def shift(
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     check_device(device)
+    part = Part.parse(settings, on, seeds)
     studies = []
     for name in scene or _scenes(models, data):
         with progress_on(console) as meter:
@@ -79,6 +91,7 @@ def shift(
                 data,
                 name,
                 trajectories=trajectories,
+                part=part,
                 at=at,
                 cache=cache,
                 workers=workers,

@@ -34,6 +34,7 @@ from mbds_xsim.learn.shift.measure import Figures, figures_on
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.roster import (
     Entry,
+    Part,
     check_budget,
     check_data,
     find_entries,
@@ -238,6 +239,32 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     assert "![" in Path(names["md"]).read_text()
     assert Path(names["png"]).read_bytes().startswith(b"\x89PNG")
     assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
+
+
+def test_a_part_of_the_models_and_domains(folder: Path) -> None:
+    models, data = folder / "models", folder / "data"
+    part = Part.parse("native", "each", 1)
+    shift = study.study(models, data, SCENE, trajectories=2, part=part, workers=0).shift
+    trained = [model for model in shift.models if model.engines]
+    assert trained
+    assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
+    assert {domain.variant for domain in shift.domains} == {"native", ""}
+    with pytest.raises(InputError, match="no data of matched settings"):
+        study.study(models, data, SCENE, part=Part.parse("matched", None, None))
+    with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
+        find_entries(models, SCENE, Part.parse(None, "leave-one-out", None))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--settings", "natural"], "--settings: got 'natural', allowed is native, matched"),
+        (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
+    ],
+)
+def test_a_part_that_is_not_known_is_refused(folder: Path, words: list[str], line: str) -> None:
+    with pytest.raises(InputError, match=line):
+        app(["shift", str(folder / "models"), str(folder / "data"), *words], standalone_mode=False)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_generate_train_shift_page(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert error is not None
         assert error < 0.3 * trivial
     assert all(answer.answer for answer in shift.answers)
-    ((scene, variant, model, beside_formula, *_),) = rows_of(shift)
+    ((scene, variant, model, beside_formula, *_),) = rows_of(shift, shift.scene)
     assert (scene, variant, model) == ("[1pendulum](1pendulum.md), t = 10", "native", "gns")
     assert float(beside_formula) < 0.3
     text = page.read_text()

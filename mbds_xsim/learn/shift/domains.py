@@ -118,13 +118,16 @@ def scenes_in(folder: Path) -> list[str]:
     return sorted({path.parent.name for path in folder.glob("*/*.h5") if _is_joined(path)})
 
 
-def load_paired(folder: Path, scene: str, trajectories: int | None = None) -> Paired:
+def load_paired(
+    folder: Path, scene: str, trajectories: int | None = None, variants: tuple[str, ...] = ()
+) -> Paired:
     """Pair the test parts of all data files of a scene.
 
     Args:
         folder: Of data sets.
         scene: Name of the scene's folder in it.
         trajectories: Take at most so many, the first ones: the intervals take turns.
+        variants: Only files of these settings; left out, all.
 
     Raises:
         InputError: There is no data, or files do not belong together: another scene, seed, length
@@ -137,6 +140,10 @@ def load_paired(folder: Path, scene: str, trajectories: int | None = None) -> Pa
         )
         raise InputError(msg)
     files = [load_dataset(path) for path in paths]
+    files = [file for file in files if not variants or file.attributes["profile"] in variants]
+    if not files:
+        msg = f"{folder / scene}: no data of {', '.join(variants)} settings; generate some"
+        raise InputError(msg)
     _check_alike(files)
     index = functools.reduce(np.intersect1d, [file.index[file.rows_of(_TEST)] for file in files])
     if not len(index):

@@ -23,7 +23,9 @@ from mbds_xsim.scene import Scene
 
 __all__ = [
     "TRIVIAL",
+    "WHOLE",
     "Entry",
+    "Part",
     "check_budget",
     "check_data",
     "entry_of",
@@ -34,6 +36,9 @@ __all__ = [
 
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
+
+VARIANTS = ("native", "matched")
+WAYS = ("each", "leave-one-out", "all")
 
 _TRIVIAL_MODULE = "mbds_xsim.learn.trivial"
 _FACTS = ("train_engines", "variant", "training", "seed")
@@ -75,6 +80,13 @@ class Entry:
         """Whether one engine's data made it."""
         return len(self.engines) == 1
 
+    @property
+    def way(self) -> str:
+        """The word of `mbds-xsim train --on` that makes it."""
+        if self.single:
+            return "each"
+        return "leave-one-out" if self.training.startswith("not-") else "all"
+
     def load(self, scene: Scene) -> Model:
         """Read it, for data of a scene.
 
@@ -92,8 +104,43 @@ class Entry:
         return model
 
 
-def find_entries(folder: Path, scene: str) -> list[Entry]:
+@dataclass(frozen=True)
+class Part:
+    """Which of the models and domains that there are take part; left out, all."""
+
+    variants: tuple[str, ...] = ()
+    ways: tuple[str, ...] = ()
+    seeds: int | None = None
+    """How many, from 0 on."""
+
+    @staticmethod
+    def parse(settings: str | None, on: str | None, seeds: int | None) -> Part:
+        """Read it from a user's words.
+
+        Raises:
+            InputError: A word is none of those known.
+        """
+        return Part(_words("--settings", settings, VARIANTS), _words("--on", on, WAYS), seeds)
+
+    def has(self, entry: Entry) -> bool:
+        """Whether a trained model takes part."""
+        return (
+            (not self.variants or entry.variant in self.variants)
+            and (not self.ways or entry.way in self.ways)
+            and (self.seeds is None or entry.seed < self.seeds)
+        )
+
+
+WHOLE = Part()
+
+
+def find_entries(folder: Path, scene: str, part: Part = WHOLE) -> list[Entry]:
     """Find the files `<scene>/<variant>/<model>/<training>-s<seed>.pt` below a folder.
+
+    Args:
+        folder: Of models.
+        scene: Name of the scene's folder in it.
+        part: Which of them.
 
     Raises:
         InputError: There is none, or one does not say what it was trained on, or two say the same.
@@ -113,7 +160,11 @@ def find_entries(folder: Path, scene: str) -> list[Entry]:
             msg = f"{entry.path} and {seen[key]} are both {' '.join(map(str, key))}; remove one"
             raise InputError(msg)
         seen[key] = entry.path
-    return entries
+    found = [entry for entry in entries if part.has(entry)]
+    if not found:
+        msg = f"{folder / scene}: none of the {len(entries)} models there was asked for"
+        raise InputError(msg)
+    return found
 
 
 def entry_of(path: Path) -> Entry:
@@ -204,6 +255,15 @@ def _still() -> Statistics:
     """Statistics of nothing that moves."""
     moments = Moments(torch.zeros(3).double(), torch.ones(3).double())
     return Statistics(moments, moments, moments, torch.ones(len(CHANNELS)).double())
+
+
+def _words(option: str, given: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
+    words = [word.strip() for word in given.split(",")] if given else []
+    for word in words:
+        if word not in known:
+            msg = f"{option}: got {word!r}, allowed is {', '.join(known)}, comma-separated"
+            raise InputError(msg)
+    return tuple(dict.fromkeys(words))
 
 
 def trivial_entries() -> list[Entry]:

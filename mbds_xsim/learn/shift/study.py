@@ -25,7 +25,9 @@ from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
 from mbds_xsim.learn.shift.restart import restarted
 from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
 from mbds_xsim.learn.shift.roster import (
+    WHOLE,
     Entry,
+    Part,
     check_budget,
     check_data,
     find_entries,
@@ -65,6 +67,7 @@ def study(
     scene: str,
     *,
     trajectories: int | None = None,
+    part: Part = WHOLE,
     at: int | None = None,
     cache: bool = True,
     workers: int | None = None,
@@ -79,6 +82,7 @@ def study(
         data: Folder of data sets.
         scene: Name of the scene in both.
         trajectories: Test with at most so many.
+        part: Which models and domains.
         at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
         cache: Whether stored reference solutions are used.
         workers: Processes at a time.
@@ -91,8 +95,8 @@ def study(
             frame.
     """
     began = time.perf_counter()
-    test = load_paired(data, scene, trajectories)
-    trained = find_entries(models, scene)
+    test = load_paired(data, scene, trajectories, part.variants)
+    trained = find_entries(models, scene, part)
     check_budget(trained)
     check_data(trained, test)
     entries = [*trivial_entries(), *trained]
