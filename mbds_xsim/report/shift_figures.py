@@ -19,22 +19,23 @@ __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
 _LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
+_ABREAST = 2  # more would be too small to read on a page
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 
 
 def to_png(studies: Sequence[Shift]) -> bytes:
-    """Give a picture: a row of heat maps for each study, a map for each model."""
-    columns = max(len(trained_models(shift)) for shift in studies)
+    """Give a picture: a block of heat maps for each study, a map for each model, two abreast."""
+    columns = min(_ABREAST, max(len(trained_models(shift)) for shift in studies))
     sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
+    rows = [math.ceil(len(trained_models(shift)) / columns) for shift in studies]
     width = columns * max(size[0] for size in sizes)
-    height = sum(size[1] for size in sizes)
+    heights = [count * size[1] for count, size in zip(rows, sizes, strict=True)]
+    height = sum(heights)
 
     def draw(figure: Any) -> None:
-        rows = figure.subfigures(
-            len(studies), 1, squeeze=False, height_ratios=[size[1] for size in sizes]
-        )
-        for row, shift in zip(rows[:, 0], studies, strict=True):
-            _draw_row(row, shift, columns)
+        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
+        for block, shift, count in zip(blocks[:, 0], studies, rows, strict=True):
+            _draw_block(block, shift, (count, columns))
 
     return themed.png(draw, (width, height))
 
@@ -131,10 +132,10 @@ def _first(cells: Sequence[Cell], training: str) -> Cell:
     return next(cell for cell in cells if cell.training == training)
 
 
-def _draw_row(figure: Any, shift: Shift, columns: int) -> None:
+def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
     frame = shift.at
     maps = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
-    charts = figure.subplots(1, columns, squeeze=False)[0]
+    charts = figure.subplots(*shape, squeeze=False).ravel()
     for axes, matrix in zip(charts, maps, strict=False):
         draw_matrix(axes, matrix, spread_of(maps))
         axes.set_title(matrix.model, fontsize=10, loc="left")

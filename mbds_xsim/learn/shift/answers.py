@@ -121,16 +121,18 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
 
 
 def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
-    """The model of the smallest worst-engine gap."""
+    """The model of the smallest worst-engine gap, of those in which a shift can be seen."""
     frame, variant = draws.board.frames[place], fields[0].variant
     ratios = {f.model: _ratio(draws, functools.partial(_worst_gap, f)) for f in fields}
     order = sorted(ratios, key=lambda model: ratios[model].value[place])
     told = ", ".join(f"{model} {ratios[model].told(place)}" for model in order)
-    seen, count = _resolved_of(fields, gaps, place)
+    seen = {field.model: _resolved_of(field, gaps, place) for field in fields}
+    able = [model for model in order if seen[model][0]]
+    resolved = ", ".join(f"{part} of {whole} of {model}" for model, (part, whole) in seen.items())
     text = (
-        f"At t = {frame} on {variant} data {_first(order, ratios, place, seen)}. {seen} of {count} "
-        "gaps are resolved. Worst ratio of error to that of the target-trained model (the worst "
-        f"of several is above 1 even without a shift): {told}"
+        f"At t = {frame} on {variant} data {_first(able, order, ratios, place)}. Gaps resolved: "
+        f"{resolved}. Worst ratio of error to that of the target-trained model (the worst of "
+        f"several is above 1 even without a shift): {told}"
     )
     return Answer(
         ROBUST,
@@ -141,27 +143,31 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], pl
     )
 
 
-def _first(order: Sequence[str], ratios: dict[str, _Ratio], place: int, seen: int) -> str:
-    """Name the first of an order, and how sure that is."""
-    if not seen:
-        return (
-            "this cannot be told: where no gap is resolved, ratios tell how well trainings went, "
-            "not what a change of engine does"
-        )
-    best, others = ratios[order[0]], order[1:]
+def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio], place: int) -> str:
+    """Name the first of those in which a shift can be seen, and how sure that is."""
+    hidden = (
+        "where no gap is resolved, ratios tell how well trainings went, not what a change of "
+        "engine does"
+    )
+    if not able:
+        return f"this cannot be told: {hidden}"
+    best, others = ratios[able[0]], able[1:]
     near = [model for model in others if ratios[model].low[place] <= best.high[place]]
     sure = f"its interval overlaps those of {', '.join(near)}" if near else "apart from all others"
-    return f"{order[0]} has the smallest worst-engine gap" + (f" ({sure})" if others else "")
+    text = f"{able[0]} has the smallest worst-engine gap" + (f" ({sure})" if others else "")
+    unseen = [model for model in order if model not in able]
+    return f"{text}; {', '.join(unseen)} cannot be judged: {hidden}" if unseen else text
 
 
-def _resolved_of(fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> tuple[int, int]:
-    """How many of the gaps within a variant tell of a shift, and of how many."""
-    trainings = {(f.model, t.name) for f in fields for t in f.singles.values()}
-    targets = {name for field in fields for name in field.singles}
+def _resolved_of(field: _Field, gaps: Sequence[Gap], place: int) -> tuple[int, int]:
+    """How many of a model's gaps within a variant tell of a shift, and of how many."""
+    trainings = {training.name for training in field.singles.values()}
     told = [
         gap
         for gap in gaps
-        if gap.kind == SINGLE and (gap.model, gap.training) in trainings and gap.test in targets
+        if (gap.kind, gap.model) == (SINGLE, field.model)
+        and gap.training in trainings
+        and gap.test in field.singles
     ]
     return sum(gap.resolved[place] for gap in told), len(told)
 

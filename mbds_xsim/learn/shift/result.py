@@ -207,5 +207,5 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def values(numbers: Iterable[float]) -> Values:
-    """Write numbers; those that are not finite become None."""
-    return tuple(float(x) if math.isfinite(x) else None for x in numbers)
+    """Write numbers, to seven digits; those that are not finite become None."""
+    return tuple(float(f"{x:.7g}") if math.isfinite(x) else None for x in numbers)
