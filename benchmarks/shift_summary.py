@@ -25,8 +25,7 @@ _HEAD = """\
 <!-- Written by: python -m benchmarks.shift_summary reports/shift > reports/shift/README.md -->
 
 Models trained on one engine's trajectories, on all but one engine's or on all, at equal budget,
-and tested on every engine's. [What the figures mean](../../docs/shift.md); each scene's page has
-them all.
+and tested on every engine's. Each study's page has all figures.
 
 - *beside a formula*: the error of a model where it was trained, over that of the best of hold,
   constant velocity and constant acceleration there; geometric mean over the engines.
@@ -39,6 +38,7 @@ them all.
 - *native over matched*: mean gap on native data over that on matched data.
 
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
+[How this is measured](../../docs/shift.md).
 """
 _HEADING = (
     "study, frame", "data", "model", "beside a formula", "resolved", "worst gap",

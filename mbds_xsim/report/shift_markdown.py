@@ -47,7 +47,8 @@ def protocol(shift: Shift) -> str:
     seeds = sorted({m.seed for m in shift.models if m.engines})
     profiles = ", ".join(sorted({m.profile for m in shift.models if m.profile})) or "not stated"
     steps = sorted({m.steps for m in shift.models if m.steps})
-    budget = f", {steps[0]} to {steps[-1]} steps" if steps else ""
+    ends = sorted({*steps[:1], *steps[-1:]})
+    budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
     return (
         f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
