@@ -24,8 +24,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 # A row whose part independent of the others is below this share of it (squared) is taken as
-# dependent. Rounding leaves 1e-15 there.
-_DEPENDENT = 1e-11
+# dependent. Rounding leaves 1e-13 there; in regular mechanisms the least is about a ratio of
+# masses. Much nearer to a singular pose it is not the mechanism that decides where the motion goes,
+# but the 1e-13 by which its constraints are violated: at 1e-11 a third of the motions ended there.
+_DEPENDENT = 1e-9
 
 
 @functools.lru_cache(maxsize=64)

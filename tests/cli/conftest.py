@@ -64,7 +64,7 @@ def program(here: Path) -> CommandLine:
 
     def call(*words: str | bytes, stdout: IO[str] | int = subprocess.PIPE) -> Ended:
         done = subprocess.run(
-            [PROGRAM, *words], stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60
+            [PROGRAM, *words], stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=600
         )
         return Ended(done.returncode, done.stdout, done.stderr)
 

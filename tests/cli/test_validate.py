@@ -160,7 +160,7 @@ def test_an_interrupted_run_leaves_nothing_behind(
     _wait(lambda: any(scratch.glob("mbds-xsim-*/*.log")))
 
     running.send_signal(by)
-    out, err = running.communicate(timeout=30)
+    out, err = running.communicate(timeout=300)
 
     assert (running.returncode, out, err) == (130, "", "mbds-xsim: interrupted\n")
     assert list(here.iterdir()) == []

@@ -33,7 +33,7 @@ def _run(folder: Path, *words: str) -> Ended:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=600,
     )
 
 

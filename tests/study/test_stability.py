@@ -367,7 +367,7 @@ def test_the_swept_value_is_in_the_scene(
     assert figure(STUDIES[name].scene(value)) == pytest.approx(value)
 
 
-@pytest.mark.parametrize("angle", [0.3, 0.0])
+@pytest.mark.parametrize("angle", [0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.0])
 def test_the_reference_goes_through_the_singular_pose_as_a_parallelogram(angle: float) -> None:
     study = STUDIES["singular"]
     scene = study.scene(angle)
