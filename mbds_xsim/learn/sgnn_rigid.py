@@ -29,6 +29,8 @@ def nearest_rigid(shape: Tensor, predicted: Tensor, object_of: Tensor) -> Tensor
         Shape (…, particle, 3).
     """
     kind = torch.arange(int(object_of.max()) + 1, device=object_of.device)
+    if len(kind) == len(object_of):
+        return predicted  # a point has no shape to keep, and decompositions are dear
     belongs = (object_of == kind[:, None]).to(predicted)
     members = belongs / belongs.sum(dim=1, keepdim=True)
     arms = shape - (members @ shape)[..., object_of, :]
