@@ -35,6 +35,7 @@ from mbds_xsim.registry import load_scene
 SCENES = ("6pendulum", "3ladder")
 TRACKS = ("lite", "native", "paper")
 BATCH, WARM, ROUNDS = 64, 1, (7, 25)
+COMING = 2  # frames of a window behind the history, as `lite` learns from
 PATIENCE = 10.0  # seconds a line may take, if the rounds are enough
 SAME = 1e-9
 AIM = 1.1
@@ -119,13 +120,13 @@ def statistics() -> Statistics:
 def drawn(graph: Graph) -> Sample:
     """A batch of random windows."""
     generator = torch.Generator().manual_seed(0)
-    shape = (BATCH, HISTORY + 1, graph.particle_count, 3)
+    shape = (BATCH, HISTORY + COMING, graph.particle_count, 3)
     position = (
         torch.randn(shape, generator=generator) * 0.1
         + graph.reference[: graph.particle_count].float()
     )
-    force = torch.randn((BATCH, 1, graph.body_count, 3), generator=generator)
-    torque = torch.randn((BATCH, 1, len(graph.mechanism.hinges)), generator=generator)
+    force = torch.randn((BATCH, COMING, graph.body_count, 3), generator=generator)
+    torque = torch.randn((BATCH, COMING, len(graph.mechanism.hinges)), generator=generator)
     start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
     after = position[:, HISTORY:]
     return Sample(start, Inputs(force, torque), after, torch.zeros_like(after))

@@ -41,10 +41,12 @@ def test_a_model_rolls_out_and_rows_do_not_touch_each_other(data: Data, name: st
 def test_a_model_learns(data: Data, name: str) -> None:
     training, validation = _read(data, name, "train"), _read(data, name, "validation")
     model = build(name, training.graph, Statistics.of(training), track="lite")
-    fixed = training.draw(64, torch.Generator().manual_seed(7))
+    fixed = training.draw(64, torch.Generator().manual_seed(7), horizon=2)
     before = model.loss(fixed, torch.Generator().manual_seed(8)).item()
     profile = Profile(steps=15, every=5, windows=4, horizon=2, until_level=False)
-    run = train(model, training, validation, Recipe(rate=1e-3, batch=16), profile)
+    own = load_model(name).tracks["lite"].recipe
+    recipe = Recipe(rate=1e-3, batch=16, horizon=own.horizon)
+    run = train(model, training, validation, recipe, profile)
     assert run.ended == "steps"
     assert [point.step for point in run.curve] == [5, 10, 15]
     assert model.loss(fixed, torch.Generator().manual_seed(8)).item() < before
