@@ -9,6 +9,7 @@ some frames from true motions of the scene: one trajectory a call, and many. The
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from statistics import median, quantiles
 
@@ -29,7 +30,8 @@ from mbds_xsim.study.identity import machine
 SCENES = ("6pendulum", "3ladder")
 MODELS = ("gns", "sgnn", "hgnn", "lgnn")
 BATCHES = (1, 64, 512)
-FRAMES, STARTS, ROUNDS = 5, 30, 9
+FRAMES, STARTS, ROUNDS = 5, 30, (3, 9)
+PATIENCE = 180.0  # seconds a scene may take, if the rounds are enough
 AIM = 20
 _HEAD = f"""\
 # Rollouts of models, one by one and many at once
@@ -37,8 +39,8 @@ _HEAD = f"""\
 <!-- Written by: python -m benchmarks.rollout_speed > reports/rollout-speed.md -->
 
 Milliseconds of the processor a trajectory and frame, one thread, untrained models in their `lite`
-size; medians of {ROUNDS} rounds in which models and batches take turns. *Ratio*: batch {BATCHES[0]}
-over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}."""
+size; medians of {ROUNDS[0]} to {ROUNDS[1]} rounds in which models and batches take turns.
+*Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}."""
 
 
 def starts(name: str, models: list[Model]) -> list[Known]:
@@ -67,13 +69,18 @@ def measured(name: str) -> dict[str, list[list[float]]]:
     def work(model: Model, given: Known) -> Callable[[], object]:
         return lambda: carry_on(model, given)
 
-    found: dict[str, list[list[float]]] = {kind: [] for kind in MODELS}
-    for turn in range(ROUNDS + 1):
-        for kind, model, given in zip(MODELS, models, known, strict=True):
-            times = [spent(work(model, given.repeated(n))) / (n * FRAMES) for n in BATCHES]
-            if turn:  # the first warms up
-                found[kind].append(times)
-    return found
+    def turn() -> list[list[float]]:
+        return [
+            [spent(work(model, given.repeated(n))) / (n * FRAMES) for n in BATCHES]
+            for model, given in zip(models, known, strict=True)
+        ]
+
+    began = time.perf_counter()
+    turn()  # warms up
+    low, high = ROUNDS
+    rounds = min(high, max(low, int(PATIENCE / (time.perf_counter() - began))))
+    turns = [turn() for _ in range(rounds)]
+    return {kind: [each[i] for each in turns] for i, kind in enumerate(MODELS)}
 
 
 def rows(name: str) -> Iterator[str]:
