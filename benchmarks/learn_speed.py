@@ -35,7 +35,6 @@ from mbds_xsim.registry import load_scene
 SCENES = ("6pendulum", "3ladder")
 TRACKS = ("lite", "native", "paper")
 BATCH, WARM, ROUNDS = 64, 1, (7, 25)
-COMING = 2  # frames of a window behind the history, as `lite` learns from
 PATIENCE = 10.0  # seconds a line may take, if the rounds are enough
 SAME = 1e-9
 AIM = 1.1
@@ -92,7 +91,7 @@ def measure(name: str, track: str) -> Line:
     """Let the models take turns at a step of training on one batch."""
     graph = Graph.of(load_scene(name))
     models = {kind: made(kind, graph, track) for kind in KINDS}
-    sample = drawn(graph)
+    sample = drawn(graph, KINDS["gns"].tracks[track].recipe.horizon)
     difference = apart(models["gns"], models["scatter"], sample)
     if difference > SAME:
         msg = f"{name}, {track}: the two forms of GNS differ by {difference:.1e}"
@@ -117,16 +116,16 @@ def statistics() -> Statistics:
     return Statistics(one, one, one, torch.ones(2, dtype=torch.float64))
 
 
-def drawn(graph: Graph) -> Sample:
-    """A batch of random windows."""
+def drawn(graph: Graph, horizon: int = 1) -> Sample:
+    """A batch of random windows with so many frames to come."""
     generator = torch.Generator().manual_seed(0)
-    shape = (BATCH, HISTORY + COMING, graph.particle_count, 3)
+    shape = (BATCH, HISTORY + horizon, graph.particle_count, 3)
     position = (
         torch.randn(shape, generator=generator) * 0.1
         + graph.reference[: graph.particle_count].float()
     )
-    force = torch.randn((BATCH, COMING, graph.body_count, 3), generator=generator)
-    torque = torch.randn((BATCH, COMING, len(graph.mechanism.hinges)), generator=generator)
+    force = torch.randn((BATCH, horizon, graph.body_count, 3), generator=generator)
+    torque = torch.randn((BATCH, horizon, len(graph.mechanism.hinges)), generator=generator)
     start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
     after = position[:, HISTORY:]
     return Sample(start, Inputs(force, torque), after, torch.zeros_like(after))

@@ -39,8 +39,6 @@ class GNSSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Interaction networks, each with weights of its own."""
     noise: float = 0.02
     """Of the last velocity, over the standard deviation of displacements."""
-    pushed: float = 0.0
-    """Part of a batch that goes on from the model's own prediction; needs a horizon of 2."""
     loss: Literal["mse", "l1"] = "mse"
     """Of normalised accelerations, summed over axes. Those of a chain that whips are heavy-tailed:
     their square asks for little but the rare violent frames."""
@@ -58,9 +56,8 @@ class GNS(PointModel):
             width=64,
             steps=5,
             noise=0.0,
-            pushed=0.5,
             loss="l1",
-            recipe=Recipe(rate=1e-3, horizon=2, schedule=Cosine()),
+            recipe=Recipe(rate=1e-3, horizon=4, schedule=Cosine()),
         ),
     }
 
@@ -123,7 +120,7 @@ class GNS(PointModel):
         return self(history, inputs) * self.acceleration_std + self.acceleration_mean
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        sample = pushed(self, sample, self.settings.pushed)
+        sample = pushed(self, sample)
         history = sample.start.history
         noise = random_walk(history, self.noise_std, generator) * self.moving
         target = self.target(history, noise, sample.position[:, 0])

@@ -10,54 +10,42 @@ from dataclasses import replace
 
 import torch
 
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import PointModel
 from mbds_xsim.learn.window import Inputs, Sample
 
 __all__ = ["pushed"]
 
-NEEDED = 2
-"""Frames to come: the one that is predicted, and what follows it."""
+PART = 0.5
+"""Of the windows, those that go on for a frame more; so half of a batch are true ones."""
 
 
-def pushed(model: PointModel, sample: Sample, part: float) -> Sample:
-    """Let a part of a batch go on from the model's own prediction, a frame later.
+def pushed(model: PointModel, sample: Sample) -> Sample:
+    """Let half of a batch go on from the model's own prediction, half of these again, and so on.
 
-    No gradient passes through the prediction. Source: Brandstetter, Worrall and Welling, "Message
-    passing neural PDE solvers", ICLR 2022, section 3.1, there of all windows.
+    The more frames to come, the farther; the last of them is learned from. No gradient passes
+    through the predictions. Source: Brandstetter, Worrall and Welling, "Message passing neural
+    PDE solvers", ICLR 2022, section 3.1, there one frame of all windows. One frame does not do:
+    what it teaches to correct leaves a wrong velocity, which is corrected too far in the next.
 
     Args:
         model: Whose loss it is for.
-        sample: Windows with two frames to come, or one where the part is 0.
-        part: Of the batch, 0 to 1, taken from its front.
+        sample: Windows; with one frame to come they stay as they are.
 
     Returns:
-        The windows, with one frame to come: what follows the prediction, or the last known frame.
-
-    Raises:
-        InputError: Windows are to be pushed, and have one frame to come.
+        The windows, with one frame to come: what follows the predictions, or the last known frame.
     """
-    count = round(part * len(sample.position))
-    if not count:
-        return sample
-    if sample.position.shape[1] < NEEDED:
-        msg = (
-            f"pushed: got {part} and windows of 1 frame to come, needed are {NEEDED}; "
-            "raise the recipe's horizon, or leave pushed at 0"
-        )
-        raise InputError(msg)
-    start, inputs = sample.start, sample.inputs.at(0)
+    history, inputs = sample.start.history, sample.inputs
+    age = torch.zeros(len(history), dtype=torch.int64, device=history.device)
     with torch.no_grad():
-        given = Inputs(inputs.force[:count], inputs.torque[:count])
-        own = model.advance(start.history[:count], given)
+        for frame in range(sample.position.shape[1] - 1):
+            count = round(PART ** (frame + 1) * len(history))
+            given = Inputs(inputs.force[:count, frame], inputs.torque[:count, frame])
+            history = torch.cat([model.advance(history[:count], given), history[count:]])
+            age[:count] += 1
+    row = torch.arange(len(age), device=age.device)
     return Sample(
-        start=replace(start, history=torch.cat([own, start.history[count:]])),
-        inputs=Inputs(_later(sample.inputs.force, count), _later(sample.inputs.torque, count)),
-        position=_later(sample.position, count),
-        velocity=_later(sample.velocity, count),
+        start=replace(sample.start, history=history),
+        inputs=Inputs(inputs.force[row, age][:, None], inputs.torque[row, age][:, None]),
+        position=sample.position[row, age][:, None],
+        velocity=sample.velocity[row, age][:, None],
     )
-
-
-def _later(frames: torch.Tensor, count: int) -> torch.Tensor:
-    """Take the second frame of the first rows and the first of the others, (batch, 1, …)."""
-    return torch.cat([frames[:count, 1:2], frames[count:, :1]])

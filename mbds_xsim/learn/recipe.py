@@ -51,7 +51,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     batch: int = 64
     """Windows a step."""
     horizon: int = 1
-    """Frames to come in a window."""
+    """Frames to come in a window. GNS and SGNN learn from one of them, see `pushforward`."""
     schedule: Plateau | Decay | Cosine | None = None
     clip: float | None = None
     """Largest norm of a gradient; longer ones are shortened to it."""

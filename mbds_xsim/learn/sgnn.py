@@ -46,8 +46,6 @@ class SGNNSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the normalised target."""
     noise: float = 0.0
     """On both positions in training, as a part of the displacements' deviation."""
-    pushed: float = 0.0
-    """Part of a batch that goes on from the model's own prediction; needs a horizon of 2."""
     rigid: bool = False
     """Project every predicted frame onto rigid bodies."""
     recipe: Recipe = Recipe(schedule=Plateau())
@@ -65,9 +63,8 @@ class SGNN(PointModel):
             hidden=64,
             unit="spacing",
             target="change",
-            pushed=0.5,
             rigid=True,
-            recipe=Recipe(rate=1e-3, horizon=2, schedule=Cosine()),
+            recipe=Recipe(rate=1e-3, horizon=4, schedule=Cosine()),
         ),
     }
     length: Tensor
@@ -110,7 +107,7 @@ class SGNN(PointModel):
         return nearest_rigid(now, now + displacement, owner.to(now.device)) - now
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        sample = pushed(self, sample, self.settings.pushed)
+        sample = pushed(self, sample)
         history, after = self.noisy(sample, generator)
         given = self.normalised(history, sample.inputs.at(0))
         wanted = self.target(history, after)
