@@ -51,9 +51,9 @@ def precision(device: torch.device, *, mixed: bool) -> AbstractContextManager[ob
 def compile_networks(model: Model, *, backend: str | None = None) -> None:
     """Have a model's networks compiled at their first use; its parameters keep their names.
 
-    Shapes never change in a run, so that the kernels of a step are recorded once, as a CUDA graph,
-    and replayed. Models of an energy are left as they are: torch does not compile through the
-    second derivatives that their training needs.
+    A run has few shapes (a batch, its parts that are pushed on, a validation), so that the kernels
+    of each are recorded once, as a CUDA graph, and replayed. Models of an energy are left as they
+    are: torch does not compile through the second derivatives that their training needs.
 
     Args:
         model: On its device.
