@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.engine import Settings
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.shift.measure import Figures, measure, read_figures
 from mbds_xsim.learn.shift.sources import sources
@@ -37,7 +37,7 @@ __all__ = ["restarted"]
 Array = NDArray[np.float64]
 
 _LAST = HISTORY - 1
-_TIMEOUT = 4 * 3600.0  # of an engine, all domains [s]
+_TIMEOUT = 4 * 3600.0  # of an engine's share of the domains [s]
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,12 @@ def restarted(
             missing[engine] = [job for job in each if not job.path.is_file()]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
-    missing = {engine: each for engine, each in missing.items() if each}
-    tasks = [Task(_carry_out, (test.batch, each), _TIMEOUT) for each in missing.values()]
-    for engine, answer in zip(missing, run_tasks(tasks, workers=workers), strict=True):
+    # Dealt out, as one engine may take longer than all others together.
+    shares = workers or core_count()
+    dealt = [(engine, each[i::shares]) for engine, each in missing.items() for i in range(shares)]
+    dealt = [(engine, share) for engine, share in dealt if share]
+    tasks = [Task(_carry_out, (test.batch, share), _TIMEOUT) for _, share in dealt]
+    for (engine, _), answer in zip(dealt, run_tasks(tasks, workers=workers), strict=True):
         if isinstance(answer, Crash):
             lost[engine.name] = answer.reason
     found = {}
