@@ -141,6 +141,9 @@ shift-targets = $(addprefix shift-,$(SHIFTED))
 reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
 
+# Half the steps where a scene has many more particles and edges.
+shift-balldrop shift-3ladder shift-simplecubli: STEPS = 500
+
 shift-6pendulum shift-balldrop: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
 	$(call trained,$*/*-native.h5,$(WAYS))

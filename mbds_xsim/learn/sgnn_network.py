@@ -103,6 +103,9 @@ class Network(nn.Module):
     def contacts(self, position: Tensor, local: Tensor, told: Tensor) -> tuple[Tensor, Tensor]:
         """Read the edges between objects, averaged over each pair of objects."""
         edges, pooling = self.hierarchy.inter, self.hierarchy.pooling
+        if not len(pooling):  # one object, or objects that nothing joins: there is nothing to read
+            shape = len(position), 0
+            return position.new_zeros(*shape, READ, 3), position.new_zeros(*shape, told.shape[-1])
         along = apart(position, edges)
         vectors, scalars = self.between(local, told, edges, along)
         read, said = self.readout(ends(vectors, edges, along), *end_scalars(scalars, edges))
