@@ -24,8 +24,8 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
 
     The more frames to come, the farther; the last of them is learned from. No gradient passes
     through the predictions. Source: Brandstetter, Worrall and Welling, "Message passing neural
-    PDE solvers", ICLR 2022, section 3.1, there one frame of all windows. One frame does not do:
-    what it teaches to correct leaves a wrong velocity, which is corrected too far in the next.
+    PDE solvers", ICLR 2022, section 3.1, there one frame of all windows; what more are worth is
+    in docs/train.md.
 
     Args:
         model: Whose loss it is for.
@@ -39,6 +39,8 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
     with torch.no_grad():
         for frame in range(sample.position.shape[1] - 1):
             count = round(PART ** (frame + 1) * len(history))
+            if not count:  # a small batch
+                break
             given = Inputs(inputs.force[:count, frame], inputs.torque[:count, frame])
             history = torch.cat([model.advance(history[:count], given), history[count:]])
             age[:count] += 1

@@ -75,6 +75,13 @@ def test_with_one_frame_to_come_windows_stay_as_they_are(analytic: Analytic) -> 
 
 
 @pytest.mark.parametrize("name", MODELS)
+def test_a_batch_of_one_window_is_a_true_one(analytic: Analytic, name: str) -> None:
+    motions = analytic("6pendulum", falling)
+    found = pushed(untrained(name, motions), motions.sample(ROWS[:1], LAST[:1], 4))
+    assert torch.equal(found.start.history, motions.sample(ROWS[:1], LAST[:1], 1).start.history)
+
+
+@pytest.mark.parametrize("name", MODELS)
 def test_the_loss_is_of_predicted_windows_as_if_they_were_given(
     analytic: Analytic, name: str
 ) -> None:
