@@ -116,7 +116,7 @@ def statistics() -> Statistics:
     return Statistics(one, one, one, torch.ones(2, dtype=torch.float64))
 
 
-def drawn(graph: Graph, horizon: int = 1) -> Sample:
+def drawn(graph: Graph, horizon: int) -> Sample:
     """A batch of random windows with so many frames to come."""
     generator = torch.Generator().manual_seed(0)
     shape = (BATCH, HISTORY + horizon, graph.particle_count, 3)
