@@ -415,6 +415,16 @@ def test_whether_matched_data_remove_a_shift(
     assert says in found["Does matched data remove the shift of gns?"]
 
 
+def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
+    board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
+    same = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in board.oracles}
+    board = dataclasses.replace(board, oracles=same)
+    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    told = found["Does matched data remove the shift of gns?"]
+    assert "this cannot be told: where no gap is resolved" in told
+    assert "Mean gap ratio 4 [4, 4] on native" in told
+
+
 def test_bootstrap_intervals_cover_the_mean() -> None:
     """Of log-normal errors, whose mean is known; 95 % nominal, less at this size and skewness."""
     rng = np.random.default_rng(3)

@@ -31,6 +31,12 @@ __all__ = ["MATCHED", "ROBUST", "answers_of"]
 RESOLVABLE, ROBUST, MATCHED = "resolvable", "robust", "matched"
 """Kinds of answers beside those that are named after a kind of training."""
 
+_BLIND = (
+    "where no gap is resolved, ratios tell how well trainings went, not what a change of engine "
+    "does"
+)
+_UNTOLD = f"this cannot be told: {_BLIND}"
+
 Array = NDArray[np.float64]
 Look = Callable[[Training, str], Array]
 """Errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
@@ -79,7 +85,7 @@ def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap], at: int) -> Iter
         yield _most_robust(draws, [f for f in fields if f.variant == variant], gaps, place)
     for field in fields:
         yield from _several_engines(draws, field, place)
-    yield from _matched(draws, fields, place)
+    yield from _matched(draws, fields, gaps, place)
 
 
 def _fields(board: Board) -> list[_Field]:
@@ -145,18 +151,14 @@ def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], pl
 
 def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio], place: int) -> str:
     """Name the first of those in which a shift can be seen, and how sure that is."""
-    hidden = (
-        "where no gap is resolved, ratios tell how well trainings went, not what a change of "
-        "engine does"
-    )
     if not able:
-        return f"this cannot be told: {hidden}"
+        return _UNTOLD
     best, others = ratios[able[0]], able[1:]
     near = [model for model in others if ratios[model].low[place] <= best.high[place]]
     sure = f"its interval overlaps those of {', '.join(near)}" if near else "apart from all others"
     text = f"{able[0]} has the smallest worst-engine gap" + (f" ({sure})" if others else "")
     unseen = [model for model in order if model not in able]
-    return f"{text}; {', '.join(unseen)} cannot be judged: {hidden}" if unseen else text
+    return f"{text}; {', '.join(unseen)} cannot be judged: {_BLIND}" if unseen else text
 
 
 def _resolved_of(field: _Field, gaps: Sequence[Gap], place: int) -> tuple[int, int]:
@@ -228,7 +230,9 @@ def _worst_of_all_ratio(field: _Field, look: Look) -> Array:
     return _over(worst, _geometric(each))
 
 
-def _matched(draws: Draws, fields: Sequence[_Field], place: int) -> Iterator[Answer]:
+def _matched(
+    draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int
+) -> Iterator[Answer]:
     """Compare the mean gaps of a model between variants."""
     frame = draws.board.frames[place]
     by_model: dict[str, dict[str, _Field]] = {}
@@ -241,9 +245,10 @@ def _matched(draws: Draws, fields: Sequence[_Field], place: int) -> Iterator[Ans
                 for variant in ("native", "matched")
             )
             change = _ratio(draws, functools.partial(_lessening, variants))
-            text = f"At t = {frame} {_removal(native, matched, change, place)}: mean gap ratio "
-            text += f"{native.told(place)} on native, {matched.told(place)} on matched data, "
-            text += f"{change.told(place)} of the two"
+            seen, _ = _resolved_of(variants["native"], gaps, place)
+            text = f"At t = {frame} {_removal(native, matched, change, place, seen=seen > 0)}. "
+            text += f"Mean gap ratio {native.told(place)} on native, {matched.told(place)} on "
+            text += f"matched data, {change.told(place)} of the two"
             question = f"Does matched data remove the shift of {model}?"
             yield Answer(MATCHED, question, text, ratios={model: change.result})
 
@@ -253,10 +258,12 @@ def _lessening(variants: dict[str, _Field], look: Look) -> Array:
     return _over(_mean_gap(variants["native"], look), _mean_gap(variants["matched"], look))
 
 
-def _removal(native: _Ratio, matched: _Ratio, change: _Ratio, place: int) -> str:
+def _removal(native: _Ratio, matched: _Ratio, change: _Ratio, place: int, *, seen: bool) -> str:
     """Tell a shift that went from one that an interval of matched data is too wide to show."""
     if not native.low[place] > 1.0:
         return "native data show no shift that matched data could remove"
+    if not seen:
+        return _UNTOLD
     less = change.low[place] > 1.0
     if matched.low[place] > 1.0:
         return "matched data lessen the shift" if less else "the shift is there on matched data too"
