@@ -17,7 +17,7 @@ from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.report.shift_markdown import in_words
-from mbds_xsim.report.shift_tables import at, best_formula, matrix_of, trained_models
+from mbds_xsim.report.shift_matrix import at, best_formula, matrix_of, trained_models
 
 _HEAD = """\
 # Learned models under a change of engine, in short

@@ -7,20 +7,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 from mbds_xsim.dataset.work import Carrier
-from mbds_xsim.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task
-from mbds_xsim.learn.channels import CHANNELS
 from mbds_xsim.learn.cost import Cost, measure
 from mbds_xsim.learn.domains import Group
-from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.mixture import trainings
-from mbds_xsim.learn.model import build, load_model, model_names
+from mbds_xsim.learn.model import load_model, model_names
 from mbds_xsim.learn.progress import TrainingSink, watched
+from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.runs import Run, carry_out, finished
-from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import PROFILES, Profile
 
 __all__ = ["LONG", "Campaign", "Outcome", "Request", "carry", "costs", "planned", "profile_named"]
@@ -97,11 +94,13 @@ def planned(request: Request) -> Campaign:
     track = request.track or _TRACKS[request.profile_name]
     _check_models(request.models, track)
     pairs = [(group, model) for group in request.groups for model in request.models]
-    reasons = {(group, model): _why_not(group, model, track) for group, model in pairs}
+    reasons = {
+        (group, model): refusal(model, Graph.of(group.scene), track=track) for group, model in pairs
+    }
     runs = [
         run
         for (group, model), reason in reasons.items()
-        if reason is None
+        if not reason
         for run in _runs(request, group, model, track)
     ]
     known = {run.name: finished(run) for run in runs}
@@ -109,9 +108,7 @@ def planned(request: Request) -> Campaign:
         runs=tuple(run for run in runs if known[run.name] is None),
         found={name: facts for name, facts in known.items() if facts is not None},
         left_out={
-            f"{group.name}/{model}": reason
-            for (group, model), reason in reasons.items()
-            if reason is not None
+            f"{group.name}/{model}": reason for (group, model), reason in reasons.items() if reason
         },
     )
 
@@ -141,17 +138,6 @@ def _runs(request: Request, group: Group, model: str, track: str) -> Iterator[Ru
                 device=request.device,
                 events=request.events and request.events.absolute(),
             )
-
-
-def _why_not(group: Group, model: str, track: str) -> str | None:
-    """Say why a model cannot represent a scene, or None where it can."""
-    one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
-    unit = Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
-    try:
-        build(model, Graph.of(group.scene), unit, track=track)
-    except Unsupported as error:
-        return str(error)
-    return None
 
 
 def costs(campaign: Campaign, *, workers: int | None, carrier: Carrier) -> list[Cost]:

@@ -45,8 +45,6 @@ class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class EnergyModel(FlowModel):
     """Motion that follows from a learned energy and the scene's constraints."""
 
-    represents_contact: ClassVar[bool] = False
-    """Scenes with contact are refused with `Unsupported`."""
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
     tracks: ClassVar[Mapping[str, EnergySettings]] = {

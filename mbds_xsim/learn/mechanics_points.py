@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.errors import SceneError
+from mbds_xsim.errors import Unsupported
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.spin import idle_axes
 
@@ -125,7 +125,7 @@ def points_of(mechanism: Mechanism) -> Points:
     """Choose the points of a mechanism.
 
     Raises:
-        SceneError: A body without thickness, whose mass matrix is singular.
+        Unsupported: A body without thickness, whose mass matrix is singular.
     """
     axes = _rods(mechanism)
     frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
@@ -198,9 +198,10 @@ def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:
     if moments.min() < 1e-9 * moments.max():
         msg = (
             f"body {mechanism.scene.bodies[body].name!r}: got smallest second moment "
-            f"{moments.min():.3g} kg·m², allowed is above 0: a flat body has no mass matrix"
+            f"{moments.min():.3g} kg·m², allowed is above 0: for HGNN and LGNN points stand for "
+            "bodies, which of a flat one have no mass matrix; take gns or sgnn"
         )
-        raise SceneError(msg)
+        raise Unsupported(msg)
     radius = np.sqrt(moments[len(chosen) :] / mass)
     return _Frame(directions, np.array([*map(np.linalg.norm, chosen), *radius]), moments)
 

@@ -12,7 +12,7 @@ from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.quantity import number
-from mbds_xsim.report.shift_tables import Matrix, at, matrix_of, trained_models
+from mbds_xsim.report.shift_matrix import Matrix, at, matrix_of, trained_models
 
 __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
 

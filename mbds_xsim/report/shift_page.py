@@ -14,8 +14,9 @@ from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report import palette, themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol
+from mbds_xsim.report.shift_matrix import at, matrix_of, trained_models
 from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, styles_of
-from mbds_xsim.report.shift_tables import at, matrix_of, tables, trained_models
+from mbds_xsim.report.shift_tables import tables
 
 __all__ = ["to_html"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
@@ -12,17 +12,17 @@ from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.shift_matrix import (
+    Matrix,
+    Pick,
+    at,
+    best_formula,
+    matrix_of,
+    mean,
+    trained_models,
+)
 
-__all__ = [
-    "Matrix",
-    "Table",
-    "best_formula",
-    "matrix_of",
-    "tables",
-    "trained_models",
-]
-
-Pick = Callable[[Cell], float | None]
+__all__ = ["Table", "tables"]
 
 
 @dataclass(frozen=True)
@@ -35,50 +35,6 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
-@dataclass(frozen=True)
-class Matrix:
-    """Trainings of a model by test domains: means over seeds."""
-
-    model: str
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
-    values: tuple[tuple[float | None, ...], ...]
-
-
-def trained_models(shift: Shift) -> list[str]:
-    """Names of the models that were trained."""
-    return list(dict.fromkeys(m.model for m in shift.models if m.engines))
-
-
-def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]) -> Matrix:
-    """Give one figure of all trainings of a model on all domains."""
-    cells = [c for c in shift.cells if c.model == model and c.interval == interval]
-    rows = tuple(dict.fromkeys(cell.training for cell in cells))
-    columns = tuple(domain.name for domain in shift.domains)
-    found: dict[tuple[str, str], list[float | None]] = {}
-    for cell in cells:
-        found.setdefault((cell.training, cell.test), []).append(pick(cell))
-    values = tuple(tuple(_mean(found.get((row, c), [])) for c in columns) for row in rows)
-    return Matrix(model, rows, columns, values)
-
-
-def best_formula(shift: Shift, pick: Pick, interval: str = INTERVALS[0]) -> dict[str, float]:
-    """Give the least figure of the models that learn nothing, by domain, where all have one."""
-    matrices = [matrix_of(shift, name, pick, interval) for name in TRIVIAL]
-    figures = zip(*(matrix.values[0] for matrix in matrices), strict=True)
-    return {
-        domain: min(x for x in row if x is not None)
-        for domain, row in zip(matrices[0].columns, figures, strict=True)
-        if None not in row
-    }
-
-
-def at(shift: Shift, frame: int) -> Pick:
-    """Pick the mean squared error at a frame."""
-    place = shift.frames.index(frame)
-    return lambda cell: cell.mse[place]
-
-
 def tables(shift: Shift) -> Iterator[Table]:
     """Give all tables."""
     frame = shift.at
@@ -87,6 +43,7 @@ def tables(shift: Shift) -> Iterator[Table]:
         yield _errors(shift, model, frame)
     for model in trained_models(shift):
         yield _one_step(shift, model)
+    yield _transfer(shift, frame)
     yield _gaps(shift, place)
     yield _floors(shift)
     yield _covariate(shift, frame)
@@ -103,9 +60,9 @@ def _errors(shift: Shift, model: str, frame: int) -> Table:
     rows += [_floor_row(shift, kind, frame) for kind in ("noise", "chaos")]
     return Table(
         f"{model}: position error at t = {frame}",
-        "Mean squared distance [m²] over trajectories whose prediction is finite, mean over seeds; "
-        "in brackets how many predictions, of all seeds, were lost or exploded. Rows are "
-        "trainings, columns test domains",
+        "Mean squared distance [m²], mean over seeds; predictions that were lost or had been off "
+        f"by over {shift.exploded:g} lengths of the scene count as {shift.exploded:g} lengths, "
+        "in brackets how many of all seeds. Rows are trainings, columns test domains",
         ("trained on", *_headings(shift, shift.frames.index(frame))),
         tuple(_with_lost(shift, model, rows, shift.frames.index(frame))),
     )
@@ -177,6 +134,47 @@ def _floor_row(shift: Shift, kind: str, frame: int) -> tuple[str, ...]:
     return (f"{kind} floor", *(text for _ in shift.domains))
 
 
+def _transfer(shift: Shift, frame: int) -> Table:
+    """Rows and columns of the matrices of single engines in short."""
+    pick = at(shift, frame)
+    rows = []
+    for model in trained_models(shift):
+        matrix = matrix_of(shift, model, pick)
+        for name in matrix.homes:
+            ends = f"-{name.rpartition('-')[2]}"
+            others = [n for n in matrix.columns if n != name and n.endswith(ends)]
+            out = {n: matrix.entry(name, n) for n in others}
+            into = [matrix.entry(n, name) for n in others if n in matrix.rows]
+            known = {n: error for n, error in out.items() if error is not None}
+            worst = max(known, key=lambda n: known[n], default="")
+            rows.append(
+                (
+                    f"{model}, {name}",
+                    number(matrix.entry(name, name)),
+                    number(_over_seeds(shift, model, name, pick)),
+                    number(mean([*out.values()])),
+                    f"{number(known[worst])} ({worst})" if worst else NONE,
+                    number(mean(into)),
+                )
+            )
+    return Table(
+        f"From engine to engine at t = {frame}",
+        "Mean squared distance [m²]. Out: a training on the variant's other engines, mean and "
+        "worst. In: the other engines' trainings here. Spread: standard deviation over seeds; the "
+        "intervals below have it in them, beside that over trajectories",
+        ("", "at home", "spread", "out", "worst", "in"),
+        tuple(rows),
+    )
+
+
+def _over_seeds(shift: Shift, model: str, name: str, pick: Pick) -> float | None:
+    """Standard deviation of a training's errors at home; None of one seed."""
+    key = (model, name, name, INTERVALS[0])
+    found = [pick(c) for c in shift.cells if (c.model, c.training, c.test, c.interval) == key]
+    known = [x for x in found if x is not None]
+    return statistics.stdev(known) if len(known) > 1 else None
+
+
 def _gaps(shift: Shift, place: int) -> Table:
     frame = shift.frames[place]
     rows = [_gap_row(gap, place) for gap in shift.gaps]
@@ -240,11 +238,10 @@ def _covariate(shift: Shift, frame: int) -> Table:
     rows = []
     for model in trained_models(shift):
         by_interval = [matrix_of(shift, model, pick, name) for name in INTERVALS[1:]]
-        for training in by_interval[0].rows:
-            if training in by_interval[0].columns:
-                errors = [_at_home(matrix, training) for matrix in by_interval]
-                parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
-                rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))
+        for training in by_interval[0].homes:
+            errors = [matrix.at_home(training) for matrix in by_interval]
+            parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
+            rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))
     return Table(
         f"The covariate axis: error at home by interval, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
@@ -259,12 +256,6 @@ def _over(error: float | None, other: float | None) -> float | None:
     return error / other if error is not None and other else None
 
 
-def _at_home(matrix: Matrix, training: str) -> float | None:
-    if training not in matrix.rows:
-        return None
-    return matrix.values[matrix.rows.index(training)][matrix.columns.index(training)]
-
-
 def _quality(shift: Shift, place: int) -> Table:
     """Other figures of each training at home."""
     rows = []
@@ -276,10 +267,9 @@ def _quality(shift: Shift, place: int) -> Table:
             lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
         )
         found = [matrix_of(shift, model, pick) for pick in picks]
-        for training in found[0].rows:
-            if training in found[0].columns:
-                texts = [number(_at_home(matrix, training)) for matrix in found]
-                rows.append((f"{model}, {training}", *texts))
+        for training in found[0].homes:
+            texts = [number(matrix.at_home(training)) for matrix in found]
+            rows.append((f"{model}, {training}", *texts))
     return Table(
         "What else rollouts keep, each training at home",
         f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
@@ -309,11 +299,13 @@ def _agreements(shift: Shift) -> Table:
 
 def _paper(shift: Shift) -> Table:
     """The paper's figures beside ours, as data."""
-    paper = paper_errors(shift.scene)
+    paper, sound = paper_errors(shift.scene), paper_errors(shift.scene, flagged=False)
     frames = sorted({frame for _, frame in paper})
     rows = []
     for model in dict.fromkeys(model for model, _ in paper):
-        rows.append((f"{model}, {PAPER}", *(number(paper.get((model, f))) for f in frames)))
+        marks = ["" if (model, f) in sound or (model, f) not in paper else " *" for f in frames]
+        texts = [number(paper.get((model, f))) for f in frames]
+        rows.append((f"{model}, {PAPER}", *map(str.__add__, texts, marks)))
     for model in trained_models(shift):
         homes = {f: _home_mean(shift, model, f) for f in frames if f in shift.frames}
         rows.append((f"{model}, here", *(number(homes.get(frame)) for frame in frames)))
@@ -322,7 +314,8 @@ def _paper(shift: Shift) -> Table:
         "Not comparable in absolute value: the paper's unit, averaging, masses, noise and test "
         "part are not stated, its figures are of the set that steered training, and its values "
         "at t = 1 are far above constant velocity's in metres. What can be compared is the order "
-        "of the models (rank agreement) and the growth with t. Here: mean over single-engine "
+        "of the models (rank agreement) and the growth with t, but for what cannot be right as "
+        "printed (*: less than at an earlier t, or copied). Here: mean over single-engine "
         "trainings at home [m²]",
         ("", *(f"t = {frame}" for frame in frames)),
         tuple(rows),
@@ -331,10 +324,5 @@ def _paper(shift: Shift) -> Table:
 
 def _home_mean(shift: Shift, model: str, frame: int) -> float | None:
     matrix = matrix_of(shift, model, at(shift, frame))
-    homes = [_at_home(matrix, row) for row in matrix.rows if row in matrix.columns]
-    return _mean(homes)
-
-
-def _mean(figures: Sequence[float | None]) -> float | None:
-    known = [x for x in figures if x is not None]
-    return statistics.fmean(known) if known else None
+    homes = [matrix.at_home(row) for row in matrix.homes]
+    return mean(homes)

@@ -7,7 +7,8 @@ from rich.table import Table as Grid
 
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.shift_markdown import protocol
-from mbds_xsim.report.shift_tables import tables, trained_models
+from mbds_xsim.report.shift_matrix import trained_models
+from mbds_xsim.report.shift_tables import tables
 
 __all__ = ["print_shift"]
 

@@ -177,4 +177,3 @@ def test_contact_is_refused(data: Data, name: str) -> None:
     statistics = Statistics.of(motions_of(data, "train"))
     with pytest.raises(Unsupported, match=r"balldrop.*contact"):
         build(name, Graph.of(load_scene("balldrop")), statistics)
-    assert not EnergyModel.represents_contact

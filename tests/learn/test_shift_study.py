@@ -27,6 +27,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.saved import save_model
 from mbds_xsim.learn.shift import evaluate, restart, study
 from mbds_xsim.learn.shift.domains import load_paired
@@ -38,14 +39,13 @@ from mbds_xsim.learn.shift.roster import (
     check_budget,
     check_data,
     find_entries,
-    refusal,
     trivial_entries,
 )
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.report.shift_tables import tables
-from mbds_xsim.scene import Clock
+from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.state import Batch
 from tests.learn.conftest import Silence
 
@@ -375,6 +375,11 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     assert shift.left_out == {"hgnn": none, "lgnn": none, "sgnn": none}
     assert refusal("gns", Graph.of(load_scene("balldrop"))) == ""
     assert "contact" in refusal("hgnn", Graph.of(load_scene("balldrop")))
+    flat = Inertia(1.0, moments=(1.0, 1.0, 2.0))
+    hinge = Joint("hinge", "hinge", "world", "plate", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+    plate = Scene("plate", (Body("plate", inertia=flat),), 1.0, joints=(hinge,))
+    assert refusal("gns", Graph.of(plate)) == ""
+    assert "points stand for bodies, which of a flat one" in refusal("lgnn", Graph.of(plate))
 
 
 def test_other_training_data_are_refused(folder: Path) -> None:

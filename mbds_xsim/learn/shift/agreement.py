@@ -25,7 +25,7 @@ _LEAST = 3  # models: two can only be in order or out of it
 def agreements_of(board: Board, draws: Draws) -> Iterator[Agreement]:
     """Compare the orders of models that were trained where they are tested, and the paper's."""
     orders = _orders(board, draws)
-    paper = paper_errors(board.test.scene.name)
+    paper = paper_errors(board.test.scene.name, flagged=False)
     if orders and paper:
         orders[PAPER] = paper
     for (first, one), (second, two) in itertools.combinations(orders.items(), 2):
@@ -52,9 +52,14 @@ def paper_rows(scene: str) -> list[dict[str, str]]:
     return [r for r in rows if r["kind"] == "value" and _plain(r["scenario"]) == scene]
 
 
-def paper_errors(scene: str) -> Errors:
-    """Give the same of all speeds together [m², if the paper's unit is the metre]."""
-    rows = [row for row in paper_rows(scene) if not row["speed"]]
+def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
+    """Give the same of all speeds together [m², if the paper's unit is the metre].
+
+    Args:
+        scene: Which.
+        flagged: Whether to give those, too, that a note says cannot be right as printed.
+    """
+    rows = [r for r in paper_rows(scene) if not r["speed"] and (flagged or not r["note"])]
     return {(row["model"].lower(), int(row["t"])): float(row["mean_si"]) for row in rows}
 
 

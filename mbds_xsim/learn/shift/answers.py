@@ -84,7 +84,7 @@ def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap], at: int) -> Iter
     for variant in dict.fromkeys(field.variant for field in fields):
         yield _most_robust(draws, [f for f in fields if f.variant == variant], gaps, place)
     for field in fields:
-        yield from _several_engines(draws, field, place)
+        yield from _several_engines(draws, field, gaps, place)
     yield from _matched(draws, fields, gaps, place)
 
 
@@ -113,10 +113,12 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     """How many shifts can be told at all."""
     single = [gap for gap in gaps if gap.kind == SINGLE]
     count = Counter(gap.why[place] for gap in single)
+    better = sum(not gap.why[place] and _is_gain(gap, place) for gap in single)
     text = (
-        f"At t = {frame}, {count['']} of {len(single)} shifts between single engines are resolved; "
-        f"{count[WEAK]} are not because the model's own error exceeds the engine floor, "
-        f"{count[UNSURE]} because the interval of the difference contains 0"
+        f"At t = {frame}, {count['']} of {len(single)} shifts from one engine's data to another's "
+        f"are resolved: {count[''] - better} times the model errs more than the one trained there, "
+        f"{better} times less; {count[WEAK]} are not because the model's own error exceeds the "
+        f"engine floor, {count[UNSURE]} because the interval of the difference contains 0"
     )
     if count[UNKNOWN]:
         text += f", {count[UNKNOWN]} because the model's own domain is not tested"
@@ -126,19 +128,29 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     return Answer(RESOLVABLE, "Is a shift resolvable?", text)
 
 
+def _is_gain(gap: Gap, place: int) -> bool:
+    difference = gap.difference[place]
+    return difference is not None and difference < 0.0
+
+
 def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
     """The model of the smallest worst-engine gap, of those in which a shift can be seen."""
     frame, variant = draws.board.frames[place], fields[0].variant
-    ratios = {f.model: _ratio(draws, functools.partial(_worst_gap, f)) for f in fields}
+    seen = {field.model: _gaps_within(field, gaps) for field in fields}
+    resolved = {model: [g for g in own if g.resolved[place]] for model, own in seen.items()}
+    ratios = {
+        f.model: _ratio(draws, functools.partial(_worst_gap, f, resolved[f.model] or seen[f.model]))
+        for f in fields
+    }
     order = sorted(ratios, key=lambda model: ratios[model].value[place])
     told = ", ".join(f"{model} {ratios[model].told(place)}" for model in order)
-    seen = {field.model: _resolved_of(field, gaps, place) for field in fields}
-    able = [model for model in order if seen[model][0]]
-    resolved = ", ".join(f"{part} of {whole} of {model}" for model, (part, whole) in seen.items())
+    able = [model for model in order if resolved[model]]
+    parts = ", ".join(f"{len(resolved[m])} of {len(own)} of {m}" for m, own in seen.items())
     text = (
         f"At t = {frame} on {variant} data {_first(able, order, ratios, place)}. Gaps resolved: "
-        f"{resolved}. Worst ratio of error to that of the target-trained model (the worst of "
-        f"several is above 1 even without a shift): {told}"
+        f"{parts}. Worst ratio of error to that of the target-trained model, of the resolved gaps, "
+        "else of all (the worst of several is above 1 even without a shift): "
+        f"{told}"
     )
     return Answer(
         ROBUST,
@@ -161,24 +173,29 @@ def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio],
     return f"{text}; {', '.join(unseen)} cannot be judged: {_BLIND}" if unseen else text
 
 
-def _resolved_of(field: _Field, gaps: Sequence[Gap], place: int) -> tuple[int, int]:
-    """How many of a model's gaps within a variant tell of a shift, and of how many."""
-    trainings = {training.name for training in field.singles.values()}
-    told = [
+def _gaps_within(field: _Field, gaps: Sequence[Gap], kind: str = SINGLE) -> list[Gap]:
+    """Gaps of a model's trainings of a kind to domains of their own variant."""
+    return [
         gap
         for gap in gaps
-        if (gap.kind, gap.model) == (SINGLE, field.model)
-        and gap.training in trainings
+        if (gap.kind, gap.model) == (kind, field.model)
+        and gap.training.endswith(f"-{field.variant}")
         and gap.test in field.singles
     ]
-    return sum(gap.resolved[place] for gap in told), len(told)
 
 
-def _worst_gap(field: _Field, look: Look) -> Array:
-    """Largest ratio to the target-trained model over pairs of engines."""
-    pairs = itertools.permutations(field.singles, 2)
-    singles = field.singles
-    return np.max([_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs], axis=0)
+def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
+    return f"{sum(gap.resolved[place] for gap in gaps)} of {len(gaps)}"
+
+
+def _worst_gap(field: _Field, gaps: Sequence[Gap], look: Look) -> Array:
+    """Largest ratio to the target-trained model."""
+    singles = {training.name: training for training in field.singles.values()}
+    ratios = [
+        _over(look(singles[gap.training], gap.test), look(field.singles[gap.test], gap.test))
+        for gap in gaps
+    ]
+    return np.asarray(np.max(ratios, axis=0))
 
 
 def _mean_gap(field: _Field, look: Look) -> Array:
@@ -189,15 +206,20 @@ def _mean_gap(field: _Field, look: Look) -> Array:
     return _geometric(ratios)
 
 
-def _several_engines(draws: Draws, field: _Field, place: int) -> Iterator[Answer]:
+def _several_engines(
+    draws: Draws, field: _Field, gaps: Sequence[Gap], place: int
+) -> Iterator[Answer]:
     frame = draws.board.frames[place]
     words = ("helps", "harms", "makes no difference that can be told")
     shared = [name for name in field.without if name in field.singles]
     if shared:
         ratio = _ratio(draws, functools.partial(_left_out_ratio, field, shared))
+        parts = _count_resolved(_gaps_within(field, gaps, LEAVE_ONE_OUT), place)
         text = (
             f"At t = {frame} leaving one engine out {ratio.verdict(place, *words)} on the engine "
-            f"left out, against training on a single other engine: error ratio {ratio.told(place)}"
+            "left out, against training on a single other engine: error ratio "
+            f"{ratio.told(place)}. Of the gaps of these trainings to the target-trained model "
+            f"{parts} are resolved"
         )
         question = f"Does training on several others help {field.model} ({field.variant})?"
         yield Answer(LEAVE_ONE_OUT, question, text, field.variant, {field.model: ratio.result})
@@ -245,8 +267,8 @@ def _matched(
                 for variant in ("native", "matched")
             )
             change = _ratio(draws, functools.partial(_lessening, variants))
-            seen, _ = _resolved_of(variants["native"], gaps, place)
-            text = f"At t = {frame} {_removal(native, matched, change, place, seen=seen > 0)}. "
+            seen = {name: _gaps_within(variants[name], gaps) for name in ("native", "matched")}
+            text = f"At t = {frame} {_removal(native, matched, change, seen, place)}. "
             text += f"Mean gap ratio {native.told(place)} on native, {matched.told(place)} on "
             text += f"matched data, {change.told(place)} of the two"
             question = f"Does matched data remove the shift of {model}?"
@@ -258,18 +280,22 @@ def _lessening(variants: dict[str, _Field], look: Look) -> Array:
     return _over(_mean_gap(variants["native"], look), _mean_gap(variants["matched"], look))
 
 
-def _removal(native: _Ratio, matched: _Ratio, change: _Ratio, place: int, *, seen: bool) -> str:
+def _removal(
+    native: _Ratio, matched: _Ratio, change: _Ratio, gaps: dict[str, list[Gap]], place: int
+) -> str:
     """Tell a shift that went from one that an interval of matched data is too wide to show."""
     if not native.low[place] > 1.0:
         return "native data show no shift that matched data could remove"
-    if not seen:
+    if not any(gap.resolved[place] for gap in gaps["native"]):
         return _UNTOLD
     less = change.low[place] > 1.0
     if matched.low[place] > 1.0:
         return "matched data lessen the shift" if less else "the shift is there on matched data too"
-    if less:
-        return "matched data show no shift any more"
-    return "whether matched data remove the shift cannot be told"
+    if not less:
+        return "whether matched data remove the shift cannot be told"
+    near = all(gap.why[place] == WEAK for gap in gaps["matched"])
+    why = ", whose engines differ by less than the model errs" if near else ""
+    return f"no shift is left on matched data{why}"
 
 
 def _ratio(draws: Draws, figure: Callable[[Look], Array]) -> _Ratio:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
-from mbds_xsim.learn.shift.result import INTERVALS, Cell, Values, values
+from mbds_xsim.learn.shift.result import INTERVALS, Cell, values
 from mbds_xsim.learn.shift.roster import Entry
 
-__all__ = ["ENGINE", "RESTART", "Board", "cells_of", "median", "valid_time"]
+__all__ = ["ENGINE", "RESTART", "Board", "cells_of", "known_mean", "median", "valid_time"]
 
 Array = NDArray[np.float64]
 
@@ -120,6 +120,13 @@ def median(figures: Array) -> Array:
     return found
 
 
+def known_mean(figures: Array) -> Array:
+    """Over the known trajectories, frame by frame; NaN where there is none."""
+    known = ~np.isnan(figures)
+    total = np.where(known, figures, 0.0).sum(axis=0)
+    return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
+
+
 def _cells(board: Board, key: tuple[str, str, int, str], figures: Figures) -> Iterator[Cell]:
     for interval in INTERVALS:
         rows = board.rows(interval)
@@ -145,7 +152,7 @@ def _cell(
         known=_counts(~np.isnan(at)),
         finite=_counts(np.isfinite(at)),
         diverged=_counts(exploded & ~np.isnan(at)),
-        mse=_means(at),
+        mse=values(known_mean(board.counted(error))),
         median=values(median(at)),
         energy=values(median(figures.energy[rows][:, board.at])),
         gap=values(median(figures.gap[rows][:, board.at])),
@@ -158,13 +165,6 @@ def _cell(
 
 def _counts(flags: NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(flags.sum(axis=0).tolist())
-
-
-def _means(at: Array) -> Values:
-    finite = np.isfinite(at)
-    count = finite.sum(axis=0)
-    total = np.where(finite, at, 0.0).sum(axis=0)
-    return values(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def _mean(numbers: Array) -> float | None:

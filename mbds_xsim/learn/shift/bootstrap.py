@@ -19,24 +19,25 @@ _SEED = 20240607
 class Resampler:
     """Draws the same trajectories for every model and domain: what they share cancels.
 
-    Seeds are drawn for each training by itself, because its runs share nothing with others'.
+    Runs of a seed share first weights and the order of windows, whatever they are trained on: seeds
+    are drawn together, too.
     """
 
     def __init__(self, trajectories: int, *, draws: int = DRAWS, seed: int = _SEED) -> None:
         self._draws, self._seed = draws, seed
         self._weights = _weights(np.random.default_rng([seed]), draws, trajectories)
 
-    def means(self, errors: Array, training: str) -> Array:
+    def means(self, errors: Array, runs: str) -> Array:
         """Give resampled means.
 
         Args:
             errors: Shape (seed, trajectory, frame), finite.
-            training: Name of the training; the same name draws the same seeds.
+            runs: Name of what the seeds are of; the same name draws the same seeds.
 
         Returns:
             Shape (draw, frame).
         """
-        rng = np.random.default_rng([self._seed, zlib.crc32(training.encode())])
+        rng = np.random.default_rng([self._seed, zlib.crc32(runs.encode())])
         seeds = _weights(rng, self._draws, len(errors))
         each = np.einsum("dt,stf->dsf", self._weights, errors, optimize=True)
         return np.einsum("ds,dsf->df", seeds, each)

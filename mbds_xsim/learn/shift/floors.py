@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board, median
+from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board, known_mean, median
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired
 from mbds_xsim.learn.shift.measure import EXPLODED, Figures, measure
 from mbds_xsim.learn.shift.result import INTERVALS, Floor, values
 from mbds_xsim.learn.shift.truth import Truth
 from mbds_xsim.learn.window import HISTORY
 
-__all__ = ["CHAOS_START", "chaos_floor", "floors_of", "known_mean", "noise_floor", "oracles"]
+__all__ = ["CHAOS_START", "chaos_floor", "floors_of", "noise_floor", "oracles"]
 
 Array = NDArray[np.float64]
 
@@ -86,10 +86,3 @@ def _floors(board: Board, key: tuple[str, str, str], error: Array) -> Iterator[F
             median=values(median(error[rows][:, board.at])),
             curve=values(median(error)) if interval == INTERVALS[0] else (),
         )
-
-
-def known_mean(figures: Array) -> Array:
-    """Over the known trajectories, frame by frame; NaN where there is none."""
-    known = ~np.isnan(figures)
-    total = np.where(known, figures, 0.0).sum(axis=0)
-    return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))

@@ -42,7 +42,7 @@ class Training:
 
 
 class Draws:
-    """Mean errors of trainings on domains, and resampled ones; trajectories are drawn together."""
+    """Mean errors of trainings on domains, and resampled ones, all drawn together."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -55,7 +55,8 @@ class Draws:
 
     def _drawn(self, training: Training, test: str) -> Array:
         errors = self._errors(training, test)
-        return self._resampler.means(errors, f"{training.model} {training.name}")
+        seeds = [run.seed for run in self.board.runs(training.model, training.name)]
+        return self._resampler.means(errors, f"{training.model} {seeds}")
 
     def _errors(self, training: Training, test: str) -> Array:
         return self.board.errors(training.model, training.name, test)
@@ -136,8 +137,7 @@ def _gap(
     test, board = target.domains[0], draws.board
     here, there = draws.mean(training, test), draws.mean(target, test)
     drawn = draws.drawn(training, test), draws.drawn(target, test)
-    own = _own(draws, training)
-    floor = _engine_floor(board, training, test)
+    own, floor = _own_and_floor(draws, training, test)
     low, high = bounds_of(drawn[0] - drawn[1])
     why = [why_unresolved(*each) for each in zip(own, floor, low, high, strict=True)]
     ratio_low, ratio_high = _finite_bounds(_ratio(*drawn))
@@ -167,18 +167,21 @@ def _gap(
     )
 
 
-def _own(draws: Draws, training: Training) -> Array:
-    """Mean over the engines that it was trained on, of those that there are tests of."""
-    tested = {domain.name for domain in draws.board.test.domains}
-    means = [draws.mean(training, name) for name in training.domains if name in tested]
-    return np.mean(means, axis=0) if means else np.full(len(draws.board.frames), np.nan)
+def _own_and_floor(draws: Draws, training: Training, test: str) -> tuple[Array, Array]:
+    """R_ii and D_ij of the engine i of the training from which √R_ij ≤ √R_ii + √D_ij says most.
 
-
-def _engine_floor(board: Board, training: Training, test: str) -> Array:
-    """Least mean distance of the target from another engine of the training."""
-    others = [name for name in training.domains if (name, test) in board.oracles]
-    means = [board.floor(name, test).mean(axis=0) for name in others]
-    return np.min(means, axis=0) if means else np.full(len(board.frames), np.nan)
+    Both are NaN where no other domain of the training is tested.
+    """
+    board = draws.board
+    tested = {domain.name for domain in board.test.domains}
+    others = [n for n in training.domains if n in tested and (n, test) in board.oracles]
+    if not others:
+        return (np.full(len(board.frames), np.nan),) * 2
+    own = np.stack([draws.mean(training, name) for name in others])
+    floor = np.stack([board.floor(name, test).mean(axis=0) for name in others])
+    most = np.sqrt(own) + np.sqrt(floor)
+    least = np.where(np.isnan(most), np.inf, most).argmin(axis=0)[None]
+    return np.take_along_axis(own, least, 0)[0], np.take_along_axis(floor, least, 0)[0]
 
 
 def _ratio(here: Array, there: Array) -> Array:

@@ -76,7 +76,7 @@ class Cell(msgspec.Struct, frozen=True):
     diverged: tuple[int, ...]
     """Of them, those that were not finite or had exploded by then."""
     mse: Values
-    """Mean over the finite [m²]."""
+    """Mean over the known, those lost or exploded counting as exploded [m²]."""
     median: Values
     """Over the known, the others being infinite [m²]."""
     energy: Values
@@ -119,7 +119,7 @@ class Gap(msgspec.Struct, frozen=True):
     seeds: tuple[int, int]
     """Of the training and of the target's."""
     own: Values
-    """Error of the training on its own domain [m²]."""
+    """Error of the training on its own domain [m²]; of several on that whose bound is least."""
     transferred: Values
     """Error of the training on the target [m²]."""
     target: Values
@@ -132,7 +132,7 @@ class Gap(msgspec.Struct, frozen=True):
     difference_low: Values
     difference_high: Values
     engine_floor: Values
-    """Least D of an engine of the training, gone on from the target's last known frame [m²]."""
+    """D of that domain's engine, gone on from the target's last known frame [m²]."""
     noise_floor: Values
     chaos_floor: Values
     resolved: tuple[bool, ...]

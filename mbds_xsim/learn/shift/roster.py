@@ -9,16 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from mbds_xsim.dataset.split import NAMES, split_of
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.learn.channels import CHANNELS
+from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, load_model
 from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.shift.domains import Paired
-from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.scene import Scene
 
 __all__ = [
@@ -30,7 +26,6 @@ __all__ = [
     "check_data",
     "entry_of",
     "find_entries",
-    "refusal",
     "trivial_entries",
 ]
 
@@ -239,22 +234,6 @@ def check_data(entries: Sequence[Entry], test: Paired) -> None:
                     "train it on this one, or test it on its own"
                 )
                 raise InputError(msg)
-
-
-def refusal(name: str, graph: Graph) -> str:
-    """Say why a model cannot represent a scene; "" where it can."""
-    kind = load_model(name)
-    try:
-        kind(graph, _still(), next(iter(kind.tracks.values())))
-    except Unsupported as error:
-        return str(error)
-    return ""
-
-
-def _still() -> Statistics:
-    """Statistics of nothing that moves."""
-    moments = Moments(torch.zeros(3).double(), torch.ones(3).double())
-    return Statistics(moments, moments, moments, torch.ones(len(CHANNELS)).double())
 
 
 def _words(option: str, given: str | None, known: tuple[str, ...]) -> tuple[str, ...]:

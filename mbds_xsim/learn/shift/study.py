@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.errors import InputError
+from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
-from mbds_xsim.learn.shift.board import RESTART, Board, cells_of
+from mbds_xsim.learn.shift.board import RESTART, Board, cells_of, known_mean
 from mbds_xsim.learn.shift.bootstrap import DRAWS
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, Solved, load_paired
 from mbds_xsim.learn.shift.evaluate import Plan, evaluate
-from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, known_mean, noise_floor, oracles
+from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, noise_floor, oracles
 from mbds_xsim.learn.shift.gaps import Draws, gaps_of
 from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
 from mbds_xsim.learn.shift.restart import restarted
@@ -31,7 +32,6 @@ from mbds_xsim.learn.shift.roster import (
     check_budget,
     check_data,
     find_entries,
-    refusal,
     trivial_entries,
 )
 from mbds_xsim.learn.shift.truth import read_truth, solve_domain
