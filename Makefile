@@ -108,6 +108,7 @@ MAPPED ?= pace/6pendulum links/6pendulum loops/3ladder throw/ballscroll
 named = --models "$(MODELS)/$$scene/*/*/$(1).pt"
 
 reports-models: $(VENV)/ready
+	$(BIN)/python -m benchmarks.energy_rollouts $(MODELS) $(STUDY) > $(REPORTS)/energy-rollouts.md
 	for scene in $(SCENES); do \
 		[ ! -d $(MODELS)/$$scene ] || [ $$scene = particlecar ] || \
 			$(BIN)/mbds-xsim tradeoff $$scene $(call named,$(CHARTED)) \
@@ -132,7 +133,8 @@ SEEDS ?= 1
 SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	|| [ $$? -eq 1 ]
-trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS)
+trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
+	--png $(REPORTS)/shift/$(3)-curves.png
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call files,shift/$(1)) \
 	--png $(REPORTS)/shift/$(1).png
 shift-targets = $(addprefix shift-,$(SHIFTED))
@@ -146,18 +148,18 @@ shift-balldrop shift-3ladder shift-simplecubli: STEPS = 500
 
 shift-6pendulum shift-balldrop: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
-	$(call trained,$*/*-native.h5,$(WAYS))
+	$(call trained,$*/*-native.h5,$(WAYS),$*)
 	$(call shifted,$*,$* --settings native)
 
 shift-3ladder shift-simplecubli: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
-	$(call trained,$*/*-native.h5,each --models gns$(comma)sgnn --seeds $(SEEDS))
+	$(call trained,$*/*-native.h5,each --models gns$(comma)sgnn --seeds $(SEEDS),$*)
 	$(call shifted,$*,$* --settings native)
 
 # The same starts at either settings.
 shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call drawn,$*,native$(comma)matched)
-	$(call trained,$*,each --seeds $(SEEDS))
+	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.

@@ -50,10 +50,12 @@ def protocol(shift: Shift) -> str:
     ends = sorted({*steps[:1], *steps[-1:]})
     budget = f", {' to '.join(map(str, ends))} steps" if ends else ""
     few = "" if len(seeds) >= _ENOUGH else ", too few to tell of other runs of the same trainings"
+    told = sorted({m.model for m in shift.models if m.bodies})
+    bodies = f", to {' and '.join(told)} with the bodies' states" if told else ""
     return (
         f"{len(shift.index)} test trajectories that all {len(shift.domains)} domains share, from "
-        f"the same starts and inputs; the first {shift.history} frames are the test domain's own, "
-        f"then {shift.horizon} frames of {shift.frame_s:g} s are predicted. "
+        f"the same starts and inputs; the first {shift.history} frames are the test domain's own"
+        f"{bodies}, then {shift.horizon} frames of {shift.frame_s:g} s are predicted. "
         f"Seeds {', '.join(map(str, seeds))}{few}; "
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"

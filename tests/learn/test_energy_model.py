@@ -9,6 +9,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from benchmarks.energy_rollouts import from_places
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.learn.energy import TrueEnergy
@@ -148,6 +149,22 @@ def test_a_row_that_has_no_numbers_leaves_the_others(data: Data, name: str) -> N
         after = model.advance(state, sample.inputs.at(0))
     assert after[1].isnan().any()
     assert torch.equal(after[[0, 2]], alone[[0, 2]])
+
+
+@pytest.mark.parametrize("name", list(DYNAMICS))
+def test_starts_from_places_have_the_velocities_of_the_motion(data: Data, name: str) -> None:
+    """And take none that are given: those of the data are made to lie."""
+    motions = motions_of(data, "train")
+    model = untrained(name, motions)
+    rows = torch.arange(len(motions))
+    given = model.begin(motions.sample(rows, torch.full_like(rows, HISTORY - 1), 1).start)
+    assert motions.body is not None
+    motions.body[..., 7:] = 1e3
+    found = from_places(model, motions)
+    speed = model.velocities(given).norm(dim=-1).amax(1)
+    off = (model.velocities(found) - model.velocities(given)).norm(dim=-1).amax(1)
+    assert float((off / speed).median()) < 0.01
+    assert (model.positions(found) - model.positions(given)).abs().max() < 1e-9
 
 
 @pytest.mark.parametrize("name", list(DYNAMICS))

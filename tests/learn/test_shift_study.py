@@ -404,6 +404,10 @@ def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Pa
     check_budget([trained(profile="a"), other])
     with pytest.raises(InputError, match="another starts than"):
         check_budget([trained(profile="a", starts="b"), trained(profile="a", starts="c")])
+    matched = dataclasses.replace(trained(profile="a", starts="c"), variant="matched")
+    check_budget([trained(profile="a", starts="b"), matched])
+    with pytest.raises(InputError, match="another profile than"):
+        check_budget([trained(profile="b", starts="b"), matched])
 
 
 def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:

@@ -59,6 +59,8 @@ class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     ended: str
     content: str
     """Checksum of its file; its name for trivial models."""
+    bodies: bool = False
+    """Whether it starts from the bodies' states, not from the particles' positions alone."""
 
 
 class Cell(msgspec.Struct, frozen=True):

@@ -67,6 +67,8 @@ class Entry:
     """Engines and checksums of the files that it was trained on, as far as stated."""
     drawn: tuple[int, int] | None = None
     """Seed and number of the trajectories that its training part is of, as far as stated."""
+    bodies: bool = False
+    """Whether it starts from the bodies' states, not from the particles' positions alone."""
     budget: tuple[tuple[str, str], ...] = ()
     """What else it was made with, as far as stated: a profile, starts."""
 
@@ -186,21 +188,24 @@ def entry_of(path: Path) -> Entry:
         steps=int(facts.get("steps", 0)),
         ended=facts.get("ended", ""),
         data=_data(facts),
+        bodies=model.needs_bodies,
         drawn=_drawn(facts),
         budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
     )
 
 
 def check_budget(entries: Sequence[Entry]) -> None:
-    """Refuse models of one kind and variant that do not differ in their engines alone.
+    """Refuse models of one kind that do not differ in their engines and variant alone.
 
     Raises:
         InputError: They had other steps, hyper-parameters or trajectories.
     """
-    firsts: dict[tuple[str, str, str], tuple[str, Entry]] = {}
+    firsts: dict[tuple[str, ...], tuple[str, Entry]] = {}
     for entry in entries:
         for key, value in entry.budget:
-            told, first = firsts.setdefault((entry.model, entry.variant, key), (value, entry))
+            # What all engines of a variant have, by which one trains, is of the variant.
+            of = (entry.variant,) if key == "starts" else ()
+            told, first = firsts.setdefault((entry.model, key, *of), (value, entry))
             if value != told:
                 msg = (
                     f"{entry.path}: has another {key} than {first.path}; to compare them would "

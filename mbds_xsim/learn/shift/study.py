@@ -218,4 +218,5 @@ def _facts(entry: Entry) -> ModelFacts:
         steps=entry.steps,
         ended=entry.ended,
         content=entry.content,
+        bodies=entry.bodies,
     )
