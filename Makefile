@@ -129,6 +129,8 @@ STUDY ?= out/study
 DRAWN ?= 1000
 STEPS ?= 1000
 WAYS = each,leave-one-out,all
+# A change of speed, to hold one of engine against.
+SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
 SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
@@ -149,6 +151,7 @@ shift-balldrop shift-3ladder shift-simplecubli: STEPS = 500
 shift-6pendulum shift-balldrop: shift-%: $(VENV)/ready
 	$(call drawn,$*,native)
 	$(call trained,$*/*-native.h5,$(WAYS),$*)
+	$(if $(filter 6pendulum,$*),$(call trained,$*/*-native.h5,$(SPEEDS) --seeds $(SEEDS),$*-speed))
 	$(call shifted,$*,$* --settings native)
 
 shift-3ladder shift-simplecubli: shift-%: $(VENV)/ready

@@ -47,7 +47,7 @@ def shift(
     ] = None,
     on: Annotated[
         str | None,
-        typer.Option(help="Only models so trained: each, leave-one-out, all."),
+        typer.Option(help="Only models so trained: each, leave-one-out, all, by-interval."),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)

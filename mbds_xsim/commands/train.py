@@ -39,7 +39,8 @@ _Data = Annotated[
 _Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")]
 _Models = Annotated[str, typer.Option(help="Comma-separated.")]
 _On = Annotated[
-    str, typer.Option(help="each, leave-one-out, all, or names of engines, comma-separated.")
+    str,
+    typer.Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas."),
 ]
 _Seeds = Annotated[int, typer.Option(help="How many: 0, 1, …", min=1)]
 _ProfileName = Annotated[

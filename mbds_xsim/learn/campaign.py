@@ -124,11 +124,11 @@ def _check_models(models: Sequence[str], track: str) -> None:
 
 def _runs(request: Request, group: Group, model: str, track: str) -> Iterator[Run]:
     for seed in range(request.seeds):
-        for training, engines in trainings(group, request.on).items():
+        for training, share in trainings(group, request.on).items():
             yield Run(
                 group=group,
                 training=training,
-                engines=engines,
+                share=share,
                 model=model,
                 track=track,
                 profile_name=request.profile_name,

@@ -20,7 +20,7 @@ from mbds_xsim.dataset.content import CONTENT
 from mbds_xsim.learn.accelerate import put
 from mbds_xsim.learn.curves import Curve, EventLog, write_curve
 from mbds_xsim.learn.domains import Group
-from mbds_xsim.learn.mixture import mixed
+from mbds_xsim.learn.mixture import Share, mixed
 from mbds_xsim.learn.model import Model, build, load_model
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.saved import read_facts, save_model
@@ -40,8 +40,8 @@ class Run:
 
     group: Group
     training: str
-    """Name: `mujoco`, `not-mujoco`, `all`."""
-    engines: tuple[str, ...]
+    """Name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`."""
+    share: Share
     model: str
     track: str
     profile_name: str
@@ -76,19 +76,21 @@ class Run:
     def identity(self) -> dict[str, str]:
         """What decides on the result, on one machine: a file of another identity is another run."""
         settings = load_model(self.model).tracks[self.track]
+        interval = self.share.interval
         return {
             "scene": self.group.scene_name,
             "variant": self.group.variant,
             "model": self.model,
             "training": self.training,
-            "train_engines": ",".join(self.engines),
+            "train_engines": ",".join(self.share.engines),
             "seed": str(self.seed),
             "track": self.track,
             "settings": msgspec.json.encode(settings).decode(),
             "profile": msgspec.json.encode(self.profile).decode(),
-            "data": json.dumps({engine: _content(self.group, engine) for engine in self.engines}),
-            "starts": _starts(self.group),
+            "data": json.dumps({e: _content(self.group, e) for e in self.share.engines}),
+            "starts": _starts(self),
             "drawn": json.dumps(self.group.drawn),
+            **({"interval": interval} if interval else {}),
         }
 
 
@@ -118,7 +120,7 @@ def prepared(run: Run, *, most: int | None = None) -> tuple[Model, Statistics, P
     training, validation = (
         mixed(
             run.group,
-            run.engines,
+            run.share,
             split,
             bodies=kind.needs_bodies,
             device=run.device,
@@ -187,7 +189,7 @@ def facts_of(run: Run, training: Training, parts: Parts) -> dict[str, str]:
     told = {
         "profile_name": run.profile_name,
         "engines": ",".join(run.group.files),
-        "files": json.dumps({e: _place(run.group.files[e]) for e in run.engines}),
+        "files": json.dumps({e: _place(run.group.files[e]) for e in run.share.engines}),
         "train_trajectories": len(parts[0]),
         "validation_trajectories": len(parts[1]),
         "steps": steps,
@@ -224,9 +226,9 @@ def _content(group: Group, engine: str) -> str:
     return found
 
 
-def _starts(group: Group) -> str:
+def _starts(run: Run) -> str:
     """Checksum of the trajectories' numbers: they depend on what all engines of the group have."""
     whole = hashlib.sha256()
     for split in ("train", "validation"):
-        whole.update(group.numbers(split).astype("<i8").tobytes() + b"|")
+        whole.update(run.share.numbers(run.group, split).astype("<i8").tobytes() + b"|")
     return whole.hexdigest()

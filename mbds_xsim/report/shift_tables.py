@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
 from mbds_xsim.learn.shift.board import ENGINE, RESTART
 from mbds_xsim.learn.shift.domains import REFERENCE
-from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, ModelFacts, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.report.shift_matrix import (
@@ -46,7 +46,9 @@ def tables(shift: Shift) -> Iterator[Table]:
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
     yield _floors(shift)
-    yield _covariate(shift, frame)
+    yield _by_interval(shift, frame)
+    if any(facts.interval for facts in shift.models):
+        yield _across_intervals(shift, frame)
     yield _quality(shift, place)
     if shift.agreements:
         yield _agreements(shift)
@@ -231,7 +233,39 @@ def _floor_name(kind: str, first: str, test: str) -> str:
     return names.get(kind, kind)
 
 
-def _covariate(shift: Shift, frame: int) -> Table:
+def _across_intervals(shift: Shift, frame: int) -> Table:
+    """Trainings on an interval of starts, on their own engine: a change of speed alone."""
+    pick = at(shift, frame)
+    rows = []
+    for model in trained_models(shift):
+        tests = {name: matrix_of(shift, model, pick, name) for name in INTERVALS[1:]}
+        for facts in _with_intervals(shift, model):
+            home = f"{facts.engines[0]}-{facts.training.rpartition('-')[2]}"
+            errors = [matrix.entry(facts.training, home) for matrix in tests.values()]
+            own = [
+                matrix.entry(facts.training.replace(f"-{facts.interval}-", f"-{name}-"), home)
+                for name, matrix in tests.items()
+            ]
+            parts = [_over(e, o) for e, o in zip(errors, own, strict=True)]
+            rows.append((f"{model}, {facts.training}", *map(number, [*errors, *parts])))
+    return Table(
+        f"The covariate axis: trained on one interval, tested on all, t = {frame}",
+        "Mean squared distance [m²] on the training's own engine, of models that were trained on "
+        "the starts of one interval alone, a third as many at as many steps; and over the error of "
+        "the training on the interval tested: how large a change of speed is, to hold a change of "
+        "engine against",
+        ("", *INTERVALS[1:], *(f"{name}, ratio" for name in INTERVALS[1:])),
+        tuple(rows),
+    )
+
+
+def _with_intervals(shift: Shift, model: str) -> Iterator[ModelFacts]:
+    """Of each training on an interval one, whatever its seed."""
+    found = [facts for facts in shift.models if facts.model == model and facts.interval]
+    yield from {facts.training: facts for facts in found}.values()
+
+
+def _by_interval(shift: Shift, frame: int) -> Table:
     """Each training at home, by interval: no change of engine."""
     pick = at(shift, frame)
     formulas = [best_formula(shift, pick, name) for name in INTERVALS[1:]]
@@ -243,7 +277,7 @@ def _covariate(shift: Shift, frame: int) -> Table:
             parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
             rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))
     return Table(
-        f"The covariate axis: error at home by interval, t = {frame}",
+        f"Error at home by interval of starts, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
         "and inputs matters, without any change of engine; and as a part of the least that hold, "
         "constant velocity and constant acceleration reach there",

@@ -17,6 +17,7 @@ from mbds_xsim.learn.shift.agreement import paper_errors, tau
 from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.board import ENGINE, Board, cells_of, valid_time
 from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
+from mbds_xsim.learn.shift.by_interval import answers_by_interval
 from mbds_xsim.learn.shift.domains import Paired, Recorded
 from mbds_xsim.learn.shift.floors import chaos_floor, noise_floor
 from mbds_xsim.learn.shift.gaps import (
@@ -478,6 +479,28 @@ def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     told = found["Does matched data remove the shift of gns?"]
     assert "this cannot be told: where no gap is resolved" in told
     assert "Mean gap ratio 4 [4, 4] on native" in told
+
+
+def test_what_a_change_of_speed_costs() -> None:
+    """Trained on another interval, models err 9 times as much, in medium starts 25 times."""
+    board = _board(_shifted, floor=1.0)
+    figures = dict(board.figures)
+    place = np.arange(COUNT) % 3
+    hard = np.exp(np.random.default_rng(2).standard_normal(COUNT))
+    for own, interval in enumerate(("low", "medium", "high")):
+        away = np.where(place == own, 1.0, np.where(place == 1, 25.0, 9.0))
+        entry = dataclasses.replace(_entry(f"a-{interval}", 0, ("a",)), interval=interval)
+        error = np.tile((0.01 * hard * away)[:, None], (1, FRAMES))
+        for engine in ("a", "b", "c"):
+            figures[entry, f"{engine}-native"] = _figures(error)
+    whole = Board(board.test, board.frames, figures, board.oracles)
+    (answer,) = answers_by_interval(whole, FRAMES)
+    assert answer.question == "What does a change of speed cost (a-native)?"
+    ratio = answer.ratios["gns"]
+    for bound in (ratio.low, ratio.value, ratio.high):
+        assert bound == pytest.approx((25.0, 25.0))
+    assert _gaps(whole) == _gaps(board)
+    assert list(answers_by_interval(board, FRAMES)) == []
 
 
 def test_bootstrap_intervals_cover_the_mean() -> None:

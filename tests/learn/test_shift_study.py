@@ -69,7 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _train(folder: Path, training: str, engines: tuple[str, ...], seed: int) -> None:
+def _train(folder: Path, training: str, engines: tuple[str, ...], seed: int, **more: str) -> None:
     files = [load_dataset(folder / "data" / SCENE / f"{name}-native.h5") for name in engines]
     motions = Motions.joined([Motions.of(file, "train") for file in files])
     statistics, settings = Statistics.of(motions), GNSSettings(width=8, steps=1)
@@ -78,7 +78,7 @@ def _train(folder: Path, training: str, engines: tuple[str, ...], seed: int) -> 
         model = GNS(motions.graph, statistics, settings)
     facts = {
         "train_engines": ",".join(engines), "variant": "native", "training": training,
-        "seed": str(seed), "profile": "tiny", "ended": "steps",
+        "seed": str(seed), "profile": "tiny", "ended": "steps", **more,
     }  # fmt: skip
     path = folder / "models" / SCENE / "native" / "gns" / f"{training}-s{seed}.pt"
     save_model(path, model, "gns", settings, statistics, **facts)
@@ -253,6 +253,26 @@ def test_a_part_of_the_models_and_domains(folder: Path) -> None:
         study.study(models, data, SCENE, part=Part.parse("matched", None, None))
     with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
         find_entries(models, SCENE, Part.parse(None, "leave-one-out", None))
+
+
+def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path) -> None:
+    """And nothing of engines."""
+    for part in ("data", "models"):
+        shutil.copytree(folder / part, tmp_path / part)
+    for interval in ("low", "medium", "high"):
+        _train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
+    parts = find_entries(tmp_path / "models", SCENE, Part.parse(None, "by-interval", None))
+    assert [entry.interval for entry in parts] == ["low", "medium", "high"]
+    found = study.study(tmp_path / "models", tmp_path / "data", SCENE, workers=0).shift
+    assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
+    answer = next(answer for answer in found.answers if answer.kind == "speed")
+    assert answer.question == "What does a change of speed cost (mujoco-native)?"
+    table = next(t for t in tables(found) if "trained on one interval, tested on all" in t.title)
+    assert [row[0] for row in table.rows] == [
+        f"gns, mujoco-{interval}-native" for interval in ("low", "medium", "high")
+    ]
+    # All are the same untrained model: what remains is how hard the intervals are.
+    assert [row[4:] for row in table.rows] == [("1", "1", "1")] * 3
 
 
 @pytest.mark.parametrize(

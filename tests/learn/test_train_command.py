@@ -26,13 +26,14 @@ from mbds_xsim.learn import campaign, runs
 from mbds_xsim.learn.campaign import Request, carry, planned
 from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
 from mbds_xsim.learn.domains import Group, groups
-from mbds_xsim.learn.mixture import mixed, trainings, turns
+from mbds_xsim.learn.mixture import Share, mixed, trainings, turns
 from mbds_xsim.learn.saved import read_facts, read_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.report.training import TrainingBar
+from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Clock
 from tests.learn.conftest import Silence
 
@@ -101,8 +102,8 @@ def _end(words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
 
 def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(group: Group) -> None:
     engines = tuple(group.files)
-    mixture = mixed(group, engines, "train")
-    alone = {engine: mixed(group, (engine,), "train") for engine in engines}
+    mixture = mixed(group, Share(engines), "train")
+    alone = {engine: mixed(group, Share((engine,)), "train") for engine in engines}
     assert engines == ("mujoco", "pybullet")
     for motions in alone.values():
         assert np.array_equal(motions.index, mixture.index)
@@ -134,17 +135,30 @@ def test_what_one_engine_lacks_no_training_sees(group: Group) -> None:
     vars(lacking)["data"] = short
     numbers = lacking.numbers("train")
     assert set(group.numbers("train")) - set(numbers) == {0, 7}
-    assert np.array_equal(mixed(lacking, ("mujoco",), "train").index, numbers)
+    assert np.array_equal(mixed(lacking, Share(("mujoco",)), "train").index, numbers)
 
 
 def test_leave_one_out_leaves_it_out(group: Group) -> None:
     found = trainings(group, "leave-one-out,mujoco,all")
     assert found == {
-        "not-mujoco": ("pybullet",),
-        "not-pybullet": ("mujoco",),
-        "mujoco": ("mujoco",),
-        "all": ("mujoco", "pybullet"),
+        "not-mujoco": Share(("pybullet",)),
+        "not-pybullet": Share(("mujoco",)),
+        "mujoco": Share(("mujoco",)),
+        "all": Share(("mujoco", "pybullet")),
     }
+
+
+def test_an_interval_has_its_starts_of_one_engine_alone(group: Group) -> None:
+    found = trainings(group, "by-interval")
+    assert list(found) == [f"{e}-{i}" for e in ("mujoco", "pybullet") for i in INTERVALS]
+    assert trainings(group, "mujoco-low") == {"mujoco-low": Share(("mujoco",), "low")}
+    for place, interval in enumerate(INTERVALS):
+        for split in ("train", "validation"):
+            whole = mixed(group, Share(("mujoco",)), split)
+            part = mixed(group, found[f"mujoco-{interval}"], split)
+            assert part.index.tolist() == [n for n in whole.index.tolist() if n % 3 == place]
+            row = whole.index.tolist().index(part.index[0])
+            assert torch.equal(part.position[0], whole.position[row])
 
 
 def test_statistics_are_of_the_training_part_and_engine(ask: Ask, group: Group) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.learn.shift.board import Board
 from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
-from mbds_xsim.learn.shift.result import Gap, Values, values
+from mbds_xsim.learn.shift.result import INTERVALS, Gap, Values, values
 from mbds_xsim.learn.shift.roster import Entry
 
 __all__ = ["Draws", "Training", "gaps_of", "kind_of", "trainings_of", "why_unresolved"]
@@ -44,9 +44,9 @@ class Training:
 class Draws:
     """Mean errors of trainings on domains, and resampled ones, all drawn together."""
 
-    def __init__(self, board: Board) -> None:
-        self.board = board
-        self._resampler = Resampler(len(board.test.index))
+    def __init__(self, board: Board, interval: str = INTERVALS[0]) -> None:
+        self.board, self._rows = board, board.rows(interval)
+        self._resampler = Resampler(int(self._rows.sum()))
         self.mean = functools.cache(self._mean)
         self.drawn = functools.cache(self._drawn)
 
@@ -59,13 +59,17 @@ class Draws:
         return self._resampler.means(errors, f"{training.model} {seeds}")
 
     def _errors(self, training: Training, test: str) -> Array:
-        return self.board.errors(training.model, training.name, test)
+        return self.board.errors(training.model, training.name, test)[:, self._rows]
 
 
 def trainings_of(board: Board, model: str) -> list[Training]:
-    """Trainings of a model, in order; to leave one of two engines out is to train on the other."""
+    """Trainings of a model on all starts, in order.
+
+    To leave one of two engines out is to train on the other.
+    """
     found: dict[tuple[str, ...], Training] = {}
-    for training in (_training(entry) for entry in board.entries if entry.model == model):
+    entries = [entry for entry in board.entries if entry.model == model and not entry.interval]
+    for training in map(_training, entries):
         if training.domains not in found or training.name in training.domains:
             found[training.domains] = training
     return list(found.values())

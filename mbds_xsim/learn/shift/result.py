@@ -59,6 +59,8 @@ class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     ended: str
     content: str
     """Checksum of its file; its name for trivial models."""
+    interval: str = ""
+    """Of the starts that it was trained on; all when left out."""
     bodies: bool = False
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
 
@@ -165,7 +167,7 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
     """A question, and its answer from the figures."""
 
     kind: str
-    """"resolvable", "robust", "leave-one-out", "all" or "matched"."""
+    """"resolvable", "robust", "leave-one-out", "all", "matched" or "speed"."""
     question: str
     answer: str
     variant: str = ""

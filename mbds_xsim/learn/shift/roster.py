@@ -15,6 +15,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, load_model
 from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.shift.domains import Paired
+from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.scene import Scene
 
 __all__ = [
@@ -33,7 +34,7 @@ TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
 
 VARIANTS = ("native", "matched")
-WAYS = ("each", "leave-one-out", "all")
+WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 _TRIVIAL_MODULE = "mbds_xsim.learn.trivial"
 _FACTS = ("train_engines", "variant", "training", "seed")
@@ -67,6 +68,8 @@ class Entry:
     """Engines and checksums of the files that it was trained on, as far as stated."""
     drawn: tuple[int, int] | None = None
     """Seed and number of the trajectories that its training part is of, as far as stated."""
+    interval: str = ""
+    """Of the starts that it was trained on; all when left out."""
     bodies: bool = False
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
     budget: tuple[tuple[str, str], ...] = ()
@@ -80,6 +83,8 @@ class Entry:
     @property
     def way(self) -> str:
         """The word of `mbds-xsim train --on` that makes it."""
+        if self.interval:
+            return "by-interval"
         if self.single:
             return "each"
         return "leave-one-out" if self.training.startswith("not-") else "all"
@@ -188,6 +193,7 @@ def entry_of(path: Path) -> Entry:
         steps=int(facts.get("steps", 0)),
         ended=facts.get("ended", ""),
         data=_data(facts),
+        interval=facts.get("interval", ""),
         bodies=model.needs_bodies,
         drawn=_drawn(facts),
         budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
@@ -203,8 +209,8 @@ def check_budget(entries: Sequence[Entry]) -> None:
     firsts: dict[tuple[str, ...], tuple[str, Entry]] = {}
     for entry in entries:
         for key, value in entry.budget:
-            # What all engines of a variant have, by which one trains, is of the variant.
-            of = (entry.variant,) if key == "starts" else ()
+            # One trains on what all engines of a variant have.
+            of = (entry.variant, entry.interval) if key == "starts" else ()
             told, first = firsts.setdefault((entry.model, key, *of), (value, entry))
             if value != told:
                 msg = (
@@ -265,6 +271,7 @@ def _drawn(facts: dict[str, str]) -> tuple[int, int] | None:
     return None if told is None else (told["seed"], told["trajectories"])
 
 
-def _order(entry: Entry) -> tuple[str, str, int, str, int]:
-    """Single engines, leave-one-out, all; variant by variant."""
-    return entry.model, entry.variant, len(entry.engines), entry.training, entry.seed
+def _order(entry: Entry) -> tuple[str, str, int, int, str, int]:
+    """Single engines, leave-one-out, all, single intervals; variant by variant."""
+    part = INTERVALS.index(entry.interval or INTERVALS[0])
+    return entry.model, entry.variant, part, len(entry.engines), entry.training, entry.seed

@@ -18,6 +18,7 @@ from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
 from mbds_xsim.learn.shift.board import RESTART, Board, cells_of, known_mean
 from mbds_xsim.learn.shift.bootstrap import DRAWS
+from mbds_xsim.learn.shift.by_interval import answers_by_interval
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, Solved, load_paired
 from mbds_xsim.learn.shift.evaluate import Plan, evaluate
 from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, noise_floor, oracles
@@ -159,7 +160,7 @@ def _shift(
         floors=tuple(floors_of(board, *floors)),
         gaps=gaps,
         agreements=tuple(agreements_of(board, draws)),
-        answers=tuple(answers_of(board, draws, gaps, at)),
+        answers=(*answers_of(board, draws, gaps, at), *answers_by_interval(board, at)),
         wall_s=0.0,
         **facts,
     )
@@ -218,5 +219,6 @@ def _facts(entry: Entry) -> ModelFacts:
         steps=entry.steps,
         ended=entry.ended,
         content=entry.content,
+        interval=entry.interval,
         bodies=entry.bodies,
     )

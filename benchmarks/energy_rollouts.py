@@ -1,0 +1,122 @@
+"""What HGNN's and LGNN's rollouts owe to their integrator's step, and to velocities they are given.
+
+python -m benchmarks.energy_rollouts MODELS DATA [SCENE] > reports/energy-rollouts.md
+
+Trained models of single engines, seed 0, predict the test part of their own engine's native data:
+as they were trained, with more Runge-Kutta steps a frame, and with velocities that are differences
+of the nodes' last six places in place of the engine's.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.learn.energy_model import EnergyModel
+from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.rollout import roll
+from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.shift.measure import EXPLODED
+from mbds_xsim.learn.window import HISTORY, Motions, Start
+from mbds_xsim.report.quantity import number
+
+MODELS = ("hgnn", "lgnn")
+SUBSTEPS = (1, 2, 4, 8)
+FRAMES = (10, 100)
+BACKWARD = (-1 / 5, 5 / 4, -10 / 3, 5.0, -5.0, 137 / 60)
+"""Weights of six values a step apart, for the derivative at the last, exact to degree five."""
+_COMMAND = "python -m benchmarks.energy_rollouts out/models out/study"
+_HEAD = f"""\
+# Rollouts of HGNN and LGNN: steps and given velocities
+
+<!-- Written by: {_COMMAND} > reports/energy-rollouts.md -->
+
+HGNN and LGNN start from an engine's body poses and velocities, GNS and SGNN from six frames of
+positions. *Differences*: from the engine's poses alone, velocities being backward differences of
+the nodes' last six places. *n steps*: Runge-Kutta steps a frame, of models that were trained with
+one. Mean squared error [m²] at t = {FRAMES[0]} on the test part of the training's own engine,
+native data, seed 0; behind it how many predictions were lost or off by over {EXPLODED:g} lengths of
+the scene at t = {FRAMES[1]}, which count as {EXPLODED:g} lengths."""
+
+
+class _Begun:
+    """A model that starts from states that it is given."""
+
+    def __init__(self, model: Model, state: Tensor) -> None:
+        self.state, self.advance, self.positions = state, model.advance, model.positions
+
+    def begin(self, start: Start) -> Tensor:
+        del start
+        return self.state
+
+
+def from_places(model: EnergyModel, motions: Motions) -> Tensor:
+    """Start from the bodies' last six poses, without their velocities."""
+    assert motions.body is not None
+    still = motions.body.clone()
+    still[..., 7:] = 0.0
+
+    def places(frame: int) -> Tensor:
+        start = Start(motions.position[:, :HISTORY], motions.velocity[:, frame], still[:, frame])
+        return model.begin(start)[:, 0]
+
+    each = [places(frame) for frame in range(HISTORY)]
+    parts = [weight * place for weight, place in zip(BACKWARD, each, strict=True)]
+    moving = torch.stack(parts).sum(0) / motions.graph.frame_s
+    q, v = model.mechanics.project(each[-1], moving)
+    return torch.stack([q, model.conjugate(v)], dim=1)
+
+
+def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) -> tuple[str, ...]:
+    """Error at the first of `FRAMES`, and predictions lost by the last."""
+    rows = torch.arange(len(motions))
+    sample = motions.sample(rows, torch.full_like(rows, HISTORY - 1), FRAMES[-1])
+    begun = model if state is None else cast("Model", _Begun(model, state))
+    with torch.no_grad():
+        told = roll(begun, sample.start, sample.inputs)
+    error = (told - sample.position).square().sum(-1).mean(-1)
+    largest = (EXPLODED * motions.graph.length) ** 2
+    counted = torch.where(error.isfinite(), error, torch.inf).clamp(max=largest)
+    lost = int((counted.cummax(1).values[:, -1] >= largest).sum())
+    return number(float(counted[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
+
+
+def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -> Iterator[str]:
+    """Give a line of the table for each model and engine."""
+    for name in MODELS:
+        for path in sorted((models / scene / "native" / name).glob("*-s0.pt")):
+            model, facts = read_model(path)
+            engines = facts["train_engines"].split(",")
+            if len(engines) > 1:
+                continue
+            assert isinstance(model, EnergyModel)
+            tell(str(path))
+            file = load_dataset(data / scene / f"{engines[0]}-native.h5")
+            motions = Motions.of(file, "test", bodies=True, dtype=model.dtype)
+            texts = []
+            for model.substeps in SUBSTEPS:
+                texts += errors(model, motions)
+            model.substeps = SUBSTEPS[0]
+            with torch.no_grad():
+                texts += errors(model, motions, from_places(model, motions))
+            yield f"| {name}, {engines[0]} | {' | '.join(texts)} |"
+
+
+def main(models: Path, data: Path, scene: str = "6pendulum") -> None:
+    """Print the page."""
+    torch.set_num_threads(1)
+    ways = [f"{n} step{'s' * (n > 1)}" for n in SUBSTEPS] + ["differences"]
+    print(f"{_HEAD}\n\n## {scene}\n\n| | {' | '.join(f'{way} | lost' for way in ways)} |")
+    print(f"| :-- |{' --: | --: |' * len(ways)}")
+    for row in rows_of(models, data, scene, lambda path: print(path, file=sys.stderr)):
+        print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])
