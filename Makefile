@@ -138,7 +138,7 @@ drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) -
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
 	--png $(REPORTS)/shift/$(3)-curves.png
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call files,shift/$(1)) \
-	--png $(REPORTS)/shift/$(1).png
+	--png $(REPORTS)/shift/$(1).png --rollouts $(REPORTS)/shift/$(1)-rollouts.png
 shift-targets = $(addprefix shift-,$(SHIFTED))
 .PHONY: $(shift-targets)
 

@@ -28,7 +28,9 @@ CHAPTERS = (
     ("Rollouts in batches", "make reports-learn-speed", "rollout-speed.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
-_WRITES = re.compile(r" (?:--(?:json|csv|png|markdown)|>) \S+")  # the files stand beside it
+_WRITES = re.compile(
+    r" (?:--(?:json|csv|png|rollouts|markdown)|>) \S+"
+)  # the files stand beside it
 _SENTENCE = re.compile(r".+?\.(?=\s|$)")
 _SHORT = 260  # characters
 _NO_PROSE = ("#", "|", "-", "<", "!")

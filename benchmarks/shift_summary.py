@@ -115,6 +115,8 @@ def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str
 def _answers(shift: Shift, name: str) -> Iterator[str]:
     yield f"\n## {name}\n"
     yield f"![Error by training and test domain, {name}]({name}.png)\n"
+    yield f"![Rollouts over the truth, {name}]({name}-rollouts.png)\n"
+    yield f"[Learning curves]({name}-curves.png).\n"
     yield from in_words(shift)
 
 

@@ -68,6 +68,9 @@ def shift(
         Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
     ] = None,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")] = None,
+    rollouts: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
+    ] = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
     ] = None,
@@ -80,7 +83,7 @@ def shift(
     from mbds_xsim.report.shift_terminal import print_shift
 
     console = console_for(json)
-    check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
     check_device(device)
     part = Part.parse(settings, on, seeds)
     studies = []
@@ -101,7 +104,7 @@ def shift(
             )
         print_shift(found.shift, console)
         studies.append(found)
-    write_files(studies, csv=csv, html=html, png=png, markdown=markdown)
+    write_files(studies, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
     results = [found.shift for found in studies]
     write_json(encoded(results[0] if len(results) == 1 else results), json)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mbds_xsim.learn.shift.samples import samples_of
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report.shift_csv import to_csv
 from mbds_xsim.report.shift_figures import to_png
 from mbds_xsim.report.shift_markdown import to_markdown
+from mbds_xsim.report.shift_motion import samples_png
 from mbds_xsim.report.shift_page import to_html
 from mbds_xsim.write import write_whole
 
@@ -21,6 +23,7 @@ def write_files(
     csv: Path | None = None,
     html: Path | None = None,
     png: Path | None = None,
+    rollouts: Path | None = None,
     markdown: Path | None = None,
 ) -> None:
     """Write those that are named, each whole or not at all."""
@@ -31,6 +34,8 @@ def write_files(
         write_whole(html, to_html(studies).encode())
     if png is not None:
         write_whole(png, to_png(shifts))
+    if rollouts is not None:
+        write_whole(rollouts, samples_png([samples_of(studied.board) for studied in studies]))
     if markdown is not None:
         picture = "" if png is None else Path(os.path.relpath(png, markdown.parent)).as_posix()
         write_whole(markdown, to_markdown(shifts, picture).encode())

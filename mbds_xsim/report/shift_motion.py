@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import LIGHT, Style
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["draw_samples", "name_of", "pack", "styles_of"]
+__all__ = ["draw_samples", "name_of", "pack", "picture_size", "samples_png", "styles_of"]
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ _REACH = 4.0
 """A point further from the truth than this many times the motion's extent has left the view."""
 _ROOM = 0.6  # half a side of a picture, of the truth's extent
 _SHOTS = 5  # frames of a picture
+_PICTURE = (11.0, 2.1, 0.6)  # width, height a trajectory, height of the legend [in]
 
 
 def name_of(sample: Sample) -> str:
@@ -72,6 +74,25 @@ def pack(samples: Samples) -> dict[str, Any]:
 def _error(motion: Array, truth: Array) -> str:
     """Root mean square distance of the particles, frame by frame."""
     return encoded(np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)), "<f4")
+
+
+def picture_size(samples: Samples) -> tuple[float, float]:
+    """Width and height of a picture [in]."""
+    width, each, legend = _PICTURE
+    return width, each * len(samples.index) + legend
+
+
+def samples_png(studies: Sequence[Samples]) -> bytes:
+    """Give the pictures of all studies, one below the other."""
+    sizes = [picture_size(samples) for samples in studies]
+    heights = [height for _, height in sizes]
+
+    def draw(figure: Any) -> None:
+        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
+        for block, samples in zip(blocks[:, 0], studies, strict=True):
+            draw_samples(block, samples)
+
+    return themed.png(draw, (sizes[0][0], sum(heights)))
 
 
 def draw_samples(figure: Any, samples: Samples) -> None:

@@ -15,13 +15,12 @@ from mbds_xsim.report import palette, themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol
 from mbds_xsim.report.shift_matrix import at, matrix_of, trained_models
-from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, styles_of
+from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, picture_size, styles_of
 from mbds_xsim.report.shift_tables import tables
 
 __all__ = ["to_html"]
 
 _CURVES = (6.6, 3.4)
-_PICTURE = (11.0, 2.1)
 
 
 def to_html(studies: Sequence[Studied]) -> str:
@@ -78,8 +77,7 @@ def _picture(samples: Samples) -> Markup:
     def draw(figure: Any) -> None:
         draw_samples(figure, samples)
 
-    size = (_PICTURE[0], _PICTURE[1] * len(samples.index) + 0.6)
-    return themed.svg("rollouts over the truth", draw, size, {})
+    return themed.svg("rollouts over the truth", draw, picture_size(samples), {})
 
 
 def _curves(shift: Shift, model: str) -> list[Markup]:

@@ -213,6 +213,7 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     words = ["shift", str(folder / "models"), str(folder / "data"), "--workers", "2"]
     words += ["--json", names["json"], "--csv", names["csv"], "--html", names["html"]]
     words += ["--png", names["png"], "--markdown", names["md"]]
+    words += ["--rollouts", str(folder / "rollouts.png")]
     app(words, standalone_mode=False)
     told = capsys.readouterr().out
     assert "Is a shift resolvable?" in told
@@ -237,7 +238,8 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "| engine mujoco-native |" in Path(names["md"]).read_text()
     assert "![" in Path(names["md"]).read_text()
-    assert Path(names["png"]).read_bytes().startswith(b"\x89PNG")
+    for picture in (Path(names["png"]), folder / "rollouts.png"):
+        assert picture.read_bytes().startswith(b"\x89PNG")
     assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
 
 
