@@ -45,7 +45,7 @@ class ScatterGNS(GNS):
 
     def forward(self, history: Tensor, inputs: Inputs) -> Tensor:
         batch, count = len(history), self.graph.node_count
-        shift = count * torch.arange(batch)[:, None]
+        shift = count * torch.arange(batch, device=history.device)[:, None]
         senders = (self.senders + shift).flatten()
         receivers = (self.receivers + shift).flatten()
         position = joined(self.graph.with_anchors(history[:, -1]) / self.graph.spacing)

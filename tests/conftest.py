@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from mbds_xsim import registry
 from mbds_xsim.engine import Adapter
 from mbds_xsim.errors import EngineMissing
+from tests.farm import Farm
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,3 +34,13 @@ def adapter(engine: str) -> Adapter:
         if engine in os.environ.get("MBDS_XSIM_MUST_RUN", "").split(","):
             raise
         pytest.skip(str(error))
+
+
+@pytest.fixture
+def farm(tmp_path: Path) -> Iterator[Farm]:
+    """A scheduler; tests start workers."""
+    farm = Farm(tmp_path)
+    try:
+        yield farm
+    finally:
+        farm.close()

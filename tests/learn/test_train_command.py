@@ -17,6 +17,7 @@ from rich.console import Console
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.cli import main
+from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
@@ -35,6 +36,7 @@ from mbds_xsim.registry import load_scene
 from mbds_xsim.report.training import TrainingBar
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Clock
+from tests.farm import Farm
 from tests.learn.conftest import Silence
 
 TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False, least=5)
@@ -112,6 +114,23 @@ def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(grou
         own = alone[engines[(number // 3) % 2]]
         assert torch.equal(mixture.position[row], own.position[row])
         assert torch.equal(mixture.velocity[row], own.velocity[row])
+
+
+@pytest.mark.slow
+def test_a_cluster_trains_the_same_models(farm: Farm, ask: Ask) -> None:
+    pytest.importorskip("distributed")
+    here, there = ask(on="each"), ask(on="each", out="there")
+    _carry(here)
+    farm.worker()
+    farm.wait_for(1)
+    there.out.mkdir()
+    with Cluster(farm.address, there.out) as cluster:
+        carry(planned(there), workers=cluster.workers, carrier=cluster, progress=Deaf())
+    for name in ("mujoco-s0", "pybullet-s0"):
+        one, two = (
+            read_model(next(request.out.rglob(f"{name}.pt")))[0] for request in (here, there)
+        )
+        assert all(map(torch.equal, one.state_dict().values(), two.state_dict().values()))
 
 
 @pytest.mark.parametrize("count", [2, 3, 4])

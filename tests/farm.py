@@ -1,0 +1,57 @@
+"""A Dask cluster of processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+class Farm:
+    """A scheduler and its workers, each a program of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._running = folder, list[subprocess.Popen[bytes]]()
+        file = folder / "scheduler.json"
+        options = ("--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard")
+        self._start("scheduler", *options, "--port", "0")
+        self.address = str(json.loads(_when_written(file))["address"])
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        return self._start(
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard"
+        )
+
+    def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
+        with (self._folder / f"{what}.log").open("ab") as log:
+            program = subprocess.Popen(
+                [sys.executable, "-m", "distributed.cli.dask_" + what, *words],
+                stdout=log,
+                stderr=log,
+                cwd=self._folder,
+            )
+        self._running.append(program)
+        return program
+
+    def wait_for(self, workers: int) -> None:
+        """Wait until so many have arrived."""
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:  # type: ignore[no-untyped-call]
+            client.wait_for_workers(workers, timeout=60)
+
+    def close(self) -> None:
+        for program in self._running[::-1]:
+            program.kill()
+            program.wait()
+
+
+def _when_written(file: Path) -> str:
+    for _ in range(600):
+        if file.is_file() and (text := file.read_text()).endswith("}"):
+            return text
+        time.sleep(0.05)
+    msg = f"no scheduler wrote {file}"
+    raise TimeoutError(msg)
