@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -31,7 +31,8 @@ and tested on every engine's. Each study's page has all figures.
   constant velocity and constant acceleration there; geometric mean over the engines.
 - *resolved*: of the shifts from one engine to another, how many can be told from the model's own
   error and from chance.
-- *worst gap*: error on another engine over that of the model trained there, the worst pair.
+- *worst gap*: error on another engine over that of the model trained there, the worst resolved
+  pair; of all pairs where none is resolved, which tells of trainings, not of engines.
 - *without the target*: error of a training on all engines but the tested one, over that of single
   other engines. *all engines*: the worst engine's error of a training on all, over the worst of
   single ones.
@@ -40,6 +41,7 @@ and tested on every engine's. Each study's page has all figures.
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
 [How this is measured](../../docs/shift.md).
 """
+_NATIVE = "native"
 _HEADING = (
     "study, frame", "data", "model", "beside a formula", "resolved", "worst gap",
     "without the target", "all engines", "native over matched",
@@ -56,6 +58,8 @@ def main(folder: Path) -> None:
     for name, shift in studies.items():
         for row in rows_of(shift, name):
             print(f"| {' | '.join(row)} |")
+    for row in _over_scenes(studies.values()):
+        print(f"| {' | '.join(row)} |")
     for name, shift in studies.items():
         print("\n".join(_answers(shift, name)))
 
@@ -63,20 +67,36 @@ def main(folder: Path) -> None:
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
     """Give a line of texts for each model on each variant of the data, with links by name."""
     place = shift.frames.index(shift.at)
-    for variant in dict.fromkeys(domain.variant for domain in shift.domains if domain.variant):
+    for variant in _variants(shift):
         for model in trained_models(shift):
             own = [gap for gap in shift.gaps if _within(gap, model, variant)]
             yield (
                 f"[{name}]({name}.md), t = {shift.at}",
                 variant,
                 model,
-                _beside_formula(shift, model, variant),
+                number(_beside_formula(shift, model, variant)),
                 f"{sum(gap.resolved[place] for gap in own)} of {len(own)}",
                 *(
                     _ratio(shift, kind, model, "" if kind == MATCHED else variant, place)
                     for kind in (ROBUST, LEAVE_ONE_OUT, ALL, MATCHED)
                 ),
             )
+
+
+def _over_scenes(studies: Iterable[Shift]) -> Iterator[tuple[str, ...]]:
+    """Give a line for each model: the geometric mean over scenes, whose errors do not add up."""
+    native = {shift.scene: shift for shift in studies if _variants(shift) == [_NATIVE]}
+    for model in dict.fromkeys(m for shift in native.values() for m in trained_models(shift)):
+        own = [shift for shift in native.values() if model in trained_models(shift)]
+        parts = [part for shift in own if (part := _beside_formula(shift, model, _NATIVE))]
+        if len(own) > 1 and len(parts) == len(own):
+            told = number(statistics.geometric_mean(parts))
+            scenes = f"geometric mean of {len(own)} scenes"
+            yield scenes, _NATIVE, model, told, *[NONE] * (len(_HEADING) - 4)
+
+
+def _variants(shift: Shift) -> list[str]:
+    return list(dict.fromkeys(domain.variant for domain in shift.domains if domain.variant))
 
 
 def _within(gap: Gap, model: str, variant: str) -> bool:
@@ -86,7 +106,7 @@ def _within(gap: Gap, model: str, variant: str) -> bool:
     return kind and gap.training.endswith(ends) and gap.test.endswith(ends)
 
 
-def _beside_formula(shift: Shift, model: str, variant: str) -> str:
+def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
     """Mean over the engines of what a model leaves of the best formula's error."""
     pick = at(shift, shift.at)
     learned, formulas = matrix_of(shift, model, pick), best_formula(shift, pick)
@@ -96,9 +116,9 @@ def _beside_formula(shift: Shift, model: str, variant: str) -> str:
             continue
         error = learned.values[learned.rows.index(name)][column]
         if error is None or not formulas.get(name):
-            return NONE
+            return None
         parts.append(error / formulas[name])
-    return number(statistics.geometric_mean(parts)) if parts else NONE
+    return statistics.geometric_mean(parts) if parts else None
 
 
 def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:
