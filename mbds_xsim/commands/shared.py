@@ -40,7 +40,7 @@ __all__ = [
     "write_json",
 ]
 
-_WRITES = ("--json", "--html", "--markdown", "--png", "--csv", "--figures", "--out")
+_WRITES = ("--json", "--html", "--markdown", "--png", "--rollouts", "--csv", "--figures", "--out")
 
 app = typer.Typer(
     name="mbds-xsim",

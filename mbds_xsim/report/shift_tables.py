@@ -50,7 +50,7 @@ def tables(shift: Shift) -> Iterator[Table]:
     if any(facts.interval for facts in shift.models):
         yield _across_intervals(shift, frame)
     yield _quality(shift, place)
-    if shift.agreements:
+    if any(agreement.tau is not None for agreement in shift.agreements):
         yield _agreements(shift)
     if paper_errors(shift.scene):
         yield _paper(shift)
