@@ -99,7 +99,7 @@ def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -
             tell(str(path))
             file = load_dataset(data / scene / f"{engines[0]}-native.h5")
             motions = Motions.of(file, "test", bodies=True, dtype=model.dtype)
-            texts = []
+            texts: list[str] = []
             for model.substeps in SUBSTEPS:
                 texts += errors(model, motions)
             model.substeps = SUBSTEPS[0]
