@@ -41,6 +41,12 @@ and tested on every engine's. Each study's page has all figures.
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
 [How this is measured](../../docs/shift.md).
 """
+_PICTURES = {
+    "": "Error by training and test domain",
+    "-rollouts": "Rollouts over the truth",
+    "-curves": "Learning curves",
+}
+"""By how their names end."""
 _NATIVE = "native"
 _HEADING = (
     "study, frame", "data", "model", "beside a formula", "resolved", "worst gap",
@@ -61,7 +67,7 @@ def main(folder: Path) -> None:
     for row in _over_scenes(studies.values()):
         print(f"| {' | '.join(row)} |")
     for name, shift in studies.items():
-        print("\n".join(_answers(shift, name)))
+        print("\n".join(_answers(shift, folder / name)))
 
 
 def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
@@ -132,11 +138,12 @@ def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str
     return NONE
 
 
-def _answers(shift: Shift, name: str) -> Iterator[str]:
-    yield f"\n## {name}\n"
-    yield f"![Error by training and test domain, {name}]({name}.png)\n"
-    yield f"![Rollouts over the truth, {name}]({name}-rollouts.png)\n"
-    yield f"[Learning curves]({name}-curves.png).\n"
+def _answers(shift: Shift, page: Path) -> Iterator[str]:
+    yield f"\n## {page.name}\n"
+    for ending, words in _PICTURES.items():
+        picture = page.with_name(f"{page.name}{ending}.png")
+        if picture.is_file():
+            yield f"![{words}, {page.name}]({picture.name})\n"
     yield from in_words(shift)
 
 
