@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,7 +23,7 @@ from mbds_xsim.learn.energy_model import EnergyModel
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.rollout import roll
 from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.shift.measure import EXPLODED
+from mbds_xsim.learn.shift.measure import EXPLODED, measure
 from mbds_xsim.learn.window import HISTORY, Motions, Start
 from mbds_xsim.report.quantity import number
 
@@ -80,10 +81,9 @@ def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) ->
     begun = model if state is None else cast("Model", _Begun(model, state))
     with torch.no_grad():
         told = roll(begun, sample.start, sample.inputs)
-    error = (told - sample.position).square().sum(-1).mean(-1)
     largest = (EXPLODED * motions.graph.length) ** 2
-    counted = torch.where(error.isfinite(), error, torch.inf).clamp(max=largest)
-    lost = int((counted.cummax(1).values[:, -1] >= largest).sum())
+    counted = np.minimum(measure(motions, told).error, largest)
+    lost = int((counted.max(axis=1) >= largest).sum())
     return number(float(counted[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
 
 
@@ -93,7 +93,7 @@ def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -
         for path in sorted((models / scene / "native" / name).glob("*-s0.pt")):
             model, facts = read_model(path)
             engines = facts["train_engines"].split(",")
-            if len(engines) > 1:
+            if len(engines) > 1 or "interval" in facts:
                 continue
             assert isinstance(model, EnergyModel)
             tell(str(path))

@@ -28,9 +28,8 @@ CHAPTERS = (
     ("Rollouts in batches", "make reports-learn-speed", "rollout-speed.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
-_WRITES = re.compile(
-    r" (?:--(?:json|csv|png|rollouts|markdown)|>) \S+"
-)  # the files stand beside it
+# The files stand beside it.
+_WRITES = re.compile(r" (?:--(?:json|csv|png|rollouts|markdown)|>) \S+")
 _SENTENCE = re.compile(r".+?\.(?=\s|$)")
 _SHORT = 260  # characters
 _NO_PROSE = ("#", "|", "-", "<", "!")
