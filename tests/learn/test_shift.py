@@ -274,6 +274,8 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     told = next(answers_of(board, Draws(board), gaps, FRAMES)).answer
     assert "2 of 4 shifts from one engine's data to another's are resolved: 2 times the" in told
     assert "2 because the model's own domain is not tested. Of 2 intervals at 95 %" in told
+    near = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in apart}
+    assert "this cannot be told" in _answer(dataclasses.replace(board, oracles=near))
 
 
 def test_kinds_of_gaps() -> None:

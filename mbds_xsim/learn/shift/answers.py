@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,7 +136,7 @@ def _is_gain(gap: Gap, place: int) -> bool:
 def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
     """The model of the smallest worst-engine gap, of those in which a shift can be seen."""
     frame, variant = draws.board.frames[place], fields[0].variant
-    seen = {field.model: _gaps_within(field, gaps) for field in fields}
+    seen = {field.model: _gaps_within(field, field.singles, gaps) for field in fields}
     resolved = {model: [g for g in own if g.resolved[place]] for model, own in seen.items()}
     ratios = {
         f.model: _ratio(draws, functools.partial(_worst_gap, f, resolved[f.model] or seen[f.model]))
@@ -173,15 +173,13 @@ def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio],
     return f"{text}; {', '.join(unseen)} cannot be judged: {_BLIND}" if unseen else text
 
 
-def _gaps_within(field: _Field, gaps: Sequence[Gap], kind: str = SINGLE) -> list[Gap]:
-    """Gaps of a model's trainings of a kind to domains of their own variant."""
-    return [
-        gap
-        for gap in gaps
-        if (gap.kind, gap.model) == (kind, field.model)
-        and gap.training.endswith(f"-{field.variant}")
-        and gap.test in field.singles
-    ]
+def _gaps_within(
+    field: _Field, trainings: Mapping[str, Training], gaps: Sequence[Gap]
+) -> list[Gap]:
+    """Gaps of some of a field's trainings to domains of its variant."""
+    names = {training.name for training in trainings.values()}
+    own = [gap for gap in gaps if gap.model == field.model and gap.training in names]
+    return [gap for gap in own if gap.test in field.singles]
 
 
 def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
@@ -214,7 +212,7 @@ def _several_engines(
     shared = [name for name in field.without if name in field.singles]
     if shared:
         ratio = _ratio(draws, functools.partial(_left_out_ratio, field, shared))
-        parts = _count_resolved(_gaps_within(field, gaps, LEAVE_ONE_OUT), place)
+        parts = _count_resolved(_gaps_within(field, field.without, gaps), place)
         text = (
             f"At t = {frame} leaving one engine out {ratio.verdict(place, *words)} on the engine "
             "left out, against training on a single other engine: error ratio "
@@ -267,7 +265,9 @@ def _matched(
                 for variant in ("native", "matched")
             )
             change = _ratio(draws, functools.partial(_lessening, variants))
-            seen = {name: _gaps_within(variants[name], gaps) for name in ("native", "matched")}
+            seen = {
+                name: _gaps_within(field, field.singles, gaps) for name, field in variants.items()
+            }
             text = f"At t = {frame} {_removal(native, matched, change, seen, place)}. "
             text += f"Mean gap ratio {native.told(place)} on native, {matched.told(place)} on "
             text += f"matched data, {change.told(place)} of the two"
