@@ -21,7 +21,8 @@ validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
 
 test: $(VENV)/ready
-	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn $(BIN)/python -m pytest
+	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn $(BIN)/python -m pytest \
+		--numprocesses logical --dist worksteal
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .

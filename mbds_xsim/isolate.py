@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mbds_xsim.interruption import held_back
+
 __all__ = ["Crash", "Task", "core_count", "run_tasks"]
 
 _POLL = 0.01
@@ -75,7 +77,11 @@ def run_tasks(
     answers: list[Any] = [None] * len(tasks)
     waiting = list(range(len(tasks)))[::-1]
     running: list[_Process] = []
-    with tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder, _lifeline() as line:
+    with (
+        held_back() as let_through,
+        tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
+        _lifeline() as line,
+    ):
         try:
             while waiting or running:
                 while waiting and len(running) < (workers or core_count()):
@@ -87,6 +93,7 @@ def run_tasks(
                     if finished is not None:
                         finished(process.place, answers[process.place])
                 time.sleep(_POLL)
+                let_through()
         finally:
             for process in running:
                 process.kill()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import math
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -13,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim import registry
+from mbds_xsim.interruption import held_back
 from mbds_xsim.isolate import Crash, Task, run_tasks
 
 
@@ -100,10 +103,96 @@ def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 _PARENT = """
+from mbds_xsim.interruption import held_back
 from mbds_xsim.isolate import Task, run_tasks
 code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 run_tasks([Task(exec, (code,))])
 """
+
+
+def test_an_engine_that_hangs_while_it_is_taken_down_is_not_waited_for() -> None:
+    begin = time.monotonic()
+
+    answers = run_tasks([Task(atexit.register, (time.sleep, 60.0))])
+
+    assert answers == [time.sleep]
+    assert time.monotonic() - begin < 30
+
+
+@pytest.mark.parametrize("step", ["poll", "start"])
+def test_interrupted_in_the_midst_of_a_step_it_ends_and_leaves_no_task(
+    step: str, tmp_path: Path
+) -> None:
+    numbers = tmp_path / "numbers"
+    program = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED.format(step=step, numbers=str(numbers))],
+        timeout=60,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+    assert program.stdout.split() == ["interrupted"]
+    started = [int(word) for word in numbers.read_text().split()]
+    assert started
+    assert not any(_alive(number) for number in started)
+
+
+_INTERRUPTED = """
+import signal, subprocess, time
+from mbds_xsim.interruption import held_back
+from mbds_xsim.isolate import Task, run_tasks
+
+
+class Popen(subprocess.Popen):
+    def __init__(self, *arguments, **named):
+        super().__init__(*arguments, **named)
+        open({numbers!r}, "a").write(str(self.pid) + " ")
+        if {step!r} == "start":
+            signal.raise_signal(signal.SIGINT)
+
+    def poll(self):
+        if {step!r} == "poll":
+            self._waitpid_lock.acquire()  # as `Popen` does before it begins the `try`
+            signal.raise_signal(signal.SIGINT)
+            self._waitpid_lock.release()
+        return super().poll()
+
+
+subprocess.Popen = Popen
+try:
+    run_tasks([Task(time.sleep, (60.0,))] * 2, workers=2)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def _interrupted(reached: list[str], number: int) -> None:
+    with held_back() as let_through:
+        let_through()
+        signal.raise_signal(number)
+        reached.append("the next step")
+        if number == signal.SIGINT:
+            let_through()
+        reached.append("the end")
+
+
+@pytest.mark.parametrize(
+    ("number", "reaches"),
+    [(signal.SIGINT, ["the next step"]), (signal.SIGTERM, ["the next step", "the end"])],
+)
+def test_what_came_is_let_through_where_it_is_asked_for_or_at_the_end(
+    number: int, reaches: list[str]
+) -> None:
+    before = signal.signal(number, signal.default_int_handler)
+    reached: list[str] = []
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            _interrupted(reached, number)
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+    assert reached == reaches
 
 
 def _wait(happened: Callable[[], bool]) -> None:

@@ -112,6 +112,7 @@ class _Program:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            env=os.environ | {"PYTHONFAULTHANDLER": "1"},
             **options,
         )
 
@@ -127,11 +128,20 @@ def test_ctrl_c_leaves_no_process_and_no_partial_file(program: _Program, tmp_pat
     while running.poll() is None and not list(out.rglob("log.jsonl")):
         time.sleep(0.01)
     os.killpg(running.pid, signal.SIGINT)
-    _, err = running.communicate(timeout=300)
+    err = _last_words(running)
     assert (running.returncode, err) in ((130, "mbds-xsim: interrupted\n"), (0, ""))
     assert not list(out.rglob("*.part"))
     with locked(out):  # nobody holds it
         pass
+
+
+def _last_words(running: subprocess.Popen[str]) -> str:
+    """What a program says to its end; where it hangs, the line that it hangs at is shown."""
+    try:
+        return running.communicate(timeout=120)[1]
+    except subprocess.TimeoutExpired:
+        running.send_signal(signal.SIGABRT)
+        return running.communicate()[1]
 
 
 def _killed_at_random(program: _Program, out: Path, rng: random.Random, within: float) -> bool:
