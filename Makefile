@@ -101,12 +101,13 @@ reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.rollout_speed > $(REPORTS)/rollout-speed.md
 
 # Trained models beside the engines, as far as there are any. Their engines are those of the two
-# reports above; the maps have one training of each model, whose scene a study is made of.
+# reports above. Charted are trainings on either kind of data, mapped one of each model, whose scene
+# a study is made of.
 MODELS ?= out/models
-TRAINING ?= all-s0
-CHARTED ?= *-s0
+TRAINING ?= native/*/mujoco-s0
+CHARTED ?= */*/mujoco-s0
 MAPPED ?= pace/6pendulum links/6pendulum loops/3ladder throw/ballscroll
-named = --models "$(MODELS)/$$scene/*/*/$(1).pt"
+named = --models "$(MODELS)/$$scene/$(1).pt"
 
 reports-models: $(VENV)/ready
 	$(BIN)/python -m benchmarks.energy_rollouts $(MODELS) $(STUDY) > $(REPORTS)/energy-rollouts.md
