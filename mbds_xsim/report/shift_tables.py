@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -73,15 +74,15 @@ def _errors(shift: Shift, model: str, frame: int) -> Table:
 def _with_lost(
     shift: Shift, model: str, rows: Sequence[tuple[str, ...]], place: int
 ) -> Iterator[tuple[str, ...]]:
-    """Add the number of diverged predictions to the figures of trainings."""
-    lost: dict[tuple[str, str], int] = {}
+    """Add the number of diverged predictions to the figures of trainings and engines."""
+    lost: Counter[tuple[str, str]] = Counter()
     for cell in shift.cells:
-        if cell.model == model and cell.interval == INTERVALS[0]:
-            key = (cell.training, cell.test)
-            lost[key] = lost.get(key, 0) + cell.diverged[place]
+        if cell.model in (model, RESTART) and cell.interval == INTERVALS[0]:
+            label = cell.training if cell.model == model else f"{RESTART} {cell.training}"
+            lost[label, cell.test] += cell.diverged[place]
     names = [domain.name for domain in shift.domains]
     for label, *texts in rows:
-        counts = [lost.get((label, name), 0) for name in names]
+        counts = [lost[label, name] for name in names]
         marked = [f"{t} ({n})" if n else t for t, n in zip(texts, counts, strict=True)]
         yield (label, *marked)
 

@@ -278,6 +278,22 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     assert "this cannot be told" in _answer(dataclasses.replace(board, oracles=near))
 
 
+def test_a_restarted_engine_that_is_lost_does_not_widen_the_floor() -> None:
+    """Where it goes on its distance counts, elsewhere that of the published motions."""
+    board = _board(_shifted, floor=0.5)
+    error = np.full((COUNT, FRAMES), 0.25)
+    error[0] = np.inf
+    error[1] = 2.0 * board.largest
+    restarted = {pair: _figures(error) for pair in board.oracles}
+    board = dataclasses.replace(board, restarted=restarted)
+    floor = board.floor("a-native", "b-native")
+    assert (floor[:2] == 0.5).all()
+    assert (floor[2:] == 0.25).all()
+    assert {why for gap in _gaps(board) for why in gap.why} == {
+        "own error exceeds the engine floor"
+    }
+
+
 def test_kinds_of_gaps() -> None:
     every = ["a-native", "b-native", "c-native", "a-matched", "c-matched"]
 

@@ -73,10 +73,14 @@ class Board:
     def floor(self, first: str, test: str) -> Array:
         """Distance of an engine from a domain at `frames` [m²], shape (trajectory, frame).
 
-        From the same window where the engine could be restarted, else from the same start.
+        From the same window where the engine went on from it, else from the same start: that it
+        was lost, as on a state that its constraints forbid, is no distance of two engines.
         """
-        found = self.restarted.get((first, test)) or self.oracles[first, test]
-        return self.counted(found.error)
+        apart = self.oracles[first, test].error
+        if (first, test) not in self.restarted:
+            return self.counted(apart)
+        found = self.restarted[first, test].error
+        return self.counted(np.where(found > self.largest, apart, found))
 
     def counted(self, error: Array) -> Array:
         """Errors at `frames` with lost ones counted."""

@@ -110,7 +110,8 @@ def study(
     gone_on, refused = restarted(test, domains, plan.horizon, workers=workers)
     board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
     left_out = {} if solved else {REFERENCE: reason}
-    left_out |= {f"{RESTART} {name}": why for name, why in refused.items()} | _absent(test, board)
+    left_out |= {f"{RESTART} {name}": why for name, why in refused.items()}
+    left_out |= _lost(board) | _absent(test, board)
     shift = _shift(
         board,
         plan,
@@ -192,6 +193,19 @@ def _evaluated(
 
     meter.begin(len(entries))
     return evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
+
+
+def _lost(board: Board) -> dict[str, str]:
+    """Say which engines did not go on from which domains."""
+    reasons = {}
+    for (engine, test), figures in board.restarted.items():
+        lost = (figures.error > board.largest).any(axis=1)
+        if lost.any():
+            reasons[f"{RESTART} {engine} on {test} as a floor"] = (
+                f"lost in {lost.sum()} of {len(lost)} trajectories; there the distance of the "
+                "published motions stands in"
+            )
+    return reasons
 
 
 def _absent(test: Paired, board: Board) -> dict[str, str]:
