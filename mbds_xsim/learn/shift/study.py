@@ -202,8 +202,8 @@ def _lost(board: Board) -> dict[str, str]:
         lost = (figures.error > board.largest).any(axis=1)
         if lost.any():
             reasons[f"{RESTART} {engine} on {test} as a floor"] = (
-                f"lost in {lost.sum()} of {len(figures.error)} trajectories; there the distance of the "
-                "published motions stands in"
+                f"lost in {lost.sum()} of {len(figures.error)} trajectories; there the distance of "
+                "the published motions stands in"
             )
     return reasons
 
