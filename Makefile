@@ -147,8 +147,8 @@ shift-targets = $(addprefix shift-,$(SHIFTED))
 reports-shift: $(shift-targets)
 	$(BIN)/python -m benchmarks.shift_summary $(REPORTS)/shift > $(REPORTS)/shift/README.md
 
-# Half the steps where a scene has many more particles and edges; fewer trajectories where an engine
-# takes long for one: Exudyn some 10 s for one of 3ladder's, and tested ones again on every domain.
+# Half the steps where a scene has many more particles and edges. Fewer trajectories of the two with
+# most: Exudyn takes some 10 s for one of 3ladder's, and does the tested ones again on every domain.
 shift-balldrop shift-3ladder shift-simplecubli: STEPS = 500
 shift-3ladder shift-simplecubli: DRAWN = 300
 
