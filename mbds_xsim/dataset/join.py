@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.split import split_of
 from mbds_xsim.dataset.variant import Variant
 
-__all__ = ["JOINT", "VariantCount", "causes", "join", "valid_numbers"]
+__all__ = ["JOINT", "VariantCount", "cause_of", "causes", "join", "valid_numbers"]
 
 JOINT = f"joint{SUFFIX}"
 """Name of the file that says which trajectories are valid in all variants of a scene."""
@@ -137,8 +138,13 @@ def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
     for name in names:
         if (folder / name).exists():
             with h5py.File(folder / name, "r") as file:
-                found.update(reason.split(":")[0] for reason in file["reason"].asstr()[()])
+                found.update(map(cause_of, file["reason"].asstr()[()]))
     return found
+
+
+def cause_of(reason: str) -> str:
+    """Give what failed first, whenever it did."""
+    return re.sub(r"^ended at frame \d+$", "ended early", reason.split(":")[0])
 
 
 def valid_numbers(path: Path) -> NDArray[np.bool_]:

@@ -83,6 +83,12 @@ class Dataset:
         return Series(self.files, self.rows, name)
 
     @property
+    def lack(self) -> str:
+        """Says that there is nothing to read; "" where there is."""
+        drawn = self.attributes["count"]
+        return "" if len(self) else f"none of {drawn} trajectories drawn passed its checks"
+
+    @property
     def index(self) -> NDArray[np.int64]:
         """Number of each trajectory, the same in all engines."""
         return self.small["index"]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.found import joined_files
-from mbds_xsim.dataset.join import causes
+from mbds_xsim.dataset.join import cause_of, causes
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.sampling_terms import INTERVALS
@@ -118,7 +118,7 @@ def rejected_beside(data: Dataset) -> Path:
 
 
 def _first_words(data: Dataset) -> Iterable[str]:
-    return (str(reason).split(":")[0] for reason in data.small["reason"])
+    return map(cause_of, data.small["reason"])
 
 
 def counts_of(data: Dataset) -> dict[str, dict[str, int]]:

@@ -55,7 +55,7 @@ class Campaign:
     found: dict[str, dict[str, str]]
     """Facts of those that have been, by their name."""
     left_out: dict[str, str]
-    """Why a model is not trained on a scene, by scene, variant and model."""
+    """Why a model or an engine is not, by scene, variant and its name."""
 
 
 @dataclass
@@ -108,8 +108,11 @@ def planned(request: Request) -> Campaign:
         runs=tuple(run for run in runs if known[run.name] is None),
         found={name: facts for name, facts in known.items() if facts is not None},
         left_out={
-            f"{group.name}/{model}": reason for (group, model), reason in reasons.items() if reason
-        },
+            f"{group.name}/{engine}": lack
+            for group in request.groups
+            for engine, lack in group.left_out.items()
+        }
+        | {f"{group.name}/{model}": reason for (group, model), reason in reasons.items() if reason},
     )
 
 

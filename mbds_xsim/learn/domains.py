@@ -38,6 +38,8 @@ class Group:
     """`native` or `matched`."""
     files: Mapping[str, Path]
     """Of each engine, by name."""
+    left_out: Mapping[str, str]
+    """Engines of whose trajectories none were published, with the reason."""
 
     @property
     def name(self) -> str:
@@ -78,24 +80,31 @@ def groups(paths: Sequence[Path]) -> list[Group]:
             one group do not have the same starts.
     """
     files = dict.fromkeys(file.resolve() for path in paths for file in joined_files(path))
-    found: dict[tuple[str, str], dict[str, Path]] = {}
+    found: dict[tuple[str, str], dict[str, Dataset]] = {}
     for file in files:
-        told = load_dataset(file).attributes
+        data = load_dataset(file)
+        told = data.attributes
         engines = found.setdefault((told["scene_name"], told["profile"]), {})
         if told["engine"] in engines:
             msg = (
-                f"{engines[told['engine']]} and {file} are both {told['scene_name']} of "
+                f"{engines[told['engine']].path} and {file} are both {told['scene_name']} of "
                 f"{told['engine']} {told['profile']}; give one of them"
             )
             raise InputError(msg)
-        engines[told["engine"]] = file
-    made = [
-        Group(scene, variant, dict(sorted(engines.items())))
-        for (scene, variant), engines in sorted(found.items())
-    ]
+        engines[told["engine"]] = data
+    made = [_group(*key, dict(sorted(engines.items()))) for key, engines in sorted(found.items())]
     for group in made:
         _check(group)
     return made
+
+
+def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> Group:
+    lacking = {engine: data.lack for engine, data in engines.items() if data.lack}
+    files = {engine: data.path for engine, data in engines.items() if engine not in lacking}
+    if not files:
+        msg = "; ".join(f"{engines[engine].path}: {lack}" for engine, lack in lacking.items())
+        raise InputError(f"{msg}; generate other data")
+    return Group(scene, variant, files, lacking)
 
 
 def _check(group: Group) -> None:

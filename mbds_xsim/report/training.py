@@ -96,7 +96,7 @@ def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console
 
 
 def print_left_out(campaign: Campaign, console: Console) -> None:
-    """Print what a model cannot represent."""
+    """Print what a model cannot represent, and which engines have no data."""
     for name, reason in campaign.left_out.items():
         console.print(f"{name} left out: {reason}", highlight=False, soft_wrap=True)
 

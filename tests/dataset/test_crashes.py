@@ -68,7 +68,7 @@ def test_the_trajectories_that_crash_are_rejected(
     _fatal_to(FATAL, monkeypatch)
     (count,) = _make(rod, tmp_path).variants
     assert (count.published, count.rejected) == (697, 3)
-    assert count.rejected_by == {"ended at frame 0": 3}
+    assert count.rejected_by == {"ended early": 3}
     with h5py.File(tmp_path / FILE) as file, h5py.File(whole / FILE) as clean:
         index = file["index"][()]
         assert sorted(set(range(700)) - set(index.tolist())) == list(FATAL)

@@ -170,7 +170,7 @@ def _set(engines: tuple[str, ...]) -> Paired:
     domains = tuple(
         Recorded(name, "native", Path(name), tuple(range(COUNT)), name) for name in engines
     )
-    return Paired(scene, batch.index, domains, batch, True, batch.force, seed=0)
+    return Paired(scene, batch.index, domains, batch, True, batch.force, seed=0, left_out={})
 
 
 def _figures(error: Array) -> Figures:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,6 +19,7 @@ from rich.console import Console
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.cli import main
+from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
@@ -29,6 +32,7 @@ from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
 from mbds_xsim.learn.domains import Group, groups
 from mbds_xsim.learn.mixture import Share, mixed, trainings, turns
 from mbds_xsim.learn.saved import read_facts, read_model
+from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import PROFILES, Point, Profile, Training
 from mbds_xsim.learn.window import Motions
@@ -36,6 +40,8 @@ from mbds_xsim.registry import load_scene
 from mbds_xsim.report.training import TrainingBar
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Clock
+from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import Failure
 from tests.farm import Farm
 from tests.learn.conftest import Silence
 
@@ -150,11 +156,52 @@ def test_what_one_engine_lacks_no_training_sees(group: Group) -> None:
         name: values[keep] for name, values in data.small.items() if name in ("index", "split")
     }
     short["pybullet"] = dataclasses.replace(data, small={**data.small, **small})
-    lacking = Group(group.scene_name, group.variant, group.files)
+    lacking = dataclasses.replace(group)
     vars(lacking)["data"] = short
     numbers = lacking.numbers("train")
     assert set(group.numbers("train")) - set(numbers) == {0, 7}
     assert np.array_equal(mixed(lacking, Share(("mujoco",)), "train").index, numbers)
+
+
+def test_an_engine_that_published_nothing_is_left_out(
+    made: Path, ask: Ask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(made, data)
+    _publish_nothing(data, monkeypatch)
+    (found,) = groups([data])
+    assert list(found.files) == list(ENGINES.split(","))
+    assert found.left_out == {"exudyn": "none of 40 trajectories drawn passed its checks"}
+    request = dataclasses.replace(ask(on="each"), groups=[found])
+    assert {run.training for run in planned(request).runs} == set(ENGINES.split(","))
+    assert planned(request).left_out == {f"{found.name}/exudyn": found.left_out["exudyn"]}
+    paired = load_paired(data, "2pendulum")
+    assert [domain.engine for domain in paired.domains] == list(ENGINES.split(","))
+    assert paired.left_out == {"exudyn-native": found.left_out["exudyn"]}
+
+    for engine in ENGINES.split(","):
+        (data / "2pendulum" / f"{engine}-native.h5").unlink()
+    none = r"exudyn-native.h5: none of 40 .*; generate other data"
+    with pytest.raises(InputError, match=none):
+        groups([data])
+    with pytest.raises(InputError, match=r"2pendulum: no trajectory was published"):
+        load_paired(data, "2pendulum")
+
+
+def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make data of another engine that loses every trajectory at once."""
+
+    def lose(*arguments: Any) -> Simulation:
+        done = simulate(*arguments)
+        lost = (Failure(0, "lost"),) * len(done.trajectory.position)
+        nothing = np.full_like(done.trajectory.position, np.nan)
+        found = dataclasses.replace(done.trajectory, position=nothing, failures=lost)
+        return dataclasses.replace(done, trajectory=found)
+
+    monkeypatch.setattr(shard, "simulate", lose)
+    scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
+    choice = Choice.parse(engines="exudyn", profiles="native")
+    generate(DataRequest((scene,), choice, 40, data), workers=0, progress=Silence())
 
 
 def test_leave_one_out_leaves_it_out(group: Group) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -106,6 +106,8 @@ class Paired:
     """Forces without the noise [N], of the shape of `batch.force`."""
     seed: int
     """Of the draw: another one has other starts."""
+    left_out: Mapping[str, str]
+    """Engines and variants of whose trajectories none were published, with the reason."""
 
     @functools.cached_property
     def graph(self) -> Graph:
@@ -145,6 +147,11 @@ def load_paired(
         msg = f"{folder / scene}: no data of {', '.join(variants)} settings; generate some"
         raise InputError(msg)
     _check_alike(files)
+    lacking = {_name(file): file.lack for file in files if file.lack}
+    files = [file for file in files if not file.lack]
+    if not files:
+        msg = f"{folder / scene}: no trajectory was published; generate other data"
+        raise InputError(msg)
     index = functools.reduce(np.intersect1d, [file.index[file.rows_of(_TEST)] for file in files])
     if not len(index):
         msg = f"{folder / scene}: no test trajectory is valid in all {len(files)} files; make more"
@@ -160,7 +167,12 @@ def load_paired(
         noise=bool(files[0].attributes["noise"]),
         quiet=_quiet(files[0], rows[0]),
         seed=int(files[0].attributes["seed"]),
+        left_out=lacking,
     )
+
+
+def _name(file: Dataset) -> str:
+    return f"{file.attributes['engine']}-{file.attributes['profile']}"
 
 
 def _is_joined(path: Path) -> bool:
