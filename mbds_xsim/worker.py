@@ -36,6 +36,5 @@ def _end_with_parent() -> None:
 if __name__ == "__main__":
     _main(Path(sys.argv[1]), Path(sys.argv[2]))
     sys.stdout.flush()
-    os._exit(
-        0
-    )  # the answer is there: engines that hang while they are taken down are not waited for
+    # The answer is there: an engine that hangs while it is taken down is not waited for.
+    os._exit(0)

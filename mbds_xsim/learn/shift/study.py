@@ -109,9 +109,13 @@ def study(
     figures = _evaluated(test, entries, domains, plan, workers, meter)
     gone_on, refused = restarted(test, domains, plan.horizon, workers=workers)
     board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
-    left_out = dict(test.left_out) if solved else {**test.left_out, REFERENCE: reason}
-    left_out |= {f"{RESTART} {name}": why for name, why in refused.items()}
-    left_out |= _lost(board) | _absent(test, board)
+    left_out = {
+        **test.left_out,
+        **({} if solved else {REFERENCE: reason}),
+        **{f"{RESTART} {name}": why for name, why in refused.items()},
+        **_lost(board),
+        **_absent(test, board),
+    }
     shift = _shift(
         board,
         plan,
