@@ -14,8 +14,8 @@ comma = ,
 .NOTPARALLEL:
 .PHONY: validate test lint package clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
-	reports-learn-speed reports-shift reports-models reports-data reports-data-full \
-	reports-pages readme
+	reports-learn-speed reports-shift reports-lite reports-models reports-data \
+	reports-data-full reports-pages readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -56,7 +56,8 @@ files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-contact reports-tradeoff reports-cheapest reports-stability \
-	reports-shift reports-models reports-ablation reports-overhead reports-learn-speed \
+	reports-shift reports-lite reports-models reports-ablation reports-overhead \
+	reports-learn-speed \
 	reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
@@ -100,27 +101,28 @@ reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.lagrangian_speed > $(REPORTS)/lagrangian-speed.md
 	$(BIN)/python -m benchmarks.rollout_speed > $(REPORTS)/rollout-speed.md
 
-# Trained models beside the engines, as far as there are any. Their engines are those of the two
-# reports above. Charted are trainings on either kind of data, mapped one of each model, whose scene
-# a study is made of.
+# Trained models beside the engines, as far as there are any: those that were trained until level,
+# or else the studies'. Their engines are those of the two reports above. A map is of models whose
+# scene its study is made of.
 MODELS ?= out/models
+LITE ?= out/lite
 TRAINING ?= native/*/mujoco-s0
-CHARTED ?= */*/mujoco-s0
 MAPPED ?= pace/6pendulum links/6pendulum loops/3ladder throw/ballscroll
-named = --models "$(MODELS)/$$scene/$(1).pt"
+best = models=$(LITE); [ -d $$models/$$scene ] || models=$(MODELS)
+named = --models "$$models/$$scene/$(TRAINING).pt"
 
 reports-models: $(VENV)/ready
 	$(BIN)/python -m benchmarks.energy_rollouts $(MODELS) $(STUDY) > $(REPORTS)/energy-rollouts.md
-	for scene in $(SCENES); do \
-		[ ! -d $(MODELS)/$$scene ] || [ $$scene = particlecar ] || \
-			$(BIN)/mbds-xsim tradeoff $$scene $(call named,$(CHARTED)) \
+	for scene in $(SCENES); do $(best); \
+		[ ! -d $$models/$$scene ] || [ $$scene = particlecar ] || \
+			$(BIN)/mbds-xsim tradeoff $$scene $(named) \
 			--onto $(REPORTS)/tradeoff/$$scene.json $(call files,models/$$scene) \
 			$(call figures,models/$$scene) || exit; \
 	done
 	for pair in $(MAPPED); do \
-		study=$${pair%/*}; scene=$${pair#*/}; \
-		[ ! -d $(MODELS)/$$scene ] || $(BIN)/mbds-xsim stability $$study --settings matched \
-			$(call named,$(TRAINING)) $(call figures,models/$$study) \
+		study=$${pair%/*}; scene=$${pair#*/}; $(best); \
+		[ ! -d $$models/$$scene ] || $(BIN)/mbds-xsim stability $$study --settings matched \
+			$(named) $(call figures,models/$$study) \
 			--markdown $(REPORTS)/models/$$study.md || exit; \
 	done
 
@@ -168,6 +170,14 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call drawn,$*,native$(comma)matched)
 	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
+
+# All four models until more steps bring no more, on one engine's data.
+reports-lite: $(VENV)/ready
+	$(call drawn,6pendulum,native)
+	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/mujoco-native.h5 --seeds 1 --out $(LITE) \
+		--png $(REPORTS)/lite/6pendulum-curves.png
+	$(BIN)/mbds-xsim shift $(LITE) $(STUDY) --scene 6pendulum --settings native \
+		$(call files,lite/6pendulum) --rollouts $(REPORTS)/lite/6pendulum-rollouts.png
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.
 ENGINES ?= mujoco,pybullet,dart,exudyn

@@ -3,8 +3,8 @@
 python -m benchmarks.energy_rollouts MODELS DATA [SCENE] > reports/energy-rollouts.md
 
 Trained models of single engines, seed 0, predict the test part of their own engine's native data:
-as they were trained, with more Runge-Kutta steps a frame, and with velocities that are differences
-of the nodes' last six places in place of the engine's.
+with one and more Runge-Kutta steps a frame, and with velocities that are differences of the nodes'
+last six places in place of the engine's.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _HEAD = f"""\
 
 HGNN and LGNN start from an engine's body poses and velocities, GNS and SGNN from six frames of
 positions. *Differences*: from the engine's poses alone, velocities being backward differences of
-the nodes' last six places. *n steps*: Runge-Kutta steps a frame, of models that were trained with
-one. Mean squared error [m²] at t = {FRAMES[0]} on the test part of the training's own engine,
-native data, seed 0; behind it how many predictions were lost or off by over {EXPLODED:g} lengths of
-the scene at t = {FRAMES[1]}, which count as {EXPLODED:g} lengths."""
+the nodes' last six places, with the steps of the training. *n steps*: Runge-Kutta steps a frame,
+whatever was *trained with*. Mean squared error [m²] at t = {FRAMES[0]} on the test part of the
+training's own engine, native data, seed 0; behind it how many predictions were lost or off by over
+{EXPLODED:g} lengths of the scene at t = {FRAMES[1]}, which count as {EXPLODED:g} lengths."""
 
 
 class _Begun:
@@ -99,10 +99,11 @@ def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -
             tell(str(path))
             file = load_dataset(data / scene / f"{engines[0]}-native.h5")
             motions = Motions.of(file, "test", bodies=True, dtype=model.dtype)
-            texts: list[str] = []
+            trained = model.substeps
+            texts = [str(trained)]
             for model.substeps in SUBSTEPS:
                 texts += errors(model, motions)
-            model.substeps = SUBSTEPS[0]
+            model.substeps = trained
             with torch.no_grad():
                 texts += errors(model, motions, from_places(model, motions))
             yield f"| {name}, {engines[0]} | {' | '.join(texts)} |"
@@ -112,8 +113,9 @@ def main(models: Path, data: Path, scene: str = "6pendulum") -> None:
     """Print the page."""
     torch.set_num_threads(1)
     ways = [f"{n} step{'s' * (n > 1)}" for n in SUBSTEPS] + ["differences"]
-    print(f"{_HEAD}\n\n## {scene}\n\n| | {' | '.join(f'{way} | lost' for way in ways)} |")
-    print(f"| :-- |{' --: | --: |' * len(ways)}")
+    heading = " | ".join(f"{way} | lost" for way in ways)
+    print(f"{_HEAD}\n\n## {scene}\n\n| | trained with | {heading} |")
+    print(f"| :-- | --: |{' --: | --: |' * len(ways)}")
     for row in rows_of(models, data, scene, lambda path: print(path, file=sys.stderr)):
         print(row, flush=True)
 

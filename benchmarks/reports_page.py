@@ -22,6 +22,7 @@ CHAPTERS = (
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
     ("Models under a change of engine", "make reports-shift", "shift/*.md"),
+    ("Models trained until level", "make reports-lite", "lite/*.md"),
     ("What energies are given", "make reports-models", "energy-rollouts.md"),
     ("Training throughput", "make reports-learn-speed", "learn-speed.md"),
     ("Closed forms beside differentiation", "make reports-learn-speed", "lagrangian-speed.md"),

@@ -183,11 +183,7 @@ def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Pro
     from mbds_xsim.learn.campaign import profile_named
 
     found = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
-    if steps is None:
-        return found
-    # As many validations as ever: fewer could not tell whether the last fifth was level.
-    every = max(1, found.every * steps // found.steps)
-    return msgspec.structs.replace(found, steps=steps, every=every, until_level=False)
+    return found if steps is None else found.of_exactly(steps)
 
 
 def _carrier(

@@ -30,6 +30,7 @@ from mbds_xsim.write import write_whole
 
 __all__ = [
     "PROFILES",
+    "WITHOUT_END",
     "Point",
     "Profile",
     "Training",
@@ -66,12 +67,22 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for key in ("steps", "every", "windows", "horizon", "least"):
             bounds.at_least_one(key, getattr(self, key))
 
+    def of_exactly(self, steps: int) -> Profile:
+        """Give the profile of a run that takes all of so many steps, level or not."""
+        # Fewer validations than the least could not tell whether it was level.
+        every = max(1, min(self.every, steps // self.least))
+        return msgspec.structs.replace(self, steps=steps, every=every, until_level=False)
+
 
 PROFILES = {
     "smoke": Profile(steps=600, every=100, windows=32, until_level=False),
-    "lite": Profile(steps=3_000, every=150, until_level=False),
+    "lite": Profile(steps=30_000, every=150),
     "paper": Profile(steps=1_000_000, every=5_000, windows=512),
 }
+
+
+WITHOUT_END = Plateau(patience=3, factor=0.5)
+"""In place of a cosine where a run ends when it is level: it has no last step to end at."""
 
 
 class Point(msgspec.Struct, frozen=True):
@@ -198,6 +209,7 @@ class _Run:
     ) -> None:
         self.training = Training(model)
         self.recipe, self.profile = recipe, profile
+        self.schedule = _schedule(recipe, profile)
         own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
         self.identity = {**own, **identity}
         self.clock = _Clock()
@@ -229,7 +241,7 @@ class _Run:
         with precision(sample.position.device, mixed=self.profile.mixed_precision):
             loss = self.training.model.loss(sample, self.generator)
         torch.autograd.backward(loss)
-        clip, skip, schedule = self.recipe.clip, self.recipe.skip, self.recipe.schedule
+        clip, skip, schedule = self.recipe.clip, self.recipe.skip, self.schedule
         if skip or clip is not None:
             parameters = self.training.model.parameters()
             norm = torch.nn.utils.clip_grad_norm_(parameters, math.inf if clip is None else clip)
@@ -251,8 +263,8 @@ class _Run:
         point = Point(self.step, loss, error, self.rate)
         curve.append(point)
         self.clock.read_into(self.training)
-        if isinstance(self.recipe.schedule, Plateau):
-            self._set_rate(_on_plateau(self.recipe.rate, self.recipe.schedule, curve))
+        if isinstance(self.schedule, Plateau):
+            self._set_rate(_on_plateau(self.recipe.rate, self.schedule, curve))
         self.training.ended = self._end(loss)
 
     def _end(self, loss: float) -> Literal["", "steps", "level", "diverged"]:
@@ -361,6 +373,11 @@ def _judged(validation: Motions, profile: Profile) -> Sample:
     rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
     horizon = min(profile.horizon, validation.frame_count - HISTORY)
     return validation.sample(rows, torch.full_like(rows, HISTORY - 1), horizon)
+
+
+def _schedule(recipe: Recipe, profile: Profile) -> Plateau | Decay | Cosine | None:
+    aimless = profile.until_level and isinstance(recipe.schedule, Cosine)
+    return WITHOUT_END if aimless else recipe.schedule
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[Point]) -> float:

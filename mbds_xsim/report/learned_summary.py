@@ -10,8 +10,9 @@ from mbds_xsim.study.rows import Learned, Tradeoff
 
 __all__ = ["ModelColumn", "colour_of_model", "model_columns", "model_told", "models_told"]
 
-_COLOURS = ("#7a4fb5", "#1b1b1b", "#8c6d1f", "#5c8a00")
-"""None of the engines'."""
+_COLOURS = {"gns": "#7a4fb5", "hgnn": "#1b1b1b", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
+"""The same on every chart, and none of the engines'."""
+_OTHER = "#6b6b6b"
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,9 @@ def model_told(model: Learned) -> str:
     )
 
 
-def colour_of_model(study: Tradeoff, model: Learned) -> str:
+def colour_of_model(model: Learned) -> str:
     """Colour of a model, whatever it was trained on."""
-    names = sorted({other.model for other in study.models})
-    return _COLOURS[names.index(model.model) % len(_COLOURS)]
+    return _COLOURS.get(model.model, _OTHER)
 
 
 def _trained_on(model: Learned) -> str:

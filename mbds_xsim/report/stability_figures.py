@@ -72,7 +72,8 @@ def size_of(sweep: Sweep, places: Sequence[int] = ()) -> tuple[float, float]:
     panels = [sweep.panels[place] for place in places]
     columns = sum(len(panel.steps_s) for panel in panels) or len(sweep.steps_s)
     labels = 0.075 * max(len(text_of(value)) for value in sweep.values)
-    names = max((_LETTER * len(panel.name) for panel in panels if panel.learned), default=0.0)
+    learned = [panel for panel in panels if panel.learned]
+    names = max((_LETTER * len(name) for name in _models(learned)[1]), default=0.0)
     width = max(_CELL[0] * columns, 1.6)
     return (_MARGIN[0] + labels + width, _MARGIN[1] + names + _CELL[1] * len(sweep.values))
 
@@ -101,7 +102,7 @@ def draw_map(
     axes.set_yticks(range(len(sweep.values)), [text_of(value) for value in sweep.values])
     axes.set_xlim(-0.5, max(begin, columns) - 0.5)
     axes.set_ylim(-0.5, len(sweep.values) - 0.5)
-    axes.set_xlabel(x_label)
+    axes.set_xlabel(x_label, loc="left" if panels[0].learned else "center")
     axes.set_ylabel(_short(summary.swept(sweep)) if labelled else "")
     axes.set_title(title, fontsize=9, loc="left", color=INK)
     axes.tick_params(length=0)
@@ -113,9 +114,17 @@ def draw_map(
 def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
     """Title, label and ticks of the columns."""
     if panels[0].learned:
-        return "trained models, one step a frame", "", [panel.name for panel in panels]
+        return ("trained models, one step a frame", *_models(panels))
     steps = [summary.milliseconds(step) for step in panels[0].steps_s]
     return panels[0].name, "step [ms]", steps
+
+
+def _models(panels: Sequence[Panel]) -> tuple[str, list[str]]:
+    """What all models were trained on, and their names; of several trainings each says its own."""
+    trainings = {panel.name.removeprefix(panel.engine).strip() for panel in panels}
+    if len(trainings) == 1:
+        return trainings.pop(), [panel.engine for panel in panels]
+    return "", [panel.name for panel in panels]
 
 
 def draw_legend(figure: Any, sweep: Sweep, *, columns: int) -> None:

@@ -138,7 +138,7 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
             yield label, colour_of(curve.engine), marker_of(study, curve)
     for name, model in {model.model: model for model in study.models}.items():
         label = f"{name}, trained; hollow: {model.at_once} at a time"
-        yield label, colour_of_model(study, model), _MODEL_MARKER
+        yield label, colour_of_model(model), _MODEL_MARKER
 
 
 def tips(study: Tradeoff) -> dict[str, str]:
@@ -200,7 +200,7 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
 
 def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place: int) -> None:
     """Draw a model alone, and hollow in a batch."""
-    colour = colour_of_model(study, model)
+    colour = colour_of_model(model)
     spots = [_spot(study, panel, point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:

@@ -1,20 +1,26 @@
-"""Learning curves as a picture: a panel a model and data, a colour a training, a line a seed."""
+"""Learning curves as a picture: a panel a model and data, a colour an engine, a line a seed.
+
+An engine has the colour that it has everywhere; dashes tell apart what else its name stands for:
+all but it, or its starts of one interval.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mbds_xsim import registry
 from mbds_xsim.learn.curves import Curve
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.themed import INK, png
 
-__all__ = ["to_png"]
+__all__ = ["looks", "to_png"]
 
+Look = tuple[str, str | tuple[int, tuple[int, ...]]]
 _PANEL = (4.2, 3.0)  # [in]
 _ABREAST = 4
-_DASHES = ("-", "--", ":", "-.")  # for trainings beyond the colours
+_DASHES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 _MARK = {"level": "o", "steps": "|", "diverged": "x", "": ">"}
 
 
@@ -23,28 +29,28 @@ def to_png(curves: Sequence[Curve]) -> bytes:
     panels: dict[str, list[Curve]] = {}
     for curve in curves:
         panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
-    trainings = sorted({_training(curve) for curve in curves})
+    styles = looks(sorted({_training(curve) for curve in curves}))
     columns = max(1, min(_ABREAST, len(panels)))
     rows = max(1, math.ceil(len(panels) / columns))
 
     def draw(figure: Any) -> None:
         grid = figure.subplots(rows, columns, squeeze=False).flat
         for axes, (name, members) in zip(grid, panels.items(), strict=False):
-            _panel(axes, name, members, trainings)
+            _panel(axes, name, members, styles)
         for axes in list(grid)[len(panels) :]:
             axes.remove()
-        _legend(figure, trainings)
+        _legend(figure, styles)
 
     return png(draw, (_PANEL[0] * columns, _PANEL[1] * rows + 0.5))
 
 
-def _panel(axes: Any, name: str, curves: Sequence[Curve], trainings: Sequence[str]) -> None:
+def _panel(axes: Any, name: str, curves: Sequence[Curve], styles: Mapping[str, Look]) -> None:
     axes.set_title(name, fontsize=10, loc="left", color=INK)
     axes.set_xlabel("steps")
     axes.set_ylabel("validation error [m²]")
     axes.set_yscale("log")
     for curve in curves:
-        colour, dash = _look(trainings.index(_training(curve)))
+        colour, dash = styles[_training(curve)]
         steps = [point.step for point in curve.points]
         errors = [point.error for point in curve.points]
         axes.plot(steps, errors, color=colour, linestyle=dash, linewidth=1.1)
@@ -55,12 +61,12 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve], trainings: Sequence[st
             axes.plot(steps[last], errors[last], color=colour, marker=mark, markersize=5)
 
 
-def _legend(figure: Any, trainings: Sequence[str]) -> None:
+def _legend(figure: Any, styles: Mapping[str, Look]) -> None:
     from matplotlib.lines import Line2D
 
     entries = [
-        Line2D([], [], color=_look(k)[0], linestyle=_look(k)[1], label=training)
-        for k, training in enumerate(trainings)
+        Line2D([], [], color=colour, linestyle=dash, label=training)
+        for training, (colour, dash) in styles.items()
     ]
     words = {"level": "level", "steps": "all steps taken", "diverged": "diverged"}
     entries += [
@@ -72,8 +78,20 @@ def _legend(figure: Any, trainings: Sequence[str]) -> None:
     )
 
 
-def _look(place: int) -> tuple[str, str]:
-    return LIGHT[place % len(LIGHT)], _DASHES[place // len(LIGHT) % len(_DASHES)]
+def looks(trainings: Sequence[str]) -> dict[str, Look]:
+    """Colour and dashes of each training: an engine alone has a full line."""
+    engines = registry.engine_names()
+    members: dict[str, list[str]] = {engine: [engine] for engine in engines}
+    for training in trainings:
+        named = [engine for engine in engines if engine in training.split("-")]
+        others = members.setdefault(named[0] if named else training, [])
+        others += [] if training in others else [training]
+    return {
+        training: (LIGHT[place % len(LIGHT)], _DASHES[others.index(training) % len(_DASHES)])
+        for place, others in enumerate(members.values())
+        for training in others
+        if training in trainings
+    }
 
 
 def _training(curve: Curve) -> str:

@@ -16,7 +16,7 @@ from mbds_xsim.learn.model import build
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import PROFILES, Point, Profile, Training, train
+from mbds_xsim.learn.train import PROFILES, WITHOUT_END, Point, Profile, Training, train
 from mbds_xsim.learn.window import Motions, Sample
 
 Data = Callable[..., Dataset]
@@ -197,6 +197,26 @@ def test_a_cosine_ends_with_the_run_however_long_it_is(parts: tuple[Motions, Mot
         expected = [0.5e-3 * (1.0 + math.cos(angle)) for angle in angles]
         assert [point.rate for point in curve] == pytest.approx(expected)
     assert Cosine().at(1e-3, 40, 40) == 0.0
+
+
+def test_a_run_that_ends_when_level_has_no_cosine_to_end(parts: tuple[Motions, Motions]) -> None:
+    still = Recipe(rate=1e-13, batch=2, schedule=Cosine())
+    level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=20)
+    found = train(_model(parts[0]), *parts, still, level)
+    rates = [point.rate for point in found.curve]
+    waited = WITHOUT_END.patience + 1
+    assert found.ended == "level"
+    assert rates[-1] <= 1e-13 * WITHOUT_END.factor ** (level.least // waited - 2)
+    assert set(rates) <= {1e-13 * WITHOUT_END.factor**k for k in range(level.least)}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("steps", [7, 1000, 3000])
+def test_a_run_of_exactly_so_many_steps_is_validated_often_enough(name: str, steps: int) -> None:
+    profile = PROFILES[name].of_exactly(steps)
+    assert (profile.steps, profile.until_level) == (steps, False)
+    assert profile.every <= PROFILES[name].every
+    assert profile.every == 1 or steps // profile.every >= profile.least
 
 
 def test_smoke_is_short() -> None:
