@@ -37,7 +37,11 @@ class Table:
 
 
 def tables(shift: Shift) -> Iterator[Table]:
-    """Give all tables."""
+    """Give all tables that there are figures for."""
+    yield from (table for table in _tables(shift) if table.rows)
+
+
+def _tables(shift: Shift) -> Iterator[Table]:
     frame = shift.at
     place = shift.frames.index(frame)
     for model in trained_models(shift):

@@ -278,6 +278,16 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     assert "this cannot be told" in _answer(dataclasses.replace(board, oracles=near))
 
 
+def test_of_trainings_on_one_engine_no_shift_is_asked() -> None:
+    board = _board(_shifted, floor=100.0)
+    alone = {key: value for key, value in board.figures.items() if key[0].training == "a-native"}
+    board = dataclasses.replace(board, figures=alone)
+    gaps = _gaps(board)
+    assert gaps == []
+    (told,) = answers_of(board, Draws(board), gaps, FRAMES)
+    assert "cannot be asked" in told.answer
+
+
 def test_a_restarted_engine_that_is_lost_does_not_widen_the_floor() -> None:
     """Where it goes on its distance counts, elsewhere that of the published motions."""
     board = _board(_shifted, floor=0.5)

@@ -35,6 +35,7 @@ _BLIND = (
     "where no gap is resolved, ratios tell how well trainings went, not what a change of engine "
     "does"
 )
+_ALONE = "this cannot be asked: no model was trained on two of the tested engines, each alone"
 _UNTOLD = f"this cannot be told: {_BLIND}"
 
 Array = NDArray[np.float64]
@@ -112,6 +113,8 @@ def _field(board: Board, model: str, variant: str) -> _Field:
 def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     """How many shifts can be told at all."""
     single = [gap for gap in gaps if gap.kind == SINGLE]
+    if not single:
+        return Answer(RESOLVABLE, "Is a shift resolvable?", _ALONE)
     count = Counter(gap.why[place] for gap in single)
     better = sum(not gap.why[place] and _is_gain(gap, place) for gap in single)
     text = (
