@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.shift_tables import Table, tables
 
-__all__ = ["in_words", "protocol", "to_markdown"]
+__all__ = ["in_words", "protocol", "time_told", "to_markdown"]
 
 _ENOUGH = 3  # seeds
 
@@ -32,7 +32,7 @@ def _scene(shift: Shift) -> Iterator[str]:
         yield f"\n## {table.title}\n"
         yield f"{table.note}.\n"
         yield from _rows(table)
-    yield f"\nMade by `{shift.command}` in {shift.wall_s:.0f} s on {shift.machine}."
+    yield f"\nMade by `{shift.command}` in {time_told(shift)} on {shift.machine}."
 
 
 def in_words(shift: Shift) -> Iterator[str]:
@@ -60,6 +60,12 @@ def protocol(shift: Shift) -> str:
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"
     )
+
+
+def time_told(shift: Shift) -> str:
+    """Say how long it took, and what had been done before."""
+    before = f", {shift.kept} of {len(shift.models)} models tested before" if shift.kept else ""
+    return f"{shift.wall_s:.0f} s{before}"
 
 
 def _rows(table: Table) -> Iterator[str]:

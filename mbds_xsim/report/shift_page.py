@@ -13,7 +13,7 @@ from mbds_xsim.learn.shift.samples import Samples, samples_of
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report import palette, themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
-from mbds_xsim.report.shift_markdown import protocol
+from mbds_xsim.report.shift_markdown import protocol, time_told
 from mbds_xsim.report.shift_matrix import at, matrix_of, trained_models
 from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, picture_size, styles_of
 from mbds_xsim.report.shift_tables import tables
@@ -48,6 +48,7 @@ def _view(shift: Shift, samples: Samples) -> dict[str, Any]:
     return {
         "s": shift,
         "protocol": protocol(shift),
+        "time": time_told(shift),
         "tables": list(tables(shift)),
         "maps": [(frame, _maps(shift, frame), frame == shift.at) for frame in shift.frames],
         "picture": _picture(samples),

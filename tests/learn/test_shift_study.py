@@ -44,6 +44,7 @@ from mbds_xsim.learn.shift.roster import (
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
+from mbds_xsim.report.shift_markdown import to_markdown
 from mbds_xsim.report.shift_tables import tables
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.state import Batch
@@ -199,6 +200,8 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
 
     early = studied(1)
     assert (shift.at, early.at) == (10, 1)
+    assert (shift.kept, early.kept) == (0, len(shift.models))
+    assert f", {early.kept} of {early.kept} models tested before on " in to_markdown([early])
     assert "At t = 10," in shift.answers[0].answer
     assert "At t = 1," in early.answers[0].answer
     assert early.gaps == shift.gaps

@@ -35,7 +35,7 @@ _BLIND = (
     "where no gap is resolved, ratios tell how well trainings went, not what a change of engine "
     "does"
 )
-_ALONE = "this cannot be asked: no model was trained on two of the tested engines, each alone"
+_ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
 _UNTOLD = f"this cannot be told: {_BLIND}"
 
 Array = NDArray[np.float64]

@@ -208,6 +208,8 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     agreements: tuple[Agreement, ...]
     answers: tuple[Answer, ...]
     wall_s: float
+    kept: int = 0
+    """How many of the models had been tested before, in no time of this."""
 
 
 def values(numbers: Iterable[float]) -> Values:

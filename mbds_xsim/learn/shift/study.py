@@ -106,7 +106,7 @@ def study(
     at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
-    figures = _evaluated(test, entries, domains, plan, workers, meter)
+    figures, tested = _evaluated(test, entries, domains, plan, workers, meter)
     gone_on, refused = restarted(test, domains, plan.horizon, workers=workers)
     board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
     left_out = {
@@ -125,6 +125,7 @@ def study(
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
         left_out=left_out,
         models=tuple(map(_facts, entries)),
+        kept=len(entries) - tested,
     )
     shift = msgspec.structs.replace(shift, wall_s=time.perf_counter() - began)
     return Studied(shift, board, domains)
@@ -188,15 +189,19 @@ def _evaluated(
     plan: Plan,
     workers: int | None,
     meter: Meter | None,
-) -> Mapping[tuple[Entry, str], Figures]:
-    if meter is None:
-        return evaluate(test.scene, entries, domains, plan, workers=workers)
+) -> tuple[Mapping[tuple[Entry, str], Figures], int]:
+    """Give the figures of models, and how many of these are tested now."""
+    tested: list[Entry] = []
 
     def tell(entry: Entry) -> None:
-        meter.advance(f"{entry.model} {entry.training}")
+        tested.append(entry)
+        if meter is not None:
+            meter.advance(f"{entry.model} {entry.training}")
 
-    meter.begin(len(entries))
-    return evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
+    if meter is not None:
+        meter.begin(len(entries))
+    figures = evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
+    return figures, len(tested)
 
 
 def _lost(board: Board) -> dict[str, str]:
