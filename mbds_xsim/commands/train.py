@@ -94,7 +94,7 @@ def train(
     png: _Curves = None,
     json: JsonFile = None,
 ) -> None:
-    """Train learned models on engines' data, always to one budget; see docs/train.md."""
+    """Train learned models on engines' data, all on equally much of it; see docs/train.md."""
     check_torch("train")
     from mbds_xsim.learn.campaign import Request, planned
     from mbds_xsim.learn.domains import groups

@@ -114,7 +114,7 @@ def draw_map(
 def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
     """Title, label and ticks of the columns."""
     if panels[0].learned:
-        return ("trained models, one step a frame", *_models(panels))
+        return ("trained models, frame by frame", *_models(panels))
     steps = [summary.milliseconds(step) for step in panels[0].steps_s]
     return panels[0].name, "step [ms]", steps
 
