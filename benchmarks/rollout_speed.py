@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from statistics import median, quantiles
 
 import torch
+from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.learn_speed import spent
 from mbds_xsim.learn.channels import CHANNELS
@@ -33,6 +34,7 @@ BATCHES = (1, 64, 512)
 FRAMES, STARTS, ROUNDS = 5, 30, (3, 9)
 PATIENCE = 180.0  # seconds a scene may take, if the rounds are enough
 AIM = 20
+SQUARE, REPEATS = 512, 20
 _HEAD = f"""\
 # Rollouts of models, one by one and many at once
 
@@ -40,7 +42,9 @@ _HEAD = f"""\
 
 Milliseconds of the processor a trajectory and frame, one thread, untrained models in their `lite`
 size; medians of {ROUNDS[0]} to {ROUNDS[1]} rounds in which models and batches take turns.
-*Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}."""
+*Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}.
+*At most*: of a core that does nothing but the products of matrices, as fast as it multiplies two of
+{SQUARE} × {SQUARE}. Where that is below {AIM}, one trajectory alone keeps the core too busy."""
 
 
 def starts(name: str, models: list[Model]) -> list[Known]:
@@ -60,8 +64,17 @@ def still() -> Statistics:
     return Statistics(one, small, small, torch.ones(len(CHANNELS)).double())
 
 
-def measured(name: str) -> dict[str, list[list[float]]]:
-    """Seconds a trajectory and frame: rounds of all batches, model by model."""
+def least(model: Model, given: Known) -> float:
+    """Seconds a trajectory and frame that the products of matrices take at the core's best rate."""
+    with FlopCounterMode(display=False) as counter:
+        carry_on(model, given.repeated(1))
+    square = torch.ones(SQUARE, SQUARE, dtype=model.dtype)
+    best = min(spent(lambda: square @ square) for _ in range(REPEATS))
+    return counter.get_total_flops() / FRAMES * best / (2.0 * SQUARE**3)
+
+
+def measured(name: str) -> dict[str, tuple[float, list[list[float]]]]:
+    """Least seconds a trajectory and frame, and rounds of all batches, model by model."""
     graph = Graph.of(load_scene(name))
     models = [build(kind, graph, still(), track="lite") for kind in MODELS]
     known = starts(name, models)
@@ -80,23 +93,26 @@ def measured(name: str) -> dict[str, list[list[float]]]:
     low, high = ROUNDS
     rounds = min(high, max(low, int(PATIENCE / (time.perf_counter() - began))))
     turns = [turn() for _ in range(rounds)]
-    return {kind: [each[i] for each in turns] for i, kind in enumerate(MODELS)}
+    bounds = [least(*pair) for pair in zip(models, known, strict=True)]
+    return {kind: (bounds[i], [each[i] for each in turns]) for i, kind in enumerate(MODELS)}
 
 
 def rows(name: str) -> Iterator[str]:
-    for kind, rounds in measured(name).items():
+    for kind, (bound, rounds) in measured(name).items():
         times = [f"{1e3 * median(column):.3g}" for column in zip(*rounds, strict=True)]
         ratios = [each[0] / each[-1] for each in rounds]
         low, middle, high = quantiles(ratios, n=4)
-        yield (f"| {name} | {kind} | {' | '.join(times)} | {middle:.0f} ({low:.0f} … {high:.0f}) |")
+        told = f"{middle:.3g} ({low:.3g} … {high:.3g})"
+        most = median(each[0] for each in rounds) / bound
+        yield f"| {name} | {kind} | {' | '.join(times)} | {told} | {most:.3g} |"
 
 
 def main() -> None:
     torch.set_num_threads(1)
     print(f"{_HEAD}\n")
     heads = " | ".join(f"batch {n}" for n in BATCHES)
-    print(f"| scene | model | {heads} | ratio |")
-    print(f"| :-- | :-- |{' --: |' * (len(BATCHES) + 1)}")
+    print(f"| scene | model | {heads} | ratio | at most |")
+    print(f"| :-- | :-- |{' --: |' * (len(BATCHES) + 2)}")
     for name in sys.argv[1:] or SCENES:
         for row in rows(name):
             print(row, flush=True)
