@@ -57,8 +57,7 @@ figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-contact reports-tradeoff reports-cheapest reports-stability \
 	reports-shift reports-lite reports-models reports-ablation reports-overhead \
-	reports-learn-speed \
-	reports-data reports-data-full reports-pages readme
+	reports-learn-speed reports-data reports-data-full reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready

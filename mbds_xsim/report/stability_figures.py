@@ -73,7 +73,7 @@ def size_of(sweep: Sweep, places: Sequence[int] = ()) -> tuple[float, float]:
     columns = sum(len(panel.steps_s) for panel in panels) or len(sweep.steps_s)
     labels = 0.075 * max(len(text_of(value)) for value in sweep.values)
     learned = [panel for panel in panels if panel.learned]
-    names = max((_LETTER * len(name) for name in _models(learned)[1]), default=0.0)
+    names = max((_LETTER * len(name) for name in _training_and_names(learned)[1]), default=0.0)
     width = max(_CELL[0] * columns, 1.6)
     return (_MARGIN[0] + labels + width, _MARGIN[1] + names + _CELL[1] * len(sweep.values))
 
@@ -114,12 +114,12 @@ def draw_map(
 def _named(panels: Sequence[Panel]) -> tuple[str, str, list[str]]:
     """Title, label and ticks of the columns."""
     if panels[0].learned:
-        return ("trained models, frame by frame", *_models(panels))
+        return ("trained models, frame by frame", *_training_and_names(panels))
     steps = [summary.milliseconds(step) for step in panels[0].steps_s]
     return panels[0].name, "step [ms]", steps
 
 
-def _models(panels: Sequence[Panel]) -> tuple[str, list[str]]:
+def _training_and_names(panels: Sequence[Panel]) -> tuple[str, list[str]]:
     """What all models were trained on, and their names; of several trainings each says its own."""
     trainings = {panel.name.removeprefix(panel.engine).strip() for panel in panels}
     if len(trainings) == 1:
