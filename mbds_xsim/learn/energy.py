@@ -95,12 +95,13 @@ def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
 
 def mass_matrix(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     """∂²T/∂v² in closed form, shape (batch, 3 · node, 3 · node): blocks 2 f′ 1 + 4 f″ v vᵀ."""
-    each, count = velocities(mechanics, v), v.shape[1]
+    each, size = velocities(mechanics, v), 3 * v.shape[1]
     outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
     eye = torch.eye(3).to(v)
-    block = 2.0 * kinetic.first[..., None, None] * eye + outer
-    blocks = (mechanics.coupling @ block.flatten(-2)).view(len(v), count, count, 3, 3)
-    return blocks.transpose(2, 3).reshape(len(v), 3 * count, 3 * count)
+    own = 2.0 * kinetic.first[..., None, None] * eye + outer
+    blocks = (mechanics.coupling @ own.flatten(-2)).flatten(1)
+    flat = v.new_zeros(len(v), size * size).index_copy_(1, mechanics.block, blocks)
+    return flat.view(len(v), size, size)
 
 
 def potential_force(energy: Energy, q: Tensor) -> Tensor:

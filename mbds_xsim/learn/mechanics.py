@@ -51,19 +51,24 @@ class _Constrained(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
-        factor = _factor(mass)
-        spread = torch.cholesky_solve(jacobian.mT, factor)
-        schur = _factor(jacobian @ spread)
-        value, multiplier = _saddle(factor, spread, schur, load, bias)
-        ctx.save_for_backward(factor, spread, schur, value, multiplier)
+        factor, failed = torch.linalg.cholesky_ex(mass)
+        # A contiguous matrix under the transpose is the layout of LAPACK, and is not copied.
+        sides = torch.cat([jacobian, load[:, None]], dim=1).mT
+        half, side = torch.linalg.solve_triangular(factor, sides, upper=False).split(
+            [jacobian.shape[1], 1], dim=-1
+        )
+        schur, failed_too = torch.linalg.cholesky_ex(half.mT @ half)
+        value, multiplier = _saddle(factor, half, schur, side, bias)
+        value = torch.where((failed + failed_too > 0)[:, None], torch.nan, value)
+        ctx.save_for_backward(factor, half, schur, value, multiplier)
         return value
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, ...]:
-        factor, spread, schur, value, multiplier = ctx.saved_tensors
-        none = torch.zeros_like(multiplier)
-        by_load, pull = _saddle(factor, spread, schur, slope, none)
+        factor, half, schur, value, multiplier = ctx.saved_tensors
+        side = torch.linalg.solve_triangular(factor, slope[..., None], upper=False)
+        by_load, pull = _saddle(factor, half, schur, side, torch.zeros_like(multiplier))
         by_mass = -by_load[..., :, None] * value[..., None, :]
         by_jacobian = multiplier[..., :, None] * by_load[..., None, :]
         by_jacobian = -by_jacobian - pull[..., :, None] * value[..., None, :]
@@ -71,12 +76,11 @@ class _Constrained(torch.autograd.Function):
 
 
 def _saddle(
-    factor: Tensor, spread: Tensor, schur: Tensor, load: Tensor, bias: Tensor
+    factor: Tensor, half: Tensor, schur: Tensor, side: Tensor, bias: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Solve M x + Aᵀ λ = load, A x = −bias with the factors of M and A M⁻¹ Aᵀ."""
-    goal = spread.mT @ load[..., None] + bias[..., None]
-    multiplier = torch.cholesky_solve(goal, schur)
-    value = torch.cholesky_solve(load[..., None], factor) - spread @ multiplier
+    """Solve M x + Aᵀ λ = f, A x = −bias, given L of M = L Lᵀ, L⁻¹ Aᵀ, A M⁻¹ Aᵀ's L, and L⁻¹ f."""
+    multiplier = torch.cholesky_solve(half.mT @ side + bias[..., None], schur)
+    value = torch.linalg.solve_triangular(factor.mT, side - half @ multiplier, upper=True)
     return value[..., 0], multiplier[..., 0]
 
 
@@ -94,7 +98,6 @@ class Mechanics(nn.Module):
     first: Tensor
     second: Tensor
     goal: Tensor
-    kept: Tensor
     spring: Tensor
     spring_law: Tensor
     com: Tensor
@@ -106,7 +109,9 @@ class Mechanics(nn.Module):
     speed_map: Tensor
     """Velocities of free nodes to those of nodes and rods, shape (node + rod, node)."""
     coupling: Tensor
-    """What each of them adds to each block of the mass matrix, shape (node · node, node + rod)."""
+    """What each of them adds to the mass matrix's blocks but for zeros, (block, node + rod)."""
+    block: Tensor
+    """Where the nine numbers of these blocks are in the flat mass matrix, shape (9 · block,)."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
@@ -117,6 +122,7 @@ class Mechanics(nn.Module):
         rows = rows_of(self.mechanism, self.points)
         moved_mass, speed_map = _terms(self.points)
         mass = speed_map.T @ (moved_mass[:, None] * speed_map)
+        coupling, block = _blocks(speed_map)
         for name, values in (
             ("fixed", self.points.fixed),
             ("mass", mass),
@@ -125,7 +131,6 @@ class Mechanics(nn.Module):
             ("first", rows.first),
             ("second", rows.second),
             ("goal", rows.goal),
-            ("kept", rows.kept),
             ("spring", _springs(self.mechanism, self.points)),
             ("spring_law", _spring_laws(self.mechanism)),
             ("com", np.array([body.com for body in self.points.bodies])),
@@ -134,14 +139,15 @@ class Mechanics(nn.Module):
             ("gravity", np.array(scene.gravity)),
             ("moved_mass", moved_mass),
             ("speed_map", speed_map),
-            ("coupling", np.einsum("ki,kj->ijk", speed_map, speed_map).reshape(-1, len(speed_map))),
+            ("coupling", coupling),
+            ("block", block),
         ):
             self.register_buffer(name, torch.as_tensor(values), persistent=False)
 
     @property
     def row_count(self) -> int:
         """Number of independent constraints."""
-        return len(self.kept)
+        return len(self.linear) + len(self.goal)
 
     def all_nodes(self, q: Tensor) -> Tensor:
         """Free nodes and fixed ones, shape (batch, all nodes, 3)."""
@@ -150,9 +156,8 @@ class Mechanics(nn.Module):
     def residual(self, q: Tensor) -> Tensor:
         """Constraint residuals, lengths squared or lengths [m² or m], shape (batch, row)."""
         x = self.all_nodes(q)
-        gaps = (self.linear @ x).flatten(1)
         products = ((self.first @ x) * (self.second @ x)).sum(-1) - self.goal
-        return torch.cat([gaps, products], dim=1)[:, self.kept]
+        return torch.cat([x.flatten(1) @ self.linear.T, products], dim=1)
 
     def jacobian(self, q: Tensor) -> Tensor:
         """A, shape (batch, row, 3 · node)."""
@@ -166,8 +171,8 @@ class Mechanics(nn.Module):
     def bias(self, v: Tensor) -> Tensor:
         """Ȧ q̇, shape (batch, row)."""
         first, second = self.first[:, : self.free] @ v, self.second[:, : self.free] @ v
-        gaps = v.new_zeros(len(v), 3 * len(self.linear))
-        return torch.cat([gaps, 2.0 * (first * second).sum(-1)], dim=1)[:, self.kept]
+        gaps = v.new_zeros(len(v), len(self.linear))
+        return torch.cat([gaps, 2.0 * (first * second).sum(-1)], dim=1)
 
     def applied(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
         """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3).
@@ -221,10 +226,8 @@ class Mechanics(nn.Module):
         first, second = self.first @ x, self.second @ x
         product = self.first[:, : self.free, None] * second[:, :, None]
         product = product + self.second[:, : self.free, None] * first[:, :, None]
-        axes = torch.eye(3).to(x)
-        straight = torch.einsum("rn,ij->rinj", linear[:, : self.free], axes)
-        straight = straight.flatten(2).flatten(0, 1).expand(len(x), -1, -1)
-        return torch.cat([straight, product.flatten(2)], dim=1)[:, self.kept]
+        straight = linear[:, : 3 * self.free].expand(len(x), -1, -1)
+        return torch.cat([straight, product.flatten(2)], dim=1)
 
     def _add_torques(self, load: Tensor, x: Tensor, torque: Tensor) -> Tensor:
         """Pairs of forces on tips and centre of mass: half of t × r / d² each makes a couple t."""
@@ -265,6 +268,15 @@ def _terms(points: Points) -> tuple[Array, Array]:
     free = points.free
     mass = np.concatenate([points.mass[:free], points.rod_mass])
     return mass, np.concatenate([np.eye(free), span[:, :free]])
+
+
+def _blocks(speed_map: Array) -> tuple[Array, Indices]:
+    """See `Mechanics.coupling` and `Mechanics.block`."""
+    coupling = np.einsum("ki,kj->ijk", speed_map, speed_map)
+    i, j = coupling.any(axis=-1).nonzero()
+    down, across = np.indices((3, 3)).reshape(2, 9)
+    row, column = 3 * i[:, None] + down, 3 * j[:, None] + across
+    return coupling[i, j], (3 * speed_map.shape[1] * row + column).reshape(-1)
 
 
 def _springs(mechanism: Mechanism, points: Points) -> Array:

@@ -7,7 +7,6 @@ Jacobians and second derivatives follow by hand.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,22 +28,20 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PointRows:
-    """Coefficients of the constraints; scalar rows are the linear ones, then the products."""
+    """Coefficients of the constraints: the linear ones, then the products."""
 
     linear: Array
-    """L, three scalar rows (x, y, z) each, shape (linear, node)."""
+    """L, shape (linear, 3 · node)."""
     first: Array
     """U, shape (product, node)."""
     second: Array
     """W, shape (product, node)."""
     goal: Array
     """c [m²], shape (product,)."""
-    kept: NDArray[np.int64]
-    """Independent ones among the 3 · linear + product scalar rows."""
 
 
 def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
-    """Write down the rows of rigid bodies and joints, and find the independent ones."""
+    """Write down the rows of rigid bodies and joints, of which none follows from the others."""
     products: list[tuple[Array, Array, float]] = []
     linear: list[Array] = []
     for body in points.bodies:
@@ -55,14 +52,17 @@ def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
     for link in mechanism.distances:
         span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))
+    gaps = np.array(linear).reshape(-1, points.count)
     rows = PointRows(
-        np.array(linear).reshape(-1, points.count),
+        np.asarray(np.kron(gaps, _AXES), dtype=np.float64),
         np.array([row[0] for row in products]).reshape(-1, points.count),
         np.array([row[1] for row in products]).reshape(-1, points.count),
         np.array([row[2] for row in products]),
-        np.arange(3 * len(linear) + len(products)),
     )
-    return dataclasses.replace(rows, kept=_independent(mechanism, points, rows))
+    straight, product = np.split(_independent(mechanism, points, rows), [len(rows.linear)])
+    return PointRows(
+        rows.linear[straight], rows.first[product], rows.second[product], rows.goal[product]
+    )
 
 
 def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
@@ -98,25 +98,23 @@ def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, flo
     return rows
 
 
-def _independent(mechanism: Mechanism, points: Points, rows: PointRows) -> NDArray[np.int64]:
-    """Scalar rows that do not follow from those before them, at a drawn start."""
+def _independent(mechanism: Mechanism, points: Points, rows: PointRows) -> NDArray[np.bool_]:
+    """Whether a row does not follow from those before it, at a drawn start."""
     start = draw_batch(mechanism.scene, [2], noise=False, inputs=False)
     free = points.place(start.position[0], mechanism.native_rotation(start.orientation[0]))
     x = np.concatenate([free, points.fixed])
-    scale = np.zeros((points.count, 1))
-    scale[: points.free, 0] = 1.0
     product = rows.first[:, :, None] * (rows.second @ x)[:, None]
     product += rows.second[:, :, None] * (rows.first @ x)[:, None]
-    straight = np.einsum("rn,ij->rinj", rows.linear, _AXES).reshape(-1, points.count, 3)
-    dense = (np.concatenate([straight, product]) * scale).reshape(-1, 3 * points.count)
+    dense = np.concatenate([rows.linear, product.reshape(-1, 3 * points.count)])
+    dense = dense[:, : 3 * points.free]
     basis = np.zeros((0, dense.shape[1]))
-    kept = []
+    kept = np.zeros(len(dense), dtype=bool)
     for k, row in enumerate(dense):
         length = np.linalg.norm(row)
         left = row
         for _ in range(2):  # twice is enough (Kahan and Parlett)
             left = left - basis.T @ (basis @ left)
-        if np.linalg.norm(left) > _DEPENDENT * length:
+        kept[k] = np.linalg.norm(left) > _DEPENDENT * length
+        if kept[k]:
             basis = np.concatenate([basis, left[None] / np.linalg.norm(left)])
-            kept.append(k)
-    return np.array(kept, dtype=np.int64)
+    return kept

@@ -14,6 +14,9 @@ from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
 __all__ = ["Rollout", "roll", "rollout"]
 
 _BATCH = 512
+_NODES = 4096
+"""At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
+pages new from the system, which makes rows dearer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +85,14 @@ def roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
         Positions [m], shape (batch, frame, particle, 3). A row that is not finite at a frame stays
         so, and the others go on undisturbed.
     """
+    block = len(start)
+    if start.history.device.type == "cpu":
+        block = max(1, _NODES // model.graph.node_count)
+    parts = range(0, len(start), block)
+    return torch.cat([_roll(model, start[k : k + block], inputs[k : k + block]) for k in parts])
+
+
+def _roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
     first = state = model.begin(start)
     alive = torch.ones(len(state), dtype=torch.bool, device=state.device)
     frames = []

@@ -155,7 +155,7 @@ class _Invariants(torch.autograd.Function):
     def forward(ctx: Any, vectors: Tensor) -> Tensor:
         gram = vectors @ vectors.mT
         norm = torch.linalg.matrix_norm(gram, keepdim=True)
-        scaled = gram / norm.clamp(min=LEAST_NORM)
+        scaled = gram.div_(norm.clamp(min=LEAST_NORM))
         ctx.save_for_backward(vectors, scaled, norm)
         return scaled.flatten(-2)
 

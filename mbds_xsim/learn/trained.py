@@ -105,16 +105,8 @@ class Known:
 
     def repeated(self, rows: int) -> Known:
         """Make a batch of so many out of few, with repetition."""
-        chosen = torch.arange(rows) % len(self.start.history)
-        start, body = self.start, self.start.body
-        return Known(
-            Start(
-                start.history[chosen],
-                start.velocity[chosen],
-                None if body is None else body[chosen],
-            ),
-            Inputs(self.inputs.force[chosen], self.inputs.torque[chosen]),
-        )
+        chosen = torch.arange(rows) % len(self.start)
+        return Known(self.start[chosen], self.inputs[chosen])
 
     def truncated(self, frames: int) -> Known:
         """Keep the inputs of the first frames to come."""

@@ -33,6 +33,10 @@ class Inputs:
         """Take one frame of inputs of shape (batch, frame, …)."""
         return Inputs(self.force[:, frame], self.torque[:, frame])
 
+    def __getitem__(self, rows: slice | Tensor) -> Inputs:
+        """Take some rows of a batch."""
+        return Inputs(self.force[rows], self.torque[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -45,6 +49,14 @@ class Start:
     body: Tensor | None = None
     """Published states of the bodies then: position, orientation wxyz, velocity and angular
     velocity, shape (batch, body, 13), float64; only where `Motions` were read with them."""
+
+    def __len__(self) -> int:
+        return len(self.history)
+
+    def __getitem__(self, rows: slice | Tensor) -> Start:
+        """Take some rows of a batch."""
+        body = None if self.body is None else self.body[rows]
+        return Start(self.history[rows], self.velocity[rows], body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +188,7 @@ class Motions:
             index=self.index[chosen.numpy()],
             position=self.position[rows],
             velocity=self.velocity[rows],
-            inputs=Inputs(self.inputs.force[rows], self.inputs.torque[rows]),
+            inputs=self.inputs[rows],
             body=None if self.body is None else self.body[rows],
         )
 
