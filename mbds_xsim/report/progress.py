@@ -29,7 +29,7 @@ class ProgressBar(Bar):
 
     def begin(self, total: int) -> None:
         """Say how many tasks there are."""
-        self._show(total=total, description="running")
+        self._show(total=total, completed=0, description="running")
 
     def advance(self, what: str) -> None:
         """Count one task as done."""

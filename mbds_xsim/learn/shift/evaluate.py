@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,16 +17,16 @@ from mbds_xsim.learn.accelerate import process_count, put
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.shift.domains import Domain
 from mbds_xsim.learn.shift.measure import Figures, figures_on, read_figures
+from mbds_xsim.learn.shift.meter import Meter
 from mbds_xsim.learn.shift.roster import Entry
 from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.scene import Scene
 
-__all__ = ["Plan", "evaluate"]
+__all__ = ["Evaluated", "Plan", "evaluate"]
 
 _TIMEOUT = 4 * 3600.0
 _TOGETHER = 6  # models a process: starting one takes seconds
-Tell = Callable[[Entry], None]
 Paths = dict[tuple[Entry, str], Path]
 """Where the figures of a model on a domain are kept."""
 
@@ -50,8 +50,8 @@ def evaluate(
     plan: Plan,
     *,
     workers: int | None = None,
-    tell: Tell | None = None,
-) -> Mapping[tuple[Entry, str], Figures]:
+    meter: Meter | None = None,
+) -> Evaluated:
     """Test every model on every domain.
 
     Args:
@@ -60,10 +60,10 @@ def evaluate(
         domains: Test domains.
         plan: How long to predict.
         workers: Processes at a time.
-        tell: Told of every model that is done now.
+        meter: Told of every model that is done now.
 
     Returns:
-        Figures by model and domain, read each time that they are asked for.
+        Figures by model and domain.
 
     Raises:
         InputError: A model cannot be tested; those tested before are kept.
@@ -76,11 +76,14 @@ def evaluate(
         Task(_carry_out, (scene, _places(paths, part), domains, plan), _TIMEOUT) for part in parts
     ]
 
+    if meter is not None and missing:
+        meter.begin(len(missing))
+
     def finished(place: int, answer: object) -> None:
         del answer
-        if tell is not None:
+        if meter is not None:
             for entry in parts[place]:
-                tell(entry)
+                meter.advance(f"{entry.model} {entry.training}")
 
     for part, answer in zip(
         parts,
@@ -90,14 +93,14 @@ def evaluate(
         if isinstance(answer, Crash):
             msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
             raise InputError(msg if not answer.refused else answer.reason)
-    return _Kept(paths)
+    return Evaluated(paths, len(missing))
 
 
-class _Kept(Mapping[tuple[Entry, str], Figures]):
+class Evaluated(Mapping[tuple[Entry, str], Figures]):
     """Reads figures when they are asked for: those of a large study together fill the memory."""
 
-    def __init__(self, paths: Paths) -> None:
-        self._paths = paths
+    def __init__(self, paths: Paths, tested: int) -> None:
+        self._paths, self.tested = paths, tested
 
     def __getitem__(self, key: tuple[Entry, str]) -> Figures:
         found = read_figures(self._paths[key])

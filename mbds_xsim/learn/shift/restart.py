@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.engine import Settings
-from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.shift.measure import Figures, measure, read_figures
+from mbds_xsim.learn.shift.meter import Meter
 from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
@@ -37,7 +38,8 @@ __all__ = ["restarted"]
 Array = NDArray[np.float64]
 
 _LAST = HISTORY - 1
-_TIMEOUT = 4 * 3600.0  # of an engine's share of the domains [s]
+_TIMEOUT = 4 * 3600.0  # of a few jobs [s]
+_TOGETHER = 3  # jobs a process: starting one takes seconds, and one engine may take longest by far
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,14 @@ class _Job:
 
 
 def restarted(
-    test: Paired, domains: Sequence[Domain], horizon: int, *, workers: int | None = None
+    test: Paired,
+    domains: Sequence[Domain],
+    horizon: int,
+    *,
+    workers: int | None = None,
+    meter: Meter | None = None,
 ) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
-    """Let every engine go on from every domain.
+    """Let every engine go on from every domain; what was done is kept and not done again.
 
     Returns:
         Figures by engine and domain, and by engine why there are none.
@@ -74,14 +81,21 @@ def restarted(
             missing[engine] = [job for job in each if not job.path.is_file()]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
-    # Dealt out, as one engine may take longer than all others together.
-    shares = workers or core_count()
-    dealt = [(engine, each[i::shares]) for engine, each in missing.items() for i in range(shares)]
-    dealt = [(engine, share) for engine, share in dealt if share]
-    tasks = [Task(_carry_out, (test.batch, share), _TIMEOUT) for _, share in dealt]
-    for (engine, _), answer in zip(dealt, run_tasks(tasks, workers=workers), strict=True):
-        if isinstance(answer, Crash):
-            lost[engine.name] = answer.reason
+    shares = [
+        each[k : k + _TOGETHER] for each in missing.values() for k in range(0, len(each), _TOGETHER)
+    ]
+    tasks = [Task(_carry_out, (test.batch, share), _TIMEOUT) for share in shares]
+    if meter is not None and shares:
+        meter.begin(sum(map(len, shares)))
+
+    def finished(place: int, answer: object) -> None:
+        for job in shares[place]:
+            if isinstance(answer, Crash):
+                lost[job.engine.name] = answer.reason
+            if meter is not None:
+                meter.advance(f"{job.engine.name} from {job.domain.name}")
+
+    run_tasks(tasks, workers=workers, finished=finished)
     found = {}
     for engine, each in jobs.items():
         for job in each if engine.name not in lost else ():

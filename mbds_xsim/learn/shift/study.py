@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,7 +22,8 @@ from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, Solved, loa
 from mbds_xsim.learn.shift.evaluate import Plan, evaluate
 from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, noise_floor, oracles
 from mbds_xsim.learn.shift.gaps import Draws, gaps_of
-from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures
+from mbds_xsim.learn.shift.measure import EXPLODED, LOST
+from mbds_xsim.learn.shift.meter import Meter
 from mbds_xsim.learn.shift.restart import restarted
 from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
 from mbds_xsim.learn.shift.roster import (
@@ -44,13 +44,6 @@ __all__ = ["Studied", "study"]
 
 Array = NDArray[np.float64]
 _AT = 10
-
-
-class Meter(Protocol):
-    """Is told how far a study is."""
-
-    def begin(self, total: int) -> None: ...
-    def advance(self, what: str) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +81,7 @@ def study(
         cache: Whether stored reference solutions are used.
         workers: Processes at a time.
         device: Of the models.
-        meter: Told of every model that is done.
+        meter: Told of every model that is tested, and of every engine that goes on.
         command: What was typed.
 
     Raises:
@@ -106,8 +99,8 @@ def study(
     at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
-    figures, tested = _evaluated(test, entries, domains, plan, workers, meter)
-    gone_on, refused = restarted(test, domains, plan.horizon, workers=workers)
+    figures = evaluate(test.scene, entries, domains, plan, workers=workers, meter=meter)
+    gone_on, refused = restarted(test, domains, plan.horizon, workers=workers, meter=meter)
     board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
     left_out = {
         **test.left_out,
@@ -125,7 +118,7 @@ def study(
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
         left_out=left_out,
         models=tuple(map(_facts, entries)),
-        kept=len(entries) - tested,
+        kept=len(entries) - figures.tested,
     )
     shift = msgspec.structs.replace(shift, wall_s=time.perf_counter() - began)
     return Studied(shift, board, domains)
@@ -180,28 +173,6 @@ def _frame_of(frames: tuple[int, ...], asked: int | None) -> int:
         msg = f"--at: got {asked}, allowed is {', '.join(map(str, frames))}"
         raise InputError(msg)
     return asked
-
-
-def _evaluated(
-    test: Paired,
-    entries: list[Entry],
-    domains: tuple[Domain, ...],
-    plan: Plan,
-    workers: int | None,
-    meter: Meter | None,
-) -> tuple[Mapping[tuple[Entry, str], Figures], int]:
-    """Give the figures of models, and how many of these are tested now."""
-    tested: list[Entry] = []
-
-    def tell(entry: Entry) -> None:
-        tested.append(entry)
-        if meter is not None:
-            meter.advance(f"{entry.model} {entry.training}")
-
-    if meter is not None:
-        meter.begin(len(entries))
-    figures = evaluate(test.scene, entries, domains, plan, workers=workers, tell=tell)
-    return figures, len(tested)
 
 
 def _lost(board: Board) -> dict[str, str]:
