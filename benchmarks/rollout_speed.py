@@ -9,6 +9,7 @@ some frames from true motions of the scene: one trajectory a call, and many. The
 from __future__ import annotations
 
 import argparse
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from statistics import median, quantiles
@@ -113,17 +114,21 @@ def rows(name: str, device: str) -> Iterator[str]:
 
 
 def head(device: str) -> str:
-    low, high = ROUNDS
+    size = SQUARE[device]
+    told = (
+        f"Milliseconds {UNIT[device]} a trajectory and frame; untrained models in their `lite` "
+        f"size; medians of {ROUNDS[0]} to {ROUNDS[1]} rounds in which models and batches take "
+        f"turns. *Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim "
+        f"is {AIM}. *At most*: if nothing were done but the products of matrices, as fast as two "
+        f"of {size} × {size} are multiplied. Where that is below {AIM}, one trajectory alone is "
+        "work enough."
+    )
     return f"""\
 # Rollouts of models, one by one and many at once
 
 <!-- Written by: python -m benchmarks.rollout_speed > reports/rollout-speed.md -->
 
-Milliseconds {UNIT[device]} a trajectory and frame, untrained models in their `lite` size; medians
-of {low} to {high} rounds in which models and batches take turns.
-*Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}.
-*At most*: if nothing were done but the products of matrices, as fast as two of {SQUARE[device]} ×
-{SQUARE[device]} are multiplied. Where that is below {AIM}, one trajectory alone is work enough.
+{textwrap.fill(told, 100)}
 """
 
 
