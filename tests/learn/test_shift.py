@@ -391,6 +391,21 @@ def test_resolved_gains_are_not_told_as_losses() -> None:
     assert "5 times the model errs more than the one trained there, 1 times less" in told
 
 
+def test_a_model_that_errs_as_much_at_home_is_not_harmed_by_the_change() -> None:
+    """The gap to the target's model is that of the data they were given."""
+
+    def error(training: str, engine: str, seed: int) -> Array:
+        if training == "c":
+            return np.full((COUNT, FRAMES), 9.0 if engine == "c" else 8.0)
+        return _shifted(training, engine, seed) / 4.0
+
+    board = _board(error, floor=100.0)
+    told = next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+    assert "than the one trained there (in 2 of these no more than at home: its data" in told
+    board = _board(_shifted, floor=100.0)
+    assert "at home" not in next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+
+
 def test_only_resolved_gaps_tell_which_model_is_most_robust() -> None:
     """A pair whose engines differ by less than the model errs has the worst ratio of all."""
 
@@ -497,6 +512,15 @@ def test_whether_matched_data_remove_a_shift(
     board = _of_variants({"native": native, "matched": matched}, spread)
     found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
     assert says in found["Does matched data remove the shift of gns?"]
+
+
+def test_changes_of_engine_are_counted_apart_from_those_of_settings() -> None:
+    """Of 12 pairs of four domains 4 are of two engines at the same settings."""
+    board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
+    told = next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+    apart = "of 12 shifts from one engine's data to another's are resolved (2 of 4 at the same "
+    assert f"{apart}settings, " in told
+    assert " of 8 from other settings)" in told
 
 
 def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:

@@ -116,19 +116,48 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     if not single:
         return Answer(RESOLVABLE, "Is a shift resolvable?", _ALONE)
     count = Counter(gap.why[place] for gap in single)
-    better = sum(not gap.why[place] and _is_gain(gap, place) for gap in single)
+    told = [gap for gap in single if not gap.why[place]]
+    better = sum(_is_gain(gap, place) for gap in told)
     text = (
-        f"At t = {frame}, {count['']} of {len(single)} shifts from one engine's data to another's "
-        f"are resolved: {count[''] - better} times the model errs more than the one trained there, "
-        f"{better} times less; {count[WEAK]} are not because the model's own error exceeds the "
-        f"engine floor, {count[UNSURE]} because the interval of the difference contains 0"
+        f"At t = {frame}, {len(told)} of {len(single)} shifts from one engine's data to another's "
+        f"are resolved{_by_settings(single, place)}: {len(told) - better} times the model errs "
+        f"more than the one trained there{_no_harm(told, place)}, {better} times less; "
+        f"{count[WEAK]} are not because the model's own error exceeds the engine floor, "
+        f"{count[UNSURE]} because the interval of the difference contains 0"
     )
     if count[UNKNOWN]:
         text += f", {count[UNKNOWN]} because the model's own domain is not tested"
-    tried = count[""] + count[UNSURE]
+    tried = len(told) + count[UNSURE]
     if tried > 1:
         text += f". Of {tried} intervals at 95 % each, {0.05 * tried:.2g} miss 0 without a shift"
     return Answer(RESOLVABLE, "Is a shift resolvable?", text)
+
+
+def _by_settings(gaps: Sequence[Gap], place: int) -> str:
+    """Tell changes of engine from those of settings, where there are both."""
+    same = [gap for gap in gaps if _variant_of(gap.training) == _variant_of(gap.test)]
+    others = [gap for gap in gaps if gap not in same]
+    if not others:
+        return ""
+    return (
+        f" ({_count_resolved(same, place)} at the same settings, "
+        f"{_count_resolved(others, place)} from other settings)"
+    )
+
+
+def _variant_of(domain: str) -> str:
+    return domain.rpartition("-")[2]
+
+
+def _no_harm(told: Sequence[Gap], place: int) -> str:
+    """Count models that lose nothing by the change, and yet err more than the target's own."""
+    worse = [gap for gap in told if not _is_gain(gap, place)]
+    none = sum(_not_above(gap.transferred[place], gap.own[place]) for gap in worse)
+    return f" (in {none} of these no more than at home: its data teach less)" if none else ""
+
+
+def _not_above(here: float | None, there: float | None) -> bool:
+    return here is not None and there is not None and here <= there
 
 
 def _is_gain(gap: Gap, place: int) -> bool:
