@@ -60,14 +60,19 @@ class SubequivariantMap(nn.Module):
         self.rest = mlp(hidden, channels * outputs + hidden, hidden=hidden, layers=layers - 1)
 
     def forward(self, vectors: Tensor, *scalars: Scalars) -> tuple[Tensor, Tensor]:
-        """Map vectors, shape (…, channel, 3), and scalars; give (…, output, 3), (…, hidden)."""
+        """Map vectors, shape (…, channel, 3), and scalars; give (…, output, 3), (…, hidden).
+
+        Last channels and last blocks that are left out count as zero, and cost nothing.
+        """
+        given = vectors.shape[-2]
         gram, *weights = torch.split(self.first.weight, self.widths, dim=1)
+        gram = gram.reshape(-1, self.channels, self.channels)[:, :given, :given].flatten(1)
         start = functional.linear(invariants(vectors), gram, self.first.bias)
-        for block, weight in zip(scalars, weights, strict=True):
+        for block, weight in zip(scalars, weights, strict=False):
             start = start + block.product(weight)
         raw = self.rest(functional.silu(start))
         mixing, passed = torch.split(raw, [self.outputs * self.channels, self.hidden], dim=-1)
-        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, self.channels)
+        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, self.channels)[..., :given]
         return mixing @ vectors, passed
 
 
@@ -116,6 +121,10 @@ class Interaction(nn.Module):
         edge_scalars: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Pass messages; vectors (batch, node, channel, 3), scalars (batch, node, hidden)."""
+        if not len(edges.senders):  # nobody says anything: a node has only its own to go by
+            for _ in range(self.steps):
+                vectors, scalars = self.update(vectors, Scalars(scalars))
+            return vectors, scalars
         of_edge = [] if edge_scalars is None else [Scalars(edge_scalars)]
         for _ in range(self.steps):
             sent, told = self.message(

@@ -14,10 +14,16 @@ from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
-from mbds_xsim.learn.sgnn_layer import LEAST_NORM, invariants
+from mbds_xsim.learn.sgnn_layer import (
+    LEAST_NORM,
+    Interaction,
+    Scalars,
+    SubequivariantMap,
+    invariants,
+)
 from mbds_xsim.learn.sgnn_network import PARTICLE, READ, Network
 from mbds_xsim.learn.sgnn_rigid import nearest_rigid
-from mbds_xsim.learn.sgnn_topology import Hierarchy
+from mbds_xsim.learn.sgnn_topology import Edges, Hierarchy
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
 from mbds_xsim.registry import load_scene
@@ -296,3 +302,33 @@ def test_the_slope_of_the_invariants_is_that_of_their_formula(size: float) -> No
     (expected,) = torch.autograd.grad((formula * weights).sum(), vectors)
     (found,) = torch.autograd.grad((invariants(vectors) * weights).sum(), vectors)
     assert (found - expected).abs().max() < 1e-12 * expected.abs().max()
+
+
+def test_what_is_left_out_counts_as_zero() -> None:
+    torch.manual_seed(4)
+    layer = SubequivariantMap(5, [2, 3], outputs=2, hidden=8, layers=3).double()
+    vectors, own = torch.randn(7, 3, 3).double(), torch.randn(7, 2).double()
+    silent = torch.zeros(7, 2, 3).double(), torch.zeros(7, 3).double()
+    whole = layer(torch.cat([vectors, silent[0]], dim=1), Scalars(own), Scalars(silent[1]))
+    for got, wanted in zip(layer(vectors, Scalars(own)), whole, strict=True):
+        torch.testing.assert_close(got, wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_without_edges_a_node_hears_zeros() -> None:
+    """It must go on as a node of a larger graph does that no edge leads to."""
+    torch.manual_seed(5)
+    layer = Interaction(2, edge_channels=1, edge_scalars=4, hidden=8, layers=2, steps=3).double()
+    vectors, scalars = torch.randn(1, 3, 2, 3).double(), torch.randn(1, 3, 8).double()
+    none = Edges(torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.int64), 3)
+    one = Edges(torch.tensor([0]), torch.tensor([1]), 3)
+    alone = layer(vectors, scalars, none, torch.empty(1, 0, 1, 3).double(), torch.empty(1, 0, 4))
+    joined = layer(
+        vectors,
+        scalars,
+        one.double(),
+        torch.randn(1, 1, 1, 3).double(),
+        torch.randn(1, 1, 4).double(),
+    )
+    for got, wanted in zip(alone, joined, strict=True):
+        torch.testing.assert_close(got[:, [0, 2]], wanted[:, [0, 2]], rtol=1e-12, atol=1e-12)
+        assert not torch.allclose(got[:, 1], wanted[:, 1])
