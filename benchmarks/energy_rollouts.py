@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
@@ -20,8 +19,7 @@ from torch import Tensor
 
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.learn.energy_model import EnergyModel
-from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.rollout import roll
+from mbds_xsim.learn.rollout import go_on
 from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.shift.measure import EXPLODED, measure
 from mbds_xsim.learn.window import HISTORY, Motions, Start
@@ -46,17 +44,6 @@ training's own engine, native data, seed 0; behind it how many predictions were 
 {EXPLODED:g} lengths of the scene at t = {FRAMES[1]}, which count as {EXPLODED:g} lengths."""
 
 
-class _Begun:
-    """A model that starts from states that it is given."""
-
-    def __init__(self, model: Model, state: Tensor) -> None:
-        self.state, self.advance, self.positions = state, model.advance, model.positions
-
-    def begin(self, start: Start) -> Tensor:
-        del start
-        return self.state
-
-
 def from_places(model: EnergyModel, motions: Motions) -> Tensor:
     """Start from the bodies' last six poses, without their velocities."""
     assert motions.body is not None
@@ -78,9 +65,9 @@ def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) ->
     """Error at the first of `FRAMES`, and predictions lost by the last."""
     rows = torch.arange(len(motions))
     sample = motions.sample(rows, torch.full_like(rows, HISTORY - 1), FRAMES[-1])
-    begun = model if state is None else cast("Model", _Begun(model, state))
     with torch.no_grad():
-        told = roll(begun, sample.start, sample.inputs)
+        begun = model.begin(sample.start) if state is None else state
+        told = go_on(model, begun, sample.inputs)
     largest = (EXPLODED * motions.graph.length) ** 2
     counted = np.minimum(measure(motions, told).error, largest)
     lost = int((counted.max(axis=1) >= largest).sum())

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     Device,
@@ -76,6 +77,8 @@ def shift(
     ] = None,
 ) -> None:
     """Test models that were trained on one engine's data on every other engine's."""
+    check_torch("shift")
+    from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.accelerate import check_device
     from mbds_xsim.learn.shift.roster import Part
     from mbds_xsim.learn.shift.study import study
@@ -87,7 +90,7 @@ def shift(
     check_device(device)
     part = Part.parse(settings, on, seeds)
     studies = []
-    for name in scene or _scenes(models, data):
+    for name in map(folder_name, scene or _scenes(models, data)):
         with progress_on(console) as meter:
             found = study(
                 models,

@@ -37,7 +37,7 @@ _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
 ]
 _Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")]
-_Models = Annotated[str, typer.Option(help="Comma-separated.")]
+_Models = Annotated[str | None, typer.Option(help="Comma-separated; all that learn when left out.")]
 _On = Annotated[
     str,
     typer.Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas."),
@@ -78,7 +78,7 @@ _Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the lea
 def train(
     data: _Data,
     out: _Out = Path("models"),
-    models: _Models = "gns,sgnn,hgnn,lgnn",
+    models: _Models = None,
     on: _On = "each",
     seeds: _Seeds = 3,
     profile: _ProfileName = "lite",
@@ -105,7 +105,7 @@ def train(
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = Request(
         groups=groups(data),
-        models=[word.strip() for word in dict.fromkeys(models.split(","))],
+        models=_names(models),
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -124,9 +124,17 @@ def train(
             write_json(encoded({"cost": measured, "left_out": campaign.left_out}), json)
             return
         told = _trained(campaign, request, *carrier, console)
-    _draw([out / f"{name}.curve.json" for name in told["runs"]], png)
     write_json(encoded(told), json)
+    _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
     raise typer.Exit(1 if told["failed"] else 0)
+
+
+def _names(models: str | None) -> list[str]:
+    from mbds_xsim.learn.model import trainable
+
+    if models is None:
+        return trainable()
+    return [word.strip() for word in dict.fromkeys(models.split(","))]
 
 
 def _costs(campaign: Campaign, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
@@ -203,11 +211,16 @@ def _carrier(
     return run_tasks, process_count(workers, device)
 
 
-def _draw(curves: Sequence[Path], png: Path | None) -> None:
+def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
+    """Draw the curves that there are: who copies models may have left theirs."""
+    there = [path for path in curves if path.exists()]
     if png is None:
         return
+    for path in curves:
+        if path not in there:
+            console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.learn.curves import read_curve
     from mbds_xsim.report.training_curves import to_png
     from mbds_xsim.write import write_whole
 
-    write_whole(png, to_png([read_curve(path) for path in curves]))
+    write_whole(png, to_png([read_curve(path) for path in there]))

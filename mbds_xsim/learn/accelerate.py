@@ -37,15 +37,19 @@ def put(model: Model, device: str) -> None:
     model.graph = model.graph.to(device)
 
 
-def precision(device: torch.device, *, mixed: bool) -> AbstractContextManager[object]:
-    """Give the block in which a loss is computed.
+def precision(model: Model, *, mixed: bool) -> AbstractContextManager[object]:
+    """Give the block in which a model's loss is computed.
 
     Parameters, optimiser and integration stay float32, and so do the sums and norms that torch
-    keeps there. bfloat16 has float32's range: no gradient needs scaling. float64 is not touched.
+    keeps there. bfloat16 has float32's range: no gradient needs scaling.
+
+    Args:
+        model: On its device; one that does not mix is left as it is.
+        mixed: Whether it is asked for.
     """
-    if not mixed or device.type != "cuda":
+    if not (mixed and model.mixes):
         return nullcontext()
-    return torch.autocast(device.type, dtype=torch.bfloat16)
+    return torch.autocast(next(model.parameters()).device.type, dtype=torch.bfloat16)
 
 
 def compile_networks(model: Model, *, backend: str | None = None) -> None:

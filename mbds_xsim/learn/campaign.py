@@ -14,10 +14,10 @@ from mbds_xsim.learn.cost import Cost, measure
 from mbds_xsim.learn.domains import Group
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.mixture import trainings
-from mbds_xsim.learn.model import load_model, model_names
+from mbds_xsim.learn.model import load_model, trainable
 from mbds_xsim.learn.progress import TrainingSink, watched
 from mbds_xsim.learn.refusal import refusal
-from mbds_xsim.learn.runs import Run, carry_out, finished
+from mbds_xsim.learn.runs import Run, carry_out, check_data, finished
 from mbds_xsim.learn.train import PROFILES, Profile
 
 __all__ = ["LONG", "Campaign", "Outcome", "Request", "carry", "costs", "planned", "profile_named"]
@@ -79,17 +79,12 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def trainable() -> list[str]:
-    """Names of the models that have something to learn."""
-    return [name for name in model_names() if load_model(name).tracks]
-
-
 def planned(request: Request) -> Campaign:
     """List the runs.
 
     Raises:
-        InputError: A model, track or training is not there, or in the place of a run there is
-            another.
+        InputError: A model, track or training is not there, data are too few or too short for it,
+            or in the place of a run there is another.
     """
     track = request.track or _TRACKS[request.profile_name]
     _check_models(request.models, track)
@@ -103,6 +98,8 @@ def planned(request: Request) -> Campaign:
         if not reason
         for run in _runs(request, group, model, track)
     ]
+    for run in runs:
+        check_data(run)
     known = {run.name: finished(run) for run in runs}
     return Campaign(
         runs=tuple(run for run in runs if known[run.name] is None),

@@ -50,9 +50,10 @@ def measure(run: Run) -> Cost:
     steps = max(1, min(_STEPS, round(_LONGEST / one)))
     step_s = seconds(steps, validation[:1], 1) / steps
     # As many as a validation of the run has, though of few trajectories.
-    repeats = math.ceil(run.profile.windows / len(validation))
-    many = Motions.joined([validation] * repeats)
-    validation_s = max(0.0, seconds(1, many, run.profile.windows) - step_s)
+    windows = min(run.profile.windows, len(run.share.numbers(run.group, "validation")))
+    many = Motions.joined([validation] * math.ceil(windows / len(validation)))
+    seconds(1, many, windows)  # compiles what is of this size
+    validation_s = max(0.0, seconds(1, many, windows) - step_s)
     validations = math.ceil(run.profile.steps / run.profile.every)
     return Cost(
         group=run.group.name,

@@ -83,13 +83,12 @@ class EnergyModel(FlowModel):
             points.of_body(int(k)).weights(place, points.count)
             for k, place in zip(seen.body, seen.offset, strict=True)
         ]
-        moving = statistics.acceleration.std[graph.moving.cpu()]
         for name, values in (
             ("reference", mechanism.reference_orientation),
             ("carrier", body),
             ("carried", offset),
             ("particle_map", np.array(weights)),
-            ("spread", torch.sqrt((moving**2).mean())),
+            ("spread", statistics.acceleration.spread(graph.moving)),
         ):
             self.register_buffer(name, torch.as_tensor(values), persistent=name == "spread")
         self.double()

@@ -49,6 +49,7 @@ class GNS(PointModel):
     """Encoder, interaction networks with residuals on nodes and edges, decoder."""
 
     change: ClassVar[Change] = "acceleration"
+    mixes: ClassVar[bool] = True
     tracks: ClassVar[Mapping[str, GNSSettings]] = {
         "paper": GNSSettings(width=200, recipe=Recipe(schedule=Plateau())),
         "native": GNSSettings(recipe=Recipe(schedule=Decay())),
@@ -75,7 +76,7 @@ class GNS(PointModel):
     def __init__(self, graph: Graph, statistics: Statistics, settings: GNSSettings) -> None:
         super().__init__(graph, statistics, settings)
         self.settings = settings
-        self.noise_std = settings.noise * _spread(statistics.displacement.std, graph.moving)
+        self.noise_std = settings.noise * statistics.displacement.spread(graph.moving)
         self._remember(graph, statistics)
         self.channels = Channels(graph)
         self.embedding = nn.Embedding(_KINDS, _EMBEDDING) if graph.static.any() else None
@@ -227,8 +228,3 @@ def _perceptron(inputs: int, width: int, hidden_layers: int) -> nn.Sequential:
     hidden = _hidden(inputs, width, hidden_layers)
     last = nn.Linear(width if hidden else inputs, width)
     return nn.Sequential(*hidden, last, nn.LayerNorm(width))
-
-
-def _spread(std: Tensor, moving: Tensor) -> float:
-    """Root mean square of the deviations along the axes in which the scene moves."""
-    return float(std[moving].square().mean().sqrt())

@@ -96,6 +96,20 @@ def turns(numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return numbers // len(INTERVALS) % count
 
 
+def check_share(group: Group, share: Share, split: str) -> None:
+    """Refuse a training without any trajectory of a part.
+
+    Raises:
+        InputError: None is of its interval of speed.
+    """
+    if not len(share.numbers(group, split)):
+        msg = (
+            f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
+            "generate more"
+        )
+        raise InputError(msg)
+
+
 def mixed(
     group: Group,
     share: Share,
@@ -117,13 +131,8 @@ def mixed(
         dtype: Of positions, velocities and inputs.
         most: The first so many trajectories; all when left out.
     """
+    check_share(group, share, split)
     numbers = share.numbers(group, split)[:most]
-    if not len(numbers):
-        msg = (
-            f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
-            "generate more"
-        )
-        raise InputError(msg)
     turn = turns(numbers, len(share.engines))
     parts = []
     for k, engine in enumerate(share.engines):

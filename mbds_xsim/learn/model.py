@@ -33,6 +33,8 @@ class Model(nn.Module, ABC):
     """Of what it is given, and of its parameters."""
     needs_bodies: ClassVar[bool] = False
     """Whether starts must have the bodies' states."""
+    mixes: ClassVar[bool] = False
+    """Whether its networks may compute in bfloat16: not where they carry positions."""
 
     @abstractmethod
     def __init__(self, graph: Graph, statistics: Statistics, settings: Any) -> None:
@@ -122,6 +124,11 @@ class FlowModel(Model):
 def model_names() -> list[str]:
     """Names of all models, the trivial ones last."""
     return list(_PLACES)
+
+
+def trainable() -> list[str]:
+    """Names of the models that have something to learn."""
+    return [name for name in model_names() if load_model(name).tracks]
 
 
 def load_model(name: str) -> type[Model]:

@@ -33,7 +33,8 @@ class TrainingSink(Protocol):
 @contextmanager
 def watched(runs: Sequence[Run], progress: TrainingSink) -> Iterator[None]:
     """Tell what is added to the curves of some runs while the block runs."""
-    seen = dict.fromkeys((run.name for run in runs), 0)
+    # A curve without a checkpoint is of a run that was removed, and is made anew.
+    seen = {run.name: 0 if run.checkpoint.exists() else _changed(run) for run in runs}
     _tell(runs, seen, progress, before=True)
     over = threading.Event()
 
@@ -55,9 +56,14 @@ def _tell(
 ) -> None:
     """Tell of the runs whose files are newer than when they were looked at last [ns]."""
     for run in runs:
-        changed = run.curve.stat().st_mtime_ns if run.curve.exists() else 0
+        changed = _changed(run)
         if changed > seen[run.name]:
             seen[run.name] = changed
             points = read_curve(run.curve).points
             if points:
                 progress.reached(run.name, points[-1].step, points[-1].error, before=before)
+
+
+def _changed(run: Run) -> int:
+    """When its curve was written last [ns]."""
+    return run.curve.stat().st_mtime_ns if run.curve.exists() else 0

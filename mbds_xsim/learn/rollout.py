@@ -11,7 +11,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
 
-__all__ = ["Rollout", "roll", "rollout"]
+__all__ = ["Rollout", "go_on", "roll", "rollout"]
 
 _BATCH = 512
 _NODES = 4096
@@ -89,11 +89,14 @@ def roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
     if start.history.device.type == "cpu":
         block = max(1, _NODES // model.graph.node_count)
     parts = range(0, len(start), block)
-    return torch.cat([_roll(model, start[k : k + block], inputs[k : k + block]) for k in parts])
+    return torch.cat(
+        [go_on(model, model.begin(start[k : k + block]), inputs[k : k + block]) for k in parts]
+    )
 
 
-def _roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
-    first = state = model.begin(start)
+def go_on(model: Model, state: Tensor, inputs: Inputs) -> Tensor:
+    """Do as `roll` does from states of the model's own, all rows at once."""
+    first = state
     alive = torch.ones(len(state), dtype=torch.bool, device=state.device)
     frames = []
     for frame in range(inputs.torque.shape[1]):

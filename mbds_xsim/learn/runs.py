@@ -17,19 +17,21 @@ import msgspec
 import torch
 
 from mbds_xsim.dataset.content import CONTENT
+from mbds_xsim.dataset.variant import folder_name
+from mbds_xsim.errors import InputError
 from mbds_xsim.learn.accelerate import put
 from mbds_xsim.learn.curves import Curve, EventLog, write_curve
 from mbds_xsim.learn.domains import Group
-from mbds_xsim.learn.mixture import Share, mixed
+from mbds_xsim.learn.mixture import Share, check_share, mixed
 from mbds_xsim.learn.model import Model, build, load_model
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.saved import read_facts, save_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Profile, Training, check_identity, read_identity, train
-from mbds_xsim.learn.window import Motions
+from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.write import write_whole
 
-__all__ = ["Run", "carry_out", "facts_of", "finished", "prepared"]
+__all__ = ["Run", "carry_out", "check_data", "facts_of", "finished", "prepared", "recipe_of"]
 
 Parts = tuple[Motions, Motions]
 
@@ -55,7 +57,8 @@ class Run:
     @property
     def name(self) -> str:
         """As in `6pendulum/native/gns/mujoco-s0`."""
-        return f"{self.group.name}/{self.model}/{self.training}-s{self.seed}"
+        scene = folder_name(self.group.scene_name)
+        return f"{scene}/{self.group.variant}/{self.model}/{self.training}-s{self.seed}"
 
     @property
     def path(self) -> Path:
@@ -92,6 +95,24 @@ class Run:
             "drawn": json.dumps(self.group.drawn),
             **({"interval": interval} if interval else {}),
         }
+
+
+def check_data(run: Run) -> None:
+    """Refuse a run that its data are too few or too short for, before any is started.
+
+    Raises:
+        InputError: A part has no trajectory for it, or no window fits in.
+    """
+    for split in ("train", "validation"):
+        check_share(run.group, run.share, split)
+    data = next(iter(run.group.data.values()))
+    frames, needed = int(data.attributes["steps"]) + 1, HISTORY + recipe_of(run).horizon
+    if frames < needed:
+        msg = (
+            f"{data.path}: got trajectories of {frames} frames, {run.model} in the track "
+            f"{run.track} needs at least {needed}; generate longer ones"
+        )
+        raise InputError(msg)
 
 
 def finished(run: Run) -> dict[str, str] | None:

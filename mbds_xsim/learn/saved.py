@@ -58,7 +58,8 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str,
         scene: To be predicted, in place of the one that it was trained on.
 
     Raises:
-        InputError: It is no file of a model, or its parameters do not fit the scene.
+        InputError: It is no file of a model, was made by other code, or its parameters do not fit
+            the scene.
         Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """
@@ -67,7 +68,10 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str,
     settings = None
     if kind.tracks:
         form = type(next(iter(kind.tracks.values())))
-        settings = msgspec.json.decode(whole["settings"], type=form)
+        try:
+            settings = msgspec.json.decode(whole["settings"], type=form)
+        except msgspec.ValidationError as error:
+            raise _other_code(path, error) from error
     own = msgspec.convert(tomllib.loads(whole["scene"]), Scene)
     statistics = Statistics.from_state(whole["statistics"])
     model = kind(Graph.of(scene or own), statistics, settings).to(kind.dtype)
@@ -75,10 +79,15 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str,
         model.load_state_dict(whole["parameters"])
     except RuntimeError as error:
         if scene is None:
-            raise
+            raise _other_code(path, error) from error
         msg = f"{path}: trained on {own.name}, its parameters do not fit {scene.name}"
         raise InputError(msg) from error
     return model, whole["facts"]
+
+
+def _other_code(path: Path, error: Exception) -> InputError:
+    told = str(error).partition("\n")[0]
+    return InputError(f"{path}: a model of other code than this ({told}); train it again")
 
 
 def read_facts(path: Path) -> dict[str, str]:

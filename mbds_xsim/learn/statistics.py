@@ -27,6 +27,16 @@ class Moments:
     std: Tensor
     """1 where it does not vary."""
 
+    def spread(self, moving: Tensor) -> float:
+        """Root mean square of the deviations along some axes, of those that vary at all.
+
+        Args:
+            moving: Along which a scene moves, bool, shape (3,).
+        """
+        varying = moving.to(self.std.device) & (self.std != 1.0)
+        chosen = self.std[varying if varying.any() else moving.to(self.std.device)]
+        return float(chosen.square().mean().sqrt())
+
     def isotropic(self, up: Tensor) -> Moments:
         """One deviation for all axes, and only the mean along gravity: what turns with the frame.
 

@@ -238,7 +238,7 @@ class _Run:
     def _descend(self, sample: Sample) -> Tensor | None:
         """Take a step and give its loss; None where it is skipped."""
         self.adam.zero_grad()
-        with precision(sample.position.device, mixed=self.profile.mixed_precision):
+        with precision(self.training.model, mixed=self.profile.mixed_precision):
             loss = self.training.model.loss(sample, self.generator)
         torch.autograd.backward(loss)
         clip, skip, schedule = self.recipe.clip, self.recipe.skip, self.schedule

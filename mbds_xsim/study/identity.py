@@ -18,7 +18,7 @@ from mbds_xsim.reference.cache import key_of
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["machine", "row_key"]
+__all__ = ["adapter_files", "machine", "row_key"]
 
 _MEASURING = ("point.py", "truths.py")
 _CORE = ("engine.py", "state.py", "joint_space.py", "assembly.py", "markers.py", "simulate.py")
@@ -62,13 +62,23 @@ def _processor() -> str:
     return names[0] if names else platform.processor() or "unknown processor"
 
 
+def adapter_files(engine: str) -> list[Path]:
+    """Name the source of an engine's adapter.
+
+    Raises:
+        UnknownName: There is no such engine.
+        MissingPackage: It is not installed.
+    """
+    adapter = Path(inspect.getfile(type(registry.load_adapter(engine))))
+    return [adapter, *sorted(adapter.parent.glob(f"_{adapter.stem}_*.py"))]
+
+
 @functools.cache
 def _code(engine: str) -> bytes:
     """Hash of the source of an adapter, of what it builds on, and of what judges it."""
-    adapter = Path(inspect.getfile(type(registry.load_adapter(engine))))
     assert mbds_xsim.__file__ is not None
     core = Path(mbds_xsim.__file__).parent
-    sources = [adapter, *sorted(adapter.parent.glob(f"_{adapter.stem}_*.py"))]
+    sources = adapter_files(engine)
     sources += [core / name for name in _CORE]
     sources += sorted((core / "checks").glob("*.py"))
     sources += [core / "study" / name for name in _MEASURING]

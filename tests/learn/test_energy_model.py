@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from benchmarks.energy_rollouts import from_places
+from benchmarks.energy_rollouts import errors, from_places
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.learn.energy import TrueEnergy
@@ -165,6 +165,20 @@ def test_starts_from_places_have_the_velocities_of_the_motion(data: Data, name: 
     off = (model.velocities(found) - model.velocities(given)).norm(dim=-1).amax(1)
     assert float((off / speed).median()) < 0.01
     assert (model.positions(found) - model.positions(given)).abs().max() < 1e-9
+
+
+def test_rollouts_of_the_benchmark_start_where_they_are_told_to(
+    data: Data, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motions = motions_of(data, "train")
+    monkeypatch.setattr("benchmarks.energy_rollouts.FRAMES", (2, motions.frame_count - HISTORY))
+    model = untrained("hgnn", motions)
+    rows = torch.arange(len(motions))
+    start = motions.sample(rows, torch.full_like(rows, HISTORY - 1), 1).start
+    with torch.no_grad():
+        given = model.begin(start)
+    assert errors(model, motions) == errors(model, motions, given)
+    assert errors(model, motions, given.roll(1, dims=0)) != errors(model, motions)
 
 
 @pytest.mark.parametrize("name", list(DYNAMICS))

@@ -65,6 +65,19 @@ def test_a_model_is_read_back_with_all_it_needs(data: Data, name: str, scratch: 
     assert torch.equal(first, second)
 
 
+def test_a_model_of_other_code_is_refused(data: Data, scratch: Path) -> None:
+    training = _read(data, "gns", "train")
+    statistics = Statistics.of(training)
+    model = build("gns", training.graph, statistics, track="lite")
+    path = scratch / "model.pt"
+    save_model(path, model, "gns", {"width": 64, "pushed": 0.5}, statistics)
+    with pytest.raises(InputError, match=r"other code than this \(.*pushed.*\); train it again"):
+        read_model(path)
+    save_model(path, model, "gns", model.tracks["paper"], statistics)
+    with pytest.raises(InputError, match=r"^[^\n]*other code than this[^\n]*; train it again$"):
+        read_model(path)
+
+
 def test_what_is_no_model_is_refused(scratch: Path) -> None:
     path = scratch / "model.pt"
     path.write_text("no model")

@@ -9,7 +9,7 @@ import json
 import math
 import shutil
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,13 @@ from mbds_xsim.cli import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.shift import evaluate, restart, study
+from mbds_xsim.learn.shift import evaluate, restart, sources, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.measure import Figures, figures_on
 from mbds_xsim.learn.shift.result import Shift
@@ -170,6 +171,76 @@ def test_restarts_that_were_interrupted_go_on(
     again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
     assert done == [(one.name, two.name)]
     assert again.gaps == shift.gaps
+
+
+class Count:
+    """A meter that counts."""
+
+    whole = done = 0
+
+    def begin(self, total: int) -> None:
+        self.whole += total
+
+    def advance(self, what: str) -> None:
+        del what
+        self.done += 1
+
+
+def test_a_restart_that_crashes_takes_no_other_along(
+    folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of its process are done alone; a file that cannot be read is made again."""
+    test = load_paired(folder / "data", SCENE)
+    one, two = test.domains
+    jobs = [restart._Job(one, domain, shift.horizon) for domain in (one, two)]
+    jobs[0].path.unlink()
+    jobs[1].path.write_bytes(b"no archive")
+
+    def crashing(
+        tasks: Sequence[Task], *, workers: int | None, finished: Callable[[int, object], None]
+    ) -> list[object]:
+        assert workers is None
+        answers: list[object] = []
+        for place, task in enumerate(tasks):
+            if any(job.name == jobs[0].name for job in task.arguments[1]):
+                answers.append(Crash("it broke"))
+            else:
+                task.function(*task.arguments)
+                answers.append(None)
+            finished(place, answers[-1])
+        return answers
+
+    meter = Count()
+    with monkeypatch.context() as patch:
+        patch.setattr(restart, "run_tasks", crashing)
+        found, lost = restart.restarted(test, test.domains, shift.horizon, meter=meter)
+    assert lost == {f"{one.name} on {one.name}": "it broke"}
+    assert set(found) == {(e.name, d.name) for e in (one, two) for d in (one, two)} - {
+        (one.name, one.name)
+    }
+    assert (meter.whole, meter.done) == (2, 2)
+    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    assert again.gaps == shift.gaps
+
+
+def test_figures_are_known_by_the_code_they_follow_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(*modules: str) -> set[str]:
+        seen = set[str]()
+        place = sources._path
+
+        def noted(module: str) -> Path:
+            seen.add(module)
+            return place(module)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(sources, "_path", noted)
+            sources.sources(*modules)
+        return {name.removeprefix("mbds_xsim.") for name in seen}
+
+    physics = {"mechanism", "spin", "rotation", "dataset.points", "learn.mechanics"}
+    assert physics <= read("mbds_xsim.learn.lgnn")
+    assert not {"learn.lgnn", "learn.sgnn", "isolate", "write"} & read("mbds_xsim.learn.gns")
+    assert {"simulate", "learn.shift.measure"} <= read("mbds_xsim.learn.shift.restart")
 
 
 def test_memory_holds_one_domain_and_no_figures(
@@ -349,6 +420,14 @@ def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
         file.attrs["seed"] = 7
     with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
         load_paired(data, SCENE)
+
+
+def test_without_torch_the_command_says_what_to_install(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.commands.extras.importlib.util.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"shift needs torch, which is not installed: pip"):
+        app(["shift", str(folder / "models"), str(folder / "data")], standalone_mode=False)
 
 
 def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
-from mbds_xsim.learn.model import build
+from mbds_xsim.learn.model import build, load_model
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
@@ -105,6 +105,24 @@ def test_a_checkpoint_of_another_run_is_refused(
     path.write_bytes(b"no checkpoint")
     with pytest.raises(InputError, match="remove it to start anew"):
         train(_model(parts[0]), *parts, RECIPE, SHORT, checkpoint=path)
+
+
+@pytest.mark.parametrize("name", ["gns", "sgnn", "hgnn"])
+def test_only_networks_that_carry_no_positions_are_mixed(data: Data, name: str) -> None:
+    kind = load_model(name)
+    file = data("2pendulum", trajectories=100)
+    training, validation = (
+        Motions.of(file, split, bodies=kind.needs_bodies, dtype=kind.dtype)
+        for split in ("train", "validation")
+    )
+    states = []
+    for mixed in (False, True):
+        model = build(name, training.graph, Statistics.of(training), track="lite")
+        profile = msgspec.structs.replace(SHORT, steps=2, every=2, mixed_precision=mixed)
+        train(model, training, validation, kind.tracks["lite"].recipe, profile)
+        states.append(model.state_dict())
+    assert all(bool(value.isfinite().all()) for value in states[1].values())
+    assert _same(*states) != kind.mixes
 
 
 def test_seeds_decide(parts: tuple[Motions, Motions]) -> None:

@@ -24,6 +24,8 @@ from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.dataset.split import NAMES
+from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.learn import campaign, runs
@@ -31,6 +33,8 @@ from mbds_xsim.learn.campaign import Request, carry, planned
 from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
 from mbds_xsim.learn.domains import Group, groups
 from mbds_xsim.learn.mixture import Share, mixed, trainings, turns
+from mbds_xsim.learn.progress import watched
+from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.saved import read_facts, read_model
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.statistics import Statistics
@@ -204,6 +208,52 @@ def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     generate(DataRequest((scene,), choice, 40, data), workers=0, progress=Silence())
 
 
+def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
+    group: Group, ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lacking = dataclasses.replace(group)
+    data = dict(group.data)
+    for engine, file in data.items():
+        split = np.where(file.index % 3, file.small["split"], NAMES.index("train"))
+        data[engine] = dataclasses.replace(file, small={**file.small, "split": split})
+    vars(lacking)["data"] = data
+    request = dataclasses.replace(ask(on="each,by-interval"), groups=[lacking])
+    with pytest.raises(InputError, match=r"no trajectory of validation is of the interval 'low'"):
+        planned(request)
+    long = Recipe(horizon=8)
+    monkeypatch.setattr(runs, "recipe_of", lambda _: long)
+    line = r"mujoco-native.h5: got trajectories of 13 frames, gns in the track lite needs at least"
+    with pytest.raises(InputError, match=f"{line} 14; generate longer ones"):
+        planned(ask(on="mujoco"))
+
+
+def test_the_name_of_a_scene_names_no_other_folder(group: Group, ask: Ask) -> None:
+    strange = dataclasses.replace(group, scene_name="../my arm")
+    (run,) = planned(dataclasses.replace(ask(), groups=[strange])).runs
+    assert run.path.resolve().is_relative_to(ask().out.resolve())
+    assert run.identity["scene"] == "../my arm"
+    assert run.name.startswith(f"{folder_name('../my arm')}/native/gns/")
+
+
+def test_a_curve_that_was_left_over_is_not_the_runs(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its model was removed, so that it is trained anew; the bar begins at the beginning."""
+    _carry(ask())
+    (run,) = (r for r in planned(ask(out="other")).runs)
+    run = dataclasses.replace(run, out=ask().out.absolute())
+    run.path.unlink()
+    told = []
+    monkeypatch.setattr(Deaf, "reached", lambda *words, **more: told.append((words, more)))
+    with watched([run], Deaf()):
+        pass
+    assert told == []
+    run.checkpoint.touch()
+    with watched([run], Deaf()):
+        pass
+    assert [more for _, more in told] == [{"before": True}]
+
+
 def test_leave_one_out_leaves_it_out(group: Group) -> None:
     found = trainings(group, "leave-one-out,mujoco,all")
     assert found == {
@@ -271,6 +321,14 @@ def test_end_to_end(
     stamps = {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
     assert _end(words, monkeypatch) == 0
     assert "2 runs done, 2 of them before, 0 failed" in capsys.readouterr().out
+    (out / "2pendulum/native/gns/all-s0.curve.json").unlink()
+    (tmp_path / "told.json").unlink()
+    assert _end([*words, "--png", str(tmp_path / "fewer.png")], monkeypatch) == 0
+    assert "all-s0.curve.json: not there, and not drawn" in "".join(
+        capsys.readouterr().out.split("\n")
+    )
+    assert (tmp_path / "fewer.png").read_bytes().startswith(b"\x89PNG")
+    assert set(json.loads((tmp_path / "told.json").read_bytes())["runs"]) == names
     assert stamps == {path: path.stat().st_mtime_ns for path in out.rglob("*.pt")}
 
 

@@ -1,5 +1,6 @@
 """Windows are what the file has, inputs what a model may be told."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +12,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.channels import Channels
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions
 from mbds_xsim.registry import load_scene
 
@@ -84,6 +85,15 @@ def test_isotropic_statistics_have_one_deviation_and_only_the_mean_along_gravity
     assert (even.displacement.std == even.displacement.std[0]).all()
     low, high = plain.displacement.std[[0, 2]].sort().values
     assert low <= even.displacement.std[0] <= 1.01 * torch.hypot(high, plain.displacement.mean[0])
+
+
+def test_an_axis_that_does_not_vary_is_no_part_of_the_spread() -> None:
+    """As of a planar motion in a scene in space, whose deviation stands as 1."""
+    moments = Moments(torch.zeros(3).double(), torch.tensor([0.03, 1.0, 0.04]).double())
+    everywhere, across = torch.ones(3).bool(), torch.tensor([False, True, False])
+    assert moments.spread(everywhere) == pytest.approx(math.sqrt((0.03**2 + 0.04**2) / 2))
+    assert moments.spread(torch.tensor([True, False, False])) == pytest.approx(0.03)
+    assert moments.spread(across) == 1.0
 
 
 def test_statistics_are_read_back_as_stored(data: Data) -> None:

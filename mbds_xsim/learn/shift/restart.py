@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -32,6 +34,7 @@ from mbds_xsim.reference.cache import directory
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch
+from mbds_xsim.study.identity import adapter_files
 
 __all__ = ["restarted"]
 
@@ -50,13 +53,18 @@ class _Job:
     domain: Domain
     horizon: int
 
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.engine.name} on {self.domain.name}"
+
     @functools.cached_property
     def path(self) -> Path:
         """Where its figures are kept."""
         version = load_adapter(self.engine.engine).version()
         rows = getattr(self.domain, "rows", ())
         what = (self.engine.content, version, self.domain.content, rows, self.horizon)
-        key = hashlib.sha256(_source() + repr(what).encode()).hexdigest()
+        key = hashlib.sha256(_source(self.engine.engine) + repr(what).encode()).hexdigest()
         return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
 
 
@@ -71,38 +79,73 @@ def restarted(
     """Let every engine go on from every domain; what was done is kept and not done again.
 
     Returns:
-        Figures by engine and domain, and by engine why there are none.
+        Figures by engine and domain, and why there are none, by engine or by engine and domain.
     """
-    jobs = {engine: [_Job(engine, d, horizon) for d in domains] for engine in test.domains}
-    missing, lost = {}, {}
-    for engine, each in jobs.items():
+    jobs: list[_Job] = []
+    missing: list[_Job] = []
+    lost: dict[str, str] = {}
+    for engine in test.domains:
+        each = [_Job(engine, domain, horizon) for domain in domains]
         try:
             # All places are named here: tasks take them along.
-            missing[engine] = [job for job in each if not job.path.is_file()]
+            missing += [job for job in each if read_figures(job.path) is None]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
-    shares = [
-        each[k : k + _TOGETHER] for each in missing.values() for k in range(0, len(each), _TOGETHER)
-    ]
-    tasks = [Task(_carry_out, (test.batch, share), _TIMEOUT) for share in shares]
-    if meter is not None and shares:
-        meter.begin(sum(map(len, shares)))
+        else:
+            jobs += each
+    if meter is not None and missing:
+        meter.begin(len(missing))
+    lost |= _run(test.batch, missing, workers, meter)
+    found = {(job.engine.name, job.domain.name): read_figures(job.path) for job in jobs}
+    return {pair: figures for pair, figures in found.items() if figures is not None}, lost
 
+
+def _run(
+    inputs: Batch, jobs: Sequence[_Job], workers: int | None, meter: Meter | None
+) -> dict[str, str]:
+    """Carry jobs out, and say which could not be.
+
+    A process that crashed takes the jobs behind along: each of them is tried once more, alone.
+    """
+
+    def tell(job: _Job) -> None:
+        if meter is not None:
+            meter.advance(job.name)
+
+    shares = list(_shares(jobs))
+    answers = _round(inputs, shares, workers, tell)
+    alone = []
+    for share, answer in zip(shares, answers, strict=True):
+        for job in share if isinstance(answer, Crash) else ():
+            if read_figures(job.path) is None:
+                alone.append([job])
+            else:
+                tell(job)
+    lost = {}
+    for (job,), answer in zip(alone, _round(inputs, alone, workers, tell), strict=True):
+        if isinstance(answer, Crash):
+            lost[job.name] = answer.reason
+            tell(job)
+    return lost
+
+
+def _round(
+    inputs: Batch, shares: Sequence[list[_Job]], workers: int | None, tell: Callable[[_Job], None]
+) -> list[Any]:
     def finished(place: int, answer: object) -> None:
-        for job in shares[place]:
-            if isinstance(answer, Crash):
-                lost[job.engine.name] = answer.reason
-            if meter is not None:
-                meter.advance(f"{job.engine.name} from {job.domain.name}")
+        if not isinstance(answer, Crash):
+            for job in shares[place]:
+                tell(job)
 
-    run_tasks(tasks, workers=workers, finished=finished)
-    found = {}
-    for engine, each in jobs.items():
-        for job in each if engine.name not in lost else ():
-            figures = read_figures(job.path)
-            if figures is not None:
-                found[engine.name, job.domain.name] = figures
-    return found, lost
+    tasks = [Task(_carry_out, (inputs, share), _TIMEOUT) for share in shares]
+    return run_tasks(tasks, workers=workers, finished=finished)
+
+
+def _shares(jobs: Sequence[_Job]) -> Iterator[list[_Job]]:
+    """Deal jobs out, a few of one engine to a process."""
+    for _, group in itertools.groupby(jobs, key=lambda job: job.engine.name):
+        each = list(group)
+        yield from (each[k : k + _TOGETHER] for k in range(0, len(each), _TOGETHER))
 
 
 def _carry_out(inputs: Batch, jobs: Sequence[_Job]) -> None:
@@ -147,6 +190,7 @@ def _settings(engine: Recorded) -> Settings:
 
 
 @functools.cache
-def _source() -> bytes:
-    """Hash of the code that makes the figures; an engine's adapter counts by its version."""
-    return sources(__name__)
+def _source(engine: str) -> bytes:
+    """Hash of the code that makes the figures, the engine's adapter's too."""
+    adapter = b"".join(file.read_bytes() for file in adapter_files(engine))
+    return hashlib.sha256(sources(__name__) + adapter).digest()

@@ -38,7 +38,7 @@ WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 _TRIVIAL_MODULE = "mbds_xsim.learn.trivial"
 _FACTS = ("train_engines", "variant", "training", "seed")
-_ALIKE = ("profile", "track", "settings", "drawn", "starts")
+_ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
 """Facts that trainings must share to differ in their engines alone."""
 
 

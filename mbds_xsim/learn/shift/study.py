@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.errors import InputError
+from mbds_xsim.learn.model import trainable
 from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.shift.agreement import agreements_of
 from mbds_xsim.learn.shift.answers import answers_of
@@ -191,7 +192,7 @@ def _lost(board: Board) -> dict[str, str]:
 def _absent(test: Paired, board: Board) -> dict[str, str]:
     """Say of models that are not there whether they could be."""
     reasons = {}
-    for name in sorted({"gns", "sgnn", "hgnn", "lgnn"} - set(board.models)):
+    for name in sorted(set(trainable()) - set(board.models)):
         reasons[name] = refusal(name, test.graph) or "no trained model of it was given"
     return reasons
 

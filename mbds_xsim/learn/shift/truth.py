@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.shift.domains import Paired, Solved
+from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.reference.cache import directory, key_of
 from mbds_xsim.scene import Scene
@@ -62,13 +65,14 @@ def solve_domain(
     steps = HISTORY - 1 + horizon
     batch = test.batch.truncated(steps)
     path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
-    if not path.is_file() or not cache:
+    truth = _kept(path) if cache else None
+    if truth is None:
         answers = run_tasks(_tasks(test, batch, cache), workers=workers)
         crashes = [answer.reason for answer in answers if isinstance(answer, Crash)]
         if crashes:
             return None, f"the reference solution failed: {crashes[0]}"
-        _write(path, _joined(answers))
-    truth = read_truth(path)
+        truth = _joined(answers)
+        _write(path, truth)
     if not truth.known[:, HISTORY].any():
         return None, "the reference ends at a first impact within the first frames"
     content = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -76,9 +80,24 @@ def solve_domain(
 
 
 def read_truth(path: Path) -> Truth:
-    """Read what `solve_domain` has kept."""
-    with np.load(path, allow_pickle=False) as file:
-        return Truth(**{name: file[name] for name in file.files})
+    """Read what `solve_domain` has kept.
+
+    Raises:
+        InputError: It cannot be read any more.
+    """
+    truth = _kept(path)
+    if truth is None:
+        msg = f"{path}: cannot be read; run again"
+        raise InputError(msg)
+    return truth
+
+
+def _kept(path: Path) -> Truth | None:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return Truth(**{name: file[name] for name in Truth.__dataclass_fields__})
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
 
 
 def _tasks(test: Paired, batch: Batch, cache: bool) -> list[Task]:
@@ -119,7 +138,7 @@ def _without_noise(
 
 
 def _key(test: Paired, batch: Batch) -> str:
-    digest = hashlib.sha256(Path(__file__).read_bytes())
+    digest = hashlib.sha256(sources(__name__))
     for row in range(len(batch)):
         digest.update(key_of("shift", test.scene, batch, row, 0.0).encode())
     digest.update(np.ascontiguousarray(test.quiet[:, : batch.steps]).tobytes())
