@@ -50,7 +50,9 @@ def main(folder: Path) -> None:
     taken = {folder / "README.md", *(folder / pattern for _, _, pattern in CHAPTERS)}
     for heading, target, pattern in CHAPTERS:
         exact = folder / pattern
-        pages = [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - taken)
+        pages = (
+            [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - taken, key=_place)
+        )
         if pages:
             print("\n".join(chapter(heading, target, pages, folder)), end="\n\n")
 
@@ -63,12 +65,17 @@ def chapter(heading: str, target: str, pages: list[Path], folder: Path) -> Itera
         text = page.read_text("utf-8")
         found = _COMMAND.search(text)
         cells = [
-            link(page.stem, page, folder),
+            link("in short" if page.stem == "README" else page.stem, page, folder),
             lead(text).replace("|", "\\|"),
             ", ".join(link(file.suffix[1:], file, folder) for file in beside(page)),
             f"`{_WRITES.sub('', found[1])}`" if found else "",
         ]
         yield f"| {' | '.join(cells)} |"
+
+
+def _place(page: Path) -> tuple[bool, Path]:
+    """What sums up a folder comes first."""
+    return page.stem != "README", page
 
 
 def link(name: str, file: Path, folder: Path) -> str:

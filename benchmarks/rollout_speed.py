@@ -119,9 +119,10 @@ def head(device: str) -> str:
         f"Milliseconds {UNIT[device]} a trajectory and frame; untrained models in their `lite` "
         f"size; medians of {ROUNDS[0]} to {ROUNDS[1]} rounds in which models and batches take "
         f"turns. *Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim "
-        f"is {AIM}. *At most*: if nothing were done but the products of matrices, as fast as two "
-        f"of {size} × {size} are multiplied. Where that is below {AIM}, one trajectory alone is "
-        "work enough."
+        f"is {AIM}. *At most*: the ratio if a batch took no more than its products of matrices at "
+        f"the rate of one of {size} × {size}; where that is below {AIM}, one trajectory alone is "
+        f"work enough. The {FRAMES} frames are of slow motions; [whole rollouts](models/"
+        "6pendulum.md) take longer."
     )
     return f"""\
 # Rollouts of models, one by one and many at once

@@ -332,6 +332,7 @@ def _learned(model: Trained, rows: list[Row]) -> Learned:
         batched=point_of(rows[half:]),
         train_wall_s=_number(model, "wall_s"),
         train_cpu_s=_number(model, "cpu_s"),
+        train_steps=_number(model, "steps"),
         train_trajectories=_number(model, "train_trajectories"),
         train_device=model.facts.get("device", ""),
         machine=rows[0].machine,

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 from mbds_xsim.report import quantity
 from mbds_xsim.study.rows import Learned, Tradeoff
 
-__all__ = ["ModelColumn", "colour_of_model", "model_columns", "model_told", "models_told"]
+__all__ = [
+    "ModelColumn",
+    "colour_of_model",
+    "model_columns",
+    "model_told",
+    "models_short",
+    "models_told",
+]
 
 _COLOURS = {"gns": "#7a4fb5", "hgnn": "#1b1b1b", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
 """The same on every chart, and none of the engines'."""
@@ -68,8 +75,18 @@ def model_columns(study: Tradeoff) -> list[ModelColumn]:
             lambda m: quantity.number(m.alone.energy),
             narrow=False,
         ),
+        ModelColumn("steps", "Steps of training", _steps, narrow=False),
         ModelColumn("training", "Wall time of training", lambda m: quantity.span(m.train_wall_s)),
     ]
+
+
+def models_short(study: Tradeoff) -> str:
+    """Give the errors of all models, the least first; "" where there are no models."""
+    order = sorted(study.models, key=lambda m: (m.alone.kind != "done", m.alone.error_m or 0.0))
+    if not order:
+        return ""
+    each = ", ".join(f"{m.model} {_error(m)}" for m in order)
+    return f"Trained models are off at {study.horizon_s:g} s by: {each}. "
 
 
 def models_told(study: Tradeoff) -> str:
@@ -109,6 +126,10 @@ def colour_of_model(model: Learned) -> str:
 
 def _trained_on(model: Learned) -> str:
     return f"{model.training} {model.variant}"
+
+
+def _steps(model: Learned) -> str:
+    return "–" if model.train_steps is None else f"{model.train_steps:.0f}"
 
 
 def _error(model: Learned) -> str:

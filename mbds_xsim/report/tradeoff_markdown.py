@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report import tradeoff_summary as summary
-from mbds_xsim.report.learned_summary import model_columns, models_told
+from mbds_xsim.report.learned_summary import model_columns, models_short, models_told
 from mbds_xsim.study.rows import Tradeoff
 
 __all__ = ["to_markdown"]
@@ -29,7 +29,8 @@ def _lines(study: Tradeoff) -> list[str]:
     return [
         f"# {study.scene}: speed against accuracy",
         "",
-        f"{study.description}. {conclusion[0].upper()}{conclusion[1:]}.",
+        f"{models_short(study)}{study.description[0].upper()}{study.description[1:]}. "
+        f"{conclusion[0].upper()}{conclusion[1:]}.",
         "",
         *_table(study),
         "",

@@ -157,6 +157,8 @@ class Learned(msgspec.Struct, frozen=True, kw_only=True):
     train_wall_s: float | None = None
     """What training took [s], which is in no other time."""
     train_cpu_s: float | None = None
+    train_steps: float | None = None
+    """Of the optimiser."""
     train_trajectories: float | None = None
     train_device: str = ""
     machine: str = ""
