@@ -33,10 +33,12 @@ class Scalars(NamedTuple):
     values: Tensor
     rows: Tensor | None = None
 
-    def product(self, weight: Tensor) -> Tensor:
-        """Multiply each row by the block's part of a linear layer's weight."""
-        product = functional.linear(self.values, weight)
-        return product if self.rows is None else product.index_select(-2, self.rows)
+    def add(self, total: Tensor, weight: Tensor) -> None:
+        """Add to a total each row times the block's part of a linear layer's weight."""
+        if self.rows is None:
+            total.flatten(0, -2).addmm_(self.values.flatten(0, -2), weight.T)
+        else:
+            total += functional.linear(self.values, weight).index_select(-2, self.rows)
 
 
 class SubequivariantMap(nn.Module):
@@ -62,18 +64,32 @@ class SubequivariantMap(nn.Module):
     def forward(self, vectors: Tensor, *scalars: Scalars) -> tuple[Tensor, Tensor]:
         """Map vectors, shape (…, channel, 3), and scalars; give (…, output, 3), (…, hidden).
 
-        Last channels and last blocks that are left out count as zero, and cost nothing.
+        Last channels and last blocks that are left out count as zero.
         """
         given = vectors.shape[-2]
         gram, *weights = torch.split(self.first.weight, self.widths, dim=1)
         gram = gram.reshape(-1, self.channels, self.channels)[:, :given, :given].flatten(1)
         start = functional.linear(invariants(vectors), gram, self.first.bias)
-        for block, weight in zip(scalars, weights, strict=False):
-            start = start + block.product(weight)
-        raw = self.rest(functional.silu(start))
-        mixing, passed = torch.split(raw, [self.outputs * self.channels, self.hidden], dim=-1)
-        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, self.channels)[..., :given]
-        return mixing @ vectors, passed
+        for block, weight in zip(scalars, weights[: len(scalars)], strict=True):
+            block.add(start, weight)
+        *inner, last = self.rest
+        assert isinstance(last, nn.Linear)
+        deep = functional.silu(start)
+        for part in inner:
+            deep = part(deep)
+        # In two products: what is passed on comes out in one piece, and what would mix a vector
+        # that is left out is not computed.
+        end = self.outputs * self.channels
+        mixing = functional.linear(
+            deep, self.of(given, last.weight[:end]), self.of(given, last.bias[:end])
+        )
+        mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, given)
+        return mixing @ vectors, functional.linear(deep, last.weight[end:], last.bias[end:])
+
+    def of(self, given: int, rows: Tensor) -> Tensor:
+        """Keep the rows of the last layer that mix the vectors that are given."""
+        by_vector = rows.reshape(self.outputs, self.channels, *rows.shape[1:])
+        return by_vector[:, :given].flatten(0, 1)
 
 
 class Interaction(nn.Module):
