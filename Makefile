@@ -140,8 +140,8 @@ drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) -
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
 	--png $(REPORTS)/shift/$(3)-curves.png
-shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call files,shift/$(1)) \
-	--png $(REPORTS)/shift/$(1).png --rollouts $(REPORTS)/shift/$(1)-rollouts.png
+told = $(call files,$(1)) --png $(REPORTS)/$(1).png --rollouts $(REPORTS)/$(1)-rollouts.png
+shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call told,shift/$(1))
 shift-targets = $(addprefix shift-,$(SHIFTED))
 .PHONY: $(shift-targets)
 
@@ -172,13 +172,13 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
-# All four models until more steps bring no more, on one engine's data.
+# All four models until more steps bring no more, on each engine's data: some two core-hours.
 reports-lite: $(VENV)/ready
 	$(call drawn,6pendulum,native)
-	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/mujoco-native.h5 --seeds 1 --out $(LITE) \
+	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/*-native.h5 --on each --seeds 1 --out $(LITE) \
 		--png $(REPORTS)/lite/6pendulum-curves.png
 	$(BIN)/mbds-xsim shift $(LITE) $(STUDY) --scene 6pendulum --settings native \
-		$(call files,lite/6pendulum) --rollouts $(REPORTS)/lite/6pendulum-rollouts.png
+		$(call told,lite/6pendulum)
 
 # Every scene in every engine, and one set of the paper's size; what is there is gone on with.
 ENGINES ?= mujoco,pybullet,dart,exudyn
