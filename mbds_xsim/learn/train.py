@@ -84,6 +84,10 @@ PROFILES = {
 WITHOUT_END = Plateau(patience=3, factor=0.5)
 """In place of a cosine where a run ends when it is level: it has no last step to end at."""
 
+SETTLED = 1 / 32
+"""Part of its first rate that a rate which falls on plateaus must have come down to before a run is
+level: at a higher one validation wavers by more than it improves, and no fall was tried yet."""
+
 
 class Point(msgspec.Struct, frozen=True):
     """A point of a learning curve."""
@@ -273,8 +277,10 @@ class _Run:
             return "diverged"
         if self.step >= profile.steps:
             return "steps"
+        falls = isinstance(self.schedule, Plateau)
+        settled = not falls or self.rate <= SETTLED * self.recipe.rate
         long = len(training.curve) >= profile.least
-        level = long and training.last_improvement < profile.improvement
+        level = settled and long and training.last_improvement < profile.improvement
         return "level" if profile.until_level and level else ""
 
     def _set_rate(self, rate: float) -> None:
