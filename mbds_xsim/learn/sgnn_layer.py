@@ -80,14 +80,16 @@ class SubequivariantMap(nn.Module):
         # In two products: what is passed on comes out in one piece, and what would mix a vector
         # that is left out is not computed.
         end = self.outputs * self.channels
-        mixing = functional.linear(
-            deep, self.of(given, last.weight[:end]), self.of(given, last.bias[:end])
-        )
+        weight, bias = (self.mixing_rows(each[:end], given) for each in (last.weight, last.bias))
+        mixing = functional.linear(deep, weight, bias)
         mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, given)
         return mixing @ vectors, functional.linear(deep, last.weight[end:], last.bias[end:])
 
-    def of(self, given: int, rows: Tensor) -> Tensor:
-        """Keep the rows of the last layer that mix the vectors that are given."""
+    def mixing_rows(self, rows: Tensor, given: int) -> Tensor:
+        """Keep those of the last layer's mixing rows that read the first vectors, the given ones.
+
+        Rows are in the order output, vector.
+        """
         by_vector = rows.reshape(self.outputs, self.channels, *rows.shape[1:])
         return by_vector[:, :given].flatten(0, 1)
 

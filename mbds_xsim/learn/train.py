@@ -85,8 +85,8 @@ WITHOUT_END = Plateau(patience=3, factor=0.5)
 """In place of a cosine where a run ends when it is level: it has no last step to end at."""
 
 SETTLED = 1 / 32
-"""Part of its first rate that a rate which falls on plateaus must have come down to before a run is
-level: at a higher one validation wavers by more than it improves, and no fall was tried yet."""
+"""Part of the recipe's rate to which plateaus must have lowered it before a run counts as level:
+at a higher rate validation wavers by more than it improves."""
 
 
 class Point(msgspec.Struct, frozen=True):
