@@ -172,7 +172,7 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
-# All four models until more steps bring no more, on each engine's data: some two core-hours.
+# All four models until more steps bring no more, on each engine's data: two and a half core-hours.
 reports-lite: $(VENV)/ready
 	$(call drawn,6pendulum,native)
 	$(BIN)/mbds-xsim train $(STUDY)/6pendulum/*-native.h5 --on each --seeds 1 --out $(LITE) \

@@ -9,6 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from mbds_xsim.report.few_colours import few_colours
 from mbds_xsim.report.palette import LIGHT
 
 __all__ = ["GREY", "INK", "PAPER", "png", "svg"]
@@ -55,12 +56,12 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
 
 
 def png(draw: Draw, size: tuple[float, float]) -> bytes:
-    """Draw into a PNG on white; 256 colours do for charts, and take a third of the space."""
+    """Draw into a PNG of 256 colours on white."""
     from PIL import Image
 
     drawn, stream = io.BytesIO(), io.BytesIO()
     _saved(draw, size, drawn, format="png", dpi=150, facecolor="white")
-    picture = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    picture = few_colours(Image.open(drawn).convert("RGB"))
     picture.save(stream, format="png", optimize=True)
     return stream.getvalue()
 
