@@ -33,7 +33,7 @@ _MORE, _PROOF = 100, 1  # what the settings of the chains and ladders in MuJoCo 
 _PARTS = 6
 _SAMPLE = 3  # trajectories at other steps too, in the first part
 _TIMEOUT = 300.0
-_ALIKE = 0.05  # two trials of the same settings differ by up to so much of their cost
+_ALIKE = 0.1  # trials of the same settings, minutes apart, differed by up to 0.07 of their cost
 
 _HEAD = f"""\
 # Is anything cheaper?
@@ -84,7 +84,7 @@ def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
     trials = dict(zip(matched, _tried(scene, matched, _STARTS, _SEED), strict=True))
     own = min((trial.cpu_s for trial in trials.values() if trial.passed), default=math.inf)
     less = (1 - _ALIKE) * own
-    others = _cheaper(study, less)
+    others = [p for p in _cheaper(study, less) if p.label not in {m.label for m in matched}]
     print(f"{study.scene}: {len(others)} points are cheaper", file=sys.stderr)
     trials |= dict(zip(others, _tried(scene, others, _STARTS, _SEED), strict=True))
     rivals = [p for p in others if trials[p].passed and trials[p].cpu_s < less]
@@ -98,7 +98,8 @@ def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
         told = ("kept" if last.passed else "not kept") + starts
         why = "" if last.passed else last.reasons[0].splitlines()[0].replace("|", "/")
         span = quantity.span(trial.cpu_s)
-        yield f"| {study.scene} | {place.label} | {span} | {told} | {why} |"
+        label = f"**{place.label}**" if place in matched else place.label
+        yield f"| {study.scene} | {label} | {span} | {told} | {why} |"
     found.append(f"- {study.scene}: {_cheapest(kept, matched)}.")
 
 
@@ -108,7 +109,7 @@ def _cheapest(kept: dict[Place, float], matched: list[Place]) -> str:
         return "none of these matched settings keeps all budgets"
     first = min(kept, key=lambda place: kept[place])
     if first in matched:
-        return f"nothing is cheaper than what is matched, {first.label}"
+        return f"nothing is cheaper than what is matched, **{first.label}**"
     return f"{first.label} costs {kept[first] / min(own):.2f} of what is matched"
 
 
@@ -117,7 +118,7 @@ def _matched(study: Tradeoff, scene: Scene) -> list[Place]:
     places = []
     for engine in dict.fromkeys(curve.engine for curve in study.curves):
         settings = settings_for(scene, load_adapter(engine), "matched")
-        places.append(Place(engine, settings, f"**{_label(engine, settings)}**"))
+        places.append(Place(engine, settings, _label(engine, settings)))
     return places
 
 
