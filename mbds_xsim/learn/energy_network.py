@@ -61,11 +61,14 @@ class ConvexScalar(nn.Module):
     def forward(self, s: Tensor, kind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, first and second derivatives at s (batch, k) of kinds (k,), of the shape of s."""
         shifts = self.shift(kind).chunk(len(self.raw), dim=-1)
-        jet = torch.stack([s, torch.ones_like(s), torch.zeros_like(s)])[..., None]
-        for raw, shift in zip(self.raw, shifts, strict=True):
-            value, first, second = (jet @ (_squareplus(raw) / raw.shape[1]).T).unbind()
-            jet = torch.stack(_bend(value + shift, first, second))
-        value, first, second = (jet @ (_squareplus(self.last) / len(self.last))).unbind()
+        weight = _squareplus(self.raw[0])[:, 0]
+        jet = _bend(s[..., None] * weight + shifts[0], weight, None)
+        for raw, shift in itertools.islice(zip(self.raw, shifts, strict=True), 1, None):
+            across = (_squareplus(raw) / raw.shape[1]).T
+            value, first, second = (part @ across for part in jet)
+            jet = _bend(value + shift, first, second)
+        across = _squareplus(self.last) / len(self.last)
+        value, first, second = (part @ across for part in jet)
         slope = 0.5 * _squareplus(self.slope(kind))[:, 0]
         return value + slope * s, first + slope, second
 
@@ -185,11 +188,13 @@ def _squareplus(x: Tensor) -> Tensor:
     return 0.5 * (x + torch.sqrt(x * x + 4.0))
 
 
-def _bend(value: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Put squareplus behind a function, with its derivatives."""
+def _bend(value: Tensor, first: Tensor, second: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+    """Put squareplus behind a function, with its derivatives; a straight one has no second."""
     root = torch.sqrt(value * value + 4.0)
-    slope = 0.5 * (1.0 + value / root)
-    return 0.5 * (value + root), slope * first, slope * second + 2.0 / root**3 * first**2
+    over = 1.0 / root
+    bent = 0.5 * (value + root)
+    slope, curve = bent * over, 2.0 * over * (over * first) ** 2
+    return bent, slope * first, curve if second is None else curve + slope * second
 
 
 def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:

@@ -46,19 +46,17 @@ class Hamiltonian(nn.Module):
         mechanics = self.mechanics
         u = mechanics.mass_inverse @ p
         jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
-        spread = mechanics.over_mass(jacobian)
-        solver = mechanics.factored(jacobian, spread)
+        solver = mechanics.factored(jacobian)
         slope = momentum(mechanics, self.energy.kinetic(u), u)
-        q_rate = (mechanics.mass_inverse @ slope).flatten(1)
-        second = -solver(_apply(jacobian, q_rate))
-        q_rate = q_rate + _back(spread, second)
-        moving = q_rate.view_as(q)
-        load = potential_force(self.energy, q) + mechanics.applied(q, moving, force, torque)
+        q_rate = mechanics.mass_inverse @ slope
+        second = -solver(jacobian.along(q_rate))
+        q_rate = q_rate + mechanics.mass_inverse @ jacobian.back(second)
+        load = potential_force(self.energy, q) + mechanics.applied(q, q_rate, force, torque)
         if self.drag is not None:
-            load = load + self.drag(moving)
-        p_rate = load.flatten(1) - _back(rate, second)
-        first = solver(_apply(rate, q_rate) + _apply(spread, p_rate))
-        return moving, (p_rate - _back(jacobian, first)).view_as(q)
+            load = load + self.drag(q_rate)
+        p_rate = load - rate.back(second)
+        first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
+        return q_rate, p_rate - jacobian.back(first)
 
     def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
         """M⁻¹ ṗ at p = M v [m/s²]: q̈ where H is the true one; shape (batch, node, 3)."""
@@ -90,13 +88,3 @@ class HGNN(EnergyModel):
         q, p = state.unbind(1)
         force, torque = inputs.force.to(q), inputs.torque.to(q)
         return torch.stack(self.dynamics.derivative(q, p, force, torque), dim=1)
-
-
-def _apply(rows: Tensor, values: Tensor) -> Tensor:
-    """Rows (batch, row, n) times vectors (batch, n)."""
-    return (rows @ values[..., None])[..., 0]
-
-
-def _back(rows: Tensor, values: Tensor) -> Tensor:
-    """Transposed rows (batch, row, n) times vectors (batch, row)."""
-    return (rows.mT @ values[..., None])[..., 0]

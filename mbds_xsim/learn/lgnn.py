@@ -44,9 +44,8 @@ class Lagrangian(nn.Module):
         if self.drag is not None:
             load = load + self.drag(v)
         mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
-        solved = constrained(
-            mass, load.flatten(1), self.mechanics.jacobian(q), self.mechanics.bias(v)
-        )
+        jacobian = self.mechanics.jacobian(q).dense()
+        solved = constrained(mass, load.flatten(1), jacobian, self.mechanics.bias(v))
         return solved.view_as(q)
 
     def total_energy(self, q: Tensor, v: Tensor) -> Tensor:

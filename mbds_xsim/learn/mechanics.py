@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mbds_xsim.errors import Unsupported
+from mbds_xsim.learn.mechanics_jacobian import Jacobian, Terms
 from mbds_xsim.learn.mechanics_points import Points, points_of
 from mbds_xsim.learn.mechanics_rows import rows_of
 from mbds_xsim.mechanism import Mechanism
@@ -94,7 +95,6 @@ class Mechanics(nn.Module):
     fixed: Tensor
     mass: Tensor
     mass_inverse: Tensor
-    linear: Tensor
     first: Tensor
     second: Tensor
     goal: Tensor
@@ -122,12 +122,13 @@ class Mechanics(nn.Module):
         rows = rows_of(self.mechanism, self.points)
         moved_mass, speed_map = _terms(self.points)
         mass = speed_map.T @ (moved_mass[:, None] * speed_map)
+        mass_inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        self.terms = Terms(rows, self.points.fixed, mass_inverse)
         coupling, block = _blocks(speed_map)
         for name, values in (
             ("fixed", self.points.fixed),
             ("mass", mass),
-            ("mass_inverse", np.linalg.inv(mass)),
-            ("linear", rows.linear),
+            ("mass_inverse", mass_inverse),
             ("first", rows.first),
             ("second", rows.second),
             ("goal", rows.goal),
@@ -147,7 +148,7 @@ class Mechanics(nn.Module):
     @property
     def row_count(self) -> int:
         """Number of independent constraints."""
-        return len(self.linear) + len(self.goal)
+        return len(self.goal)
 
     def all_nodes(self, q: Tensor) -> Tensor:
         """Free nodes and fixed ones, shape (batch, all nodes, 3)."""
@@ -156,23 +157,20 @@ class Mechanics(nn.Module):
     def residual(self, q: Tensor) -> Tensor:
         """Constraint residuals, lengths squared or lengths [m² or m], shape (batch, row)."""
         x = self.all_nodes(q)
-        products = ((self.first @ x) * (self.second @ x)).sum(-1) - self.goal
-        return torch.cat([x.flatten(1) @ self.linear.T, products], dim=1)
+        return ((self.first @ x) * (self.second @ x)).sum(-1) - self.goal
 
-    def jacobian(self, q: Tensor) -> Tensor:
-        """A, shape (batch, row, 3 · node)."""
-        return self._jacobian(self.all_nodes(q), self.linear)
+    def jacobian(self, q: Tensor) -> Jacobian:
+        """A, the residuals' derivative by the free nodes."""
+        return self.terms.at(q)
 
-    def jacobian_rate(self, v: Tensor) -> Tensor:
-        """Time derivative of A at velocities v, shape (batch, row, 3 · node)."""
-        still = torch.cat([v, v.new_zeros(len(v), len(self.fixed), 3)], dim=1)
-        return self._jacobian(still, torch.zeros_like(self.linear))
+    def jacobian_rate(self, v: Tensor) -> Jacobian:
+        """Time derivative of A at velocities v."""
+        return self.terms.rate(v)
 
     def bias(self, v: Tensor) -> Tensor:
         """Ȧ q̇, shape (batch, row)."""
         first, second = self.first[:, : self.free] @ v, self.second[:, : self.free] @ v
-        gaps = v.new_zeros(len(v), len(self.linear))
-        return torch.cat([gaps, 2.0 * (first * second).sum(-1)], dim=1)
+        return 2.0 * (first * second).sum(-1)
 
     def applied(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
         """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3).
@@ -192,42 +190,24 @@ class Mechanics(nn.Module):
 
     def acceleration(self, q: Tensor, v: Tensor, load: Tensor) -> Tensor:
         """True accelerations of the nodes under forces on them [m/s²], shape (batch, node, 3)."""
-        jacobian = self.jacobian(q)
-        spread = self.over_mass(jacobian)
-        goal = (spread @ load.flatten(1)[..., None])[..., 0] + self.bias(v)
-        return self.mass_inverse @ load - self._least(jacobian, spread, goal).view_as(load)
-
-    def over_mass(self, rows: Tensor) -> Tensor:
-        """Rows (batch, row, 3 · node) times M⁻¹."""
-        nodes = rows.view(*rows.shape[:2], self.free, 3)
-        return torch.einsum("ij,brjc->bric", self.mass_inverse, nodes).flatten(2)
+        jacobian, free = self.jacobian(q), self.mass_inverse @ load
+        return free - self._least(jacobian, jacobian.along(free) + self.bias(v))
 
     def project(self, q: Tensor, v: Tensor, passes: int = 2) -> tuple[Tensor, Tensor]:
         """Put states onto the constraints by least mass-weighted changes (Newton's method)."""
         for _ in range(passes):
-            jacobian = self.jacobian(q)
-            change = self._least(jacobian, self.over_mass(jacobian), self.residual(q))
-            q = q - change.view_as(q)
+            q = q - self._least(self.jacobian(q), self.residual(q))
         jacobian = self.jacobian(q)
-        rates = (jacobian @ v.flatten(1)[..., None])[..., 0]
-        return q, v - self._least(jacobian, self.over_mass(jacobian), rates).view_as(v)
+        return q, v - self._least(jacobian, jacobian.along(v))
 
-    def factored(self, jacobian: Tensor, spread: Tensor) -> Callable[[Tensor], Tensor]:
+    def factored(self, jacobian: Jacobian) -> Callable[[Tensor], Tensor]:
         """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row)."""
-        factor = _factor(jacobian @ spread.mT)
+        factor = _factor(jacobian.over_mass())
         return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
 
-    def _least(self, jacobian: Tensor, spread: Tensor, goal: Tensor) -> Tensor:
-        """Mass-weighted least change with A · change = goal, shape (batch, 3 · node)."""
-        multiplier = self.factored(jacobian, spread)(goal)
-        return (spread.mT @ multiplier[..., None])[..., 0]
-
-    def _jacobian(self, x: Tensor, linear: Tensor) -> Tensor:
-        first, second = self.first @ x, self.second @ x
-        product = self.first[:, : self.free, None] * second[:, :, None]
-        product = product + self.second[:, : self.free, None] * first[:, :, None]
-        straight = linear[:, : 3 * self.free].expand(len(x), -1, -1)
-        return torch.cat([straight, product.flatten(2)], dim=1)
+    def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:
+        """Mass-weighted least change with A · change = goal, shape (batch, node, 3)."""
+        return self.mass_inverse @ jacobian.back(self.factored(jacobian)(goal))
 
     def _add_torques(self, load: Tensor, x: Tensor, torque: Tensor) -> Tensor:
         """Pairs of forces on tips and centre of mass: half of t × r / d² each makes a couple t."""

@@ -1,8 +1,8 @@
-"""Constraints between nodes: linear rows, and products of two linear maps.
+"""Constraints between nodes: products of two linear maps.
 
 A body-fixed point or vector is a fixed combination of nodes, so each constraint is of degree two:
-(U x) · (W x) = c for lengths, right angles and sliders, L x = 0 for points that coincide. Their
-Jacobians and second derivatives follow by hand.
+(U x) · (W x) = c for lengths, right angles and sliders, and for points that coincide, whose gap has
+no part along the world's axes. Their Jacobians and second derivatives follow by hand.
 """
 
 from __future__ import annotations
@@ -28,41 +28,35 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PointRows:
-    """Coefficients of the constraints: the linear ones, then the products."""
+    """Coefficients of the constraints."""
 
-    linear: Array
-    """L, shape (linear, 3 · node)."""
     first: Array
-    """U, shape (product, node)."""
+    """U, shape (row, node)."""
     second: Array
-    """W, shape (product, node)."""
+    """W, shape (row, node)."""
     goal: Array
-    """c [m²], shape (product,)."""
+    """c [m²], or [m] where W is an axis of the world; shape (row,)."""
 
 
 def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
     """Write down the rows of rigid bodies and joints, of which none follows from the others."""
     products: list[tuple[Array, Array, float]] = []
-    linear: list[Array] = []
+    for joint in mechanism.joints:
+        products += _coincidence(joint, points)
     for body in points.bodies:
         products += _rigid(body, points.count)
     for joint in mechanism.joints:
-        linear += _coincidence(joint, points)
         products += _aligned(joint, points)
     for link in mechanism.distances:
         span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))
-    gaps = np.array(linear).reshape(-1, points.count)
     rows = PointRows(
-        np.asarray(np.kron(gaps, _AXES), dtype=np.float64),
         np.array([row[0] for row in products]).reshape(-1, points.count),
         np.array([row[1] for row in products]).reshape(-1, points.count),
         np.array([row[2] for row in products]),
     )
-    straight, product = np.split(_independent(mechanism, points, rows), [len(rows.linear)])
-    return PointRows(
-        rows.linear[straight], rows.first[product], rows.second[product], rows.goal[product]
-    )
+    kept = _independent(mechanism, points, rows)
+    return PointRows(rows.first[kept], rows.second[kept], rows.goal[kept])
 
 
 def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
@@ -75,12 +69,12 @@ def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
     ]
 
 
-def _coincidence(joint: PlacedJoint, points: Points) -> list[Array]:
+def _coincidence(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, float]]:
     if joint.kind == "slider":
         return []
     gap = points.span((joint.parent, joint.child), (joint.in_parent, joint.in_child))
     moving = np.abs(gap).max() > _ROUNDING  # weights are of order one
-    return [gap] if moving else []
+    return [(gap, points.world.vector(axis, points.count), 0.0) for axis in _AXES if moving]
 
 
 def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, float]]:
@@ -105,8 +99,7 @@ def _independent(mechanism: Mechanism, points: Points, rows: PointRows) -> NDArr
     x = np.concatenate([free, points.fixed])
     product = rows.first[:, :, None] * (rows.second @ x)[:, None]
     product += rows.second[:, :, None] * (rows.first @ x)[:, None]
-    dense = np.concatenate([rows.linear, product.reshape(-1, 3 * points.count)])
-    dense = dense[:, : 3 * points.free]
+    dense = product[:, : points.free].reshape(len(rows.goal), 3 * points.free)
     basis = np.zeros((0, dense.shape[1]))
     kept = np.zeros(len(dense), dtype=bool)
     for k, row in enumerate(dense):

@@ -51,7 +51,7 @@ def test_rates_keep_the_constraints(name: str) -> None:
     push = torch.randn_like(force)
     q_rate, p_rate = model.derivative(q, model.momentum(v), push, torque)
     jacobian = mechanics.jacobian(q)
-    assert (jacobian @ q_rate.flatten(1)[..., None]).abs().max() < 1e-10
-    bend = mechanics.jacobian_rate(q_rate) @ v.flatten(1)[..., None]
-    rise = jacobian @ (mechanics.mass_inverse @ p_rate).flatten(1)[..., None]
+    assert jacobian.along(q_rate).abs().max() < 1e-10
+    bend = mechanics.jacobian_rate(q_rate).along(v)
+    rise = jacobian.along(mechanics.mass_inverse @ p_rate)
     assert (bend + rise).abs().max() < 1e-8 * rise.abs().max().clamp(min=1.0)

@@ -136,7 +136,7 @@ def test_rows_leave_the_freedoms_of_the_scene(name: str) -> None:
     assert 3 * mechanics.free - mechanics.row_count == freedom
     q, v = nodes(mechanics, bodies)
     assert mechanics.residual(q).abs().max() < 1e-9
-    rate = mechanics.jacobian(q) @ v.flatten(1)[..., None]
+    rate = mechanics.jacobian(q).along(v)
     assert rate.abs().max() < 1e-9
 
 
@@ -170,13 +170,29 @@ def test_jacobians_are_those_of_the_residual(name: str) -> None:
     scene, bodies = states_of(name)
     mechanics = Mechanics(scene)
     q, v = nodes(mechanics, bodies)
+    jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(v)
     moved = torch.func.jvp(mechanics.residual, (q,), (v,))[1]
-    by_hand = (mechanics.jacobian(q) @ v.flatten(1)[..., None])[..., 0]
-    assert torch.allclose(moved, by_hand, atol=1e-12)
-    turned = torch.func.jvp(mechanics.jacobian, (q,), (v,))[1]
-    assert torch.allclose(turned, mechanics.jacobian_rate(v), atol=1e-12)
-    bend = (turned @ v.flatten(1)[..., None])[..., 0]
-    assert torch.allclose(bend, mechanics.bias(v), atol=1e-12)
+    assert torch.allclose(moved, jacobian.along(v), atol=1e-12)
+    turned = torch.func.jvp(lambda at: mechanics.jacobian(at).dense(), (q,), (v,))[1]
+    assert torch.allclose(turned, rate.dense(), atol=1e-12)
+    assert torch.allclose(rate.along(v), mechanics.bias(v), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "every_joint"])
+def test_jacobians_need_not_be_written_out(name: str) -> None:
+    scene, bodies = states_of(name)
+    mechanics = Mechanics(scene)
+    q, v = nodes(mechanics, bodies)
+    torch.manual_seed(3)
+    for jacobian in (mechanics.jacobian(q), mechanics.jacobian_rate(v)):
+        dense, multiplier = jacobian.dense(), torch.randn(len(q), mechanics.row_count).double()
+        along = (dense @ v.flatten(1)[..., None])[..., 0]
+        assert torch.allclose(along, jacobian.along(v), atol=1e-12)
+        back = (dense.mT @ multiplier[..., None])[..., 0]
+        assert torch.allclose(back, jacobian.back(multiplier).flatten(1), atol=1e-12)
+        mass_inverse = torch.kron(mechanics.mass_inverse, torch.eye(3).double())
+        whole = dense @ mass_inverse @ dense.mT
+        assert torch.allclose(whole, jacobian.over_mass(), atol=1e-12 * float(whole.abs().max()))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -190,7 +206,7 @@ def test_projection_closes_the_joints(name: str) -> None:
     before = mechanics.residual(loose[0]).abs().max()
     closed, slowed = mechanics.project(*loose, passes=3)
     assert mechanics.residual(closed).abs().max() < 1e-8 * before
-    rate = mechanics.jacobian(closed) @ slowed.flatten(1)[..., None]
+    rate = mechanics.jacobian(closed).along(slowed)
     assert rate.abs().max() < 1e-12
     same, again = mechanics.project(q, v)
     assert torch.allclose(same, q, atol=1e-9)
