@@ -156,15 +156,8 @@ def error_findings(
             np.where(at_one, lost, np.nan)[calm][:, :, None],
             budget=scene.budget.error_1s * scene.length,
         )
-        findings.insert(0, _spread(one, calm))
+        findings.insert(0, one.among(calm))
     return findings
-
-
-def _spread(finding: Finding, rows: NDArray[np.bool_]) -> Finding:
-    """Give a finding on some trajectories the rows of all; the others have 0, not NaN."""
-    series = np.zeros((len(rows), finding.series.shape[1]))
-    series[rows] = finding.series
-    return Finding.of(finding.check, finding.unit, series[:, :, None], budget=finding.budget)
 
 
 def _result(
@@ -257,14 +250,15 @@ def finding_result(batch: Batch, finding: Finding) -> FindingResult:
         trajectory=int(batch.index[row]),
         frame=int(finding.frame[row]),
         where=finding.where[row],
-        figures=tuple(float(figure) for figure in finding.figure),
+        figures=tuple(_finite(figure) for figure in finding.figure),
     )
 
 
 def _worst_of(findings: dict[str, Finding], check: str) -> float | None:
     if check not in findings:
         return None
-    return _finite(float(np.max(findings[check].figure)))
+    found = findings[check]
+    return _finite(float(np.max(found.figure[found.applies])))
 
 
 def _finite(value: float) -> float | None:

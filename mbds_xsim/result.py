@@ -48,8 +48,8 @@ class FindingResult(msgspec.Struct, frozen=True):
     """Index of the worst trajectory."""
     frame: int
     where: str
-    figures: tuple[float, ...]
-    """One a trajectory."""
+    figures: tuple[float | None, ...]
+    """One a trajectory; None where there is none, or it is not finite."""
 
 
 class EngineResult(msgspec.Struct, frozen=True):

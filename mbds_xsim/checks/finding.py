@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -152,6 +152,8 @@ class Finding:
     """What the check itself cannot resolve, added to the budget; shape (trajectory,)."""
     where: tuple[str, ...]
     """Which joint, body or component the worst value belongs to, one a trajectory."""
+    applies: NDArray[np.bool_]
+    """Trajectories that the check is about, shape (trajectory,); others have no figure and pass."""
     note: str = ""
 
     @staticmethod
@@ -176,7 +178,18 @@ class Finding:
             budget,
             np.broadcast_to(np.asarray(uncertainty, dtype=np.float64), len(parts)),
             tuple(names[k] if names else "" for k in worst),
+            np.ones(len(parts), dtype=bool),
             note,
+        )
+
+    def among(self, rows: NDArray[np.bool_]) -> Finding:
+        """Give a finding on some trajectories of a batch as one on the batch."""
+        whole = np.full((len(rows), self.series.shape[1]), np.nan)
+        whole[rows] = self.series
+        uncertainty, where = np.zeros(len(rows)), np.full(len(rows), "", dtype=object)
+        uncertainty[rows], where[rows] = self.uncertainty, self.where
+        return replace(
+            self, series=whole, uncertainty=uncertainty, where=tuple(where), applies=rows
         )
 
     @functools.cached_property
@@ -194,10 +207,11 @@ class Finding:
         """Whether the figure keeps its budget; a trajectory without a figure does not."""
         if self.budget is None:
             return np.ones(len(self.figure), dtype=bool)
-        return self.figure <= self.budget + self.uncertainty
+        return (self.figure <= self.budget + self.uncertainty) | ~self.applies
 
     @property
     def worst(self) -> int:
         """Row of the trajectory that comes off worst: no figure at all, else the largest."""
         excess: NDArray[Any] = self.figure - self.uncertainty
-        return int(np.where(np.isnan(excess), np.inf, excess).argmax())
+        excess = np.where(np.isnan(excess), np.inf, excess)
+        return int(np.where(self.applies, excess, -np.inf).argmax())

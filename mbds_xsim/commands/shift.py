@@ -9,7 +9,6 @@ import typer
 
 from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
-    CacheUse,
     Device,
     DeviceWorkers,
     JsonFile,
@@ -57,7 +56,9 @@ def shift(
         int | None,
         typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
     ] = None,
-    cache: CacheUse = True,
+    cache: Annotated[
+        bool, typer.Option(help="Use what was solved, predicted and simulated before.")
+    ] = True,
     workers: DeviceWorkers = None,
     device: Device = "cpu",
     json: JsonFile = None,
@@ -81,7 +82,7 @@ def shift(
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.accelerate import check_device
     from mbds_xsim.learn.shift.roster import Part
-    from mbds_xsim.learn.shift.study import study
+    from mbds_xsim.learn.shift.study import asked, study
     from mbds_xsim.report.shift_files import write_files
     from mbds_xsim.report.shift_terminal import print_shift
 
@@ -89,15 +90,14 @@ def shift(
     check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
     check_device(device)
     part = Part.parse(settings, on, seeds)
+    names = map(folder_name, scene or _scenes(models, data))
+    # All at once: what the last is lacking is said before the first has taken its time.
+    questions = [asked(models, data, n, trajectories=trajectories, part=part) for n in names]
     studies = []
-    for name in map(folder_name, scene or _scenes(models, data)):
+    for question in questions:
         with progress_on(console) as meter:
             found = study(
-                models,
-                data,
-                name,
-                trajectories=trajectories,
-                part=part,
+                question,
                 at=at,
                 cache=cache,
                 workers=workers,

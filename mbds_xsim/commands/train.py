@@ -98,7 +98,7 @@ def train(
     check_torch("train")
     from mbds_xsim.learn.campaign import Request, planned
     from mbds_xsim.learn.domains import groups
-    from mbds_xsim.report.training import print_left_out
+    from mbds_xsim.report.training import print_blocked, print_left_out
 
     console = console_for(json)
     check_targets(json=json, png=png)
@@ -115,12 +115,13 @@ def train(
         device=device,
         events=tensorboard,
     )
-    campaign = planned(request)
+    campaign = planned(request, only=plan)
     print_left_out(campaign, console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             measured = _costs(campaign, *carrier, console)
+            print_blocked(campaign, console)
             write_json(encoded({"cost": measured, "left_out": campaign.left_out}), json)
             return
         told = _trained(campaign, request, *carrier, console)
@@ -154,6 +155,7 @@ def _trained(
     """Carry the runs out, and give what is to be told of them."""
     from mbds_xsim.dataset.lock import locked
     from mbds_xsim.learn.campaign import LONG, carry
+    from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.report.training import TrainingBar, print_outcome
 
     with locked(request.out):
@@ -163,6 +165,9 @@ def _trained(
             outcome = carry(
                 campaign, workers=at_once, carrier=carrier, progress=bar, costs=measured
             )
+    if request.events is not None:
+        for name in campaign.found:
+            log_whole(request.out / f"{name}.curve.json", request.events / name)
     print_outcome(campaign, outcome, console)
     return {
         "runs": dict(sorted({**campaign.found, **outcome.trained}.items())),
@@ -182,7 +187,7 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
         msg = f"--bf16 and --compile: got --device {device}, allowed with them is cuda"
         raise InputError(msg)
     if tensorboard is not None:
-        check_events()
+        check_events(tensorboard)
 
 
 def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Profile:

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from mbds_xsim.dataset.croissant import croissant
 from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.join import JOINT, causes
 from mbds_xsim.dataset.layout import SUFFIX
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 
@@ -112,7 +112,7 @@ def _each(sets: Sequence[Dataset], key: str) -> str:
 
 
 def _valid(joint: Path) -> NDArray[np.bool_]:
-    with h5py.File(joint, "r") as file:
+    with opened(joint) as file:
         return np.asarray(file["valid_in_all"][()])
 
 

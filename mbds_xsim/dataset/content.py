@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.layout import Field, known_names
+from mbds_xsim.dataset.opened import opened
 
 __all__ = [
     "CONTENT",
@@ -123,11 +124,17 @@ def values_of(dataset: Any) -> NDArray[Any]:
     return np.asarray(dataset.asstr()[()] if is_text else dataset[()])
 
 
-def check_content(path: Path) -> str | None:
-    """Hold a file against its checksums; tell what differs, None where nothing does."""
-    with h5py.File(path, "r") as file:
+def check_content(path: Path, names: Collection[str] | None = None) -> str | None:
+    """Hold a file against its checksums; tell what differs, None where nothing does.
+
+    Args:
+        path: A data file.
+        names: Only these datasets' values; all when left out.
+    """
+    with opened(path) as file:
         for name, dataset in _datasets(file):
-            if SUM in dataset.attrs and dataset.attrs[SUM] != _sum(dataset[()]):
+            asked = names is None or name in names
+            if asked and SUM in dataset.attrs and dataset.attrs[SUM] != _sum(dataset[()]):
                 return f"dataset {name} is not what was written"
         if file.attrs.get(CONTENT) != _content_of(file):
             return "attributes are not what was written"

@@ -87,12 +87,14 @@ def export(
         progress: Where it is told.
 
     Raises:
-        InputError: There is no such data, or the folder holds something else.
+        InputError: There is no such data, it is not what was written, or the folder holds
+            something else.
     """
     sets = {file: load_dataset(file) for file in joined_files(path, engines)}
     absent = {str(file): _absent(data, numbers) for file, data in sets.items()}
     for data in sets.values():
         _check_target(data, out, form, numbers)
+        data.check()  # the form has no checksums by which one could find out later
     progress.begin(sum(len(data.files) for data in sets.values()))
     files = count = size = 0
     for data in sets.values():

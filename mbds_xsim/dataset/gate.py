@@ -66,11 +66,11 @@ class Verdict:
     def add(self, rows: NDArray[np.int64], findings: Iterable[Finding]) -> None:
         """Store findings about some of the trajectories."""
         for finding in findings:
-            column = _COLUMNS[finding.check]
+            column, about = _COLUMNS[finding.check], finding.applies
             budget = np.inf if finding.budget is None else finding.budget
-            self.figure[rows, column] = finding.figure
-            self.allowed[rows, column] = budget + finding.uncertainty
-            self.frame[rows, column] = finding.frame
+            self.figure[rows[about], column] = finding.figure[about]
+            self.allowed[rows[about], column] = budget + finding.uncertainty[about]
+            self.frame[rows[about], column] = finding.frame[about]
             self.failed[rows, column] = ~finding.passed
             for k in np.flatnonzero(~finding.passed):
                 self.reasons[rows[k]].append(_reason(finding, int(k)))

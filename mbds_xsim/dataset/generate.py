@@ -18,6 +18,8 @@ from mbds_xsim.dataset.watch import ProgressSink, watched
 from mbds_xsim.dataset.work import Carrier, make
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import core_count, run_tasks
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 
 __all__ = ["Generated", "Request", "generate"]
@@ -64,6 +66,8 @@ def generate(
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)
     variants, left_out = _variants(request)
+    for scene in {variant.scene.name: variant.scene for variant in variants}.values():
+        _check_drawn(scene, request)
     out = request.out.absolute()  # workers stand elsewhere
     with locked(request.out):
         for variant in variants:
@@ -95,6 +99,26 @@ def _variants(request: Request) -> tuple[list[Variant], dict[str, str]]:
         variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
         left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
     return variants, left_out
+
+
+def _check_drawn(scene: Scene, request: Request) -> None:
+    """Refuse a scene whose trajectories are copies: no part of such a set could test another."""
+    count = min(request.trajectories, len(INTERVALS) + 1)  # the last is of the first's interval
+    drawn = draw_batch(scene, range(count), seed=request.seed, noise=request.noise)
+    first: dict[bytes, int] = {}
+    for row in range(count):
+        one = drawn[row : row + 1]
+        values = (one.position, one.orientation, one.velocity, one.angular_velocity)
+        same = first.setdefault(
+            b"".join(v.tobytes() for v in (*values, one.force, one.torque)), row
+        )
+        if same != row:
+            msg = (
+                f"{scene.name}: trajectories {same} and {row} would be the same, as nothing of "
+                "them is drawn; give the scene [[sampling]] or noise, or ask for --trajectories "
+                f"{row}"
+            )
+            raise InputError(msg)
 
 
 def _clean(variant: Variant, out: Path) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.content import values_of
 from mbds_xsim.dataset.gate import Making
 from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.engine import Method, Settings
 from mbds_xsim.errors import InputError
@@ -43,7 +43,7 @@ class Held:
             InputError: It is no such file, or its scene is none.
         """
         attributes = attributes_of(path)
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             arrays = {name: values_of(file[name]) for name in known_names() if name in file}
         try:
             scene = msgspec.convert(tomllib.loads(attributes.get("scene", "")), Scene)

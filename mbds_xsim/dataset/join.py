@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.content import CONTENT, NewFile, encode, values_of
 from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.layout import SHARED, SUFFIX, Field, known_names
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.split import split_of
 from mbds_xsim.dataset.variant import Variant
@@ -86,7 +87,7 @@ def _joined(shards: Sequence[_Shard], trajectories: int, attributes: dict[str, A
         "shard/content": np.array([shard.content for shard in shards]),
     }
     fields = known_names()
-    with NewFile() as new, h5py.File(shards[0].path, "r") as first:
+    with NewFile() as new, opened(shards[0].path) as first:
         for name in sorted(own.keys() | {name for name in fields if name in first}):
             if name in own:
                 new.put(fields[name], own[name])
@@ -102,7 +103,7 @@ class _Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             self.index: NDArray[np.int64] = file["index"][()]
             self.content = str(file.attrs[CONTENT])
         self.rows = len(self.index)
@@ -137,7 +138,7 @@ def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
     found: Counter[str] = Counter()
     for name in names:
         if (folder / name).exists():
-            with h5py.File(folder / name, "r") as file:
+            with opened(folder / name) as file:
                 found.update(map(cause_of, file["reason"].asstr()[()]))
     return found
 
@@ -149,7 +150,7 @@ def cause_of(reason: str) -> str:
 
 def valid_numbers(path: Path) -> NDArray[np.bool_]:
     """Tell of each number that was drawn whether a joined file has its trajectory."""
-    with h5py.File(path, "r") as file:
+    with opened(path) as file:
         return np.isin(np.arange(file.attrs["count"]), file["index"][()])
 
 
@@ -157,7 +158,7 @@ def _join_scene(folder: Path) -> None:
     """Write which trajectories are published in all variants that a folder holds."""
     paths = [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
     masks = [valid_numbers(path) for path in paths]
-    with h5py.File(paths[0], "r") as file:
+    with opened(paths[0]) as file:
         shared = {key: file.attrs[key] for key in SHARED}
     common = min(map(len, masks))
     valid = np.stack([mask[:common] for mask in masks])

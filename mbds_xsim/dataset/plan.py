@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 
@@ -59,12 +59,8 @@ def attributes_of(path: Path) -> dict[str, Any]:
     Raises:
         InputError: It is no data file, or of a newer layout.
     """
-    try:
-        with h5py.File(path, "r") as file:
-            found = {key: _plain(value) for key, value in file.attrs.items()}
-    except OSError as error:
-        msg = f"{path} cannot be read as HDF5 ({_brief(error)}); it is truncated or something else"
-        raise InputError(msg) from error
+    with opened(path) as file:
+        found = {key: _plain(value) for key, value in file.attrs.items()}
     if found.get("format") != FORMAT:
         msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
         raise InputError(msg)
@@ -110,7 +106,3 @@ def _difference(key: str, got: Any, wanted: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _brief(error: OSError) -> str:
-    return str(error).split("(", 1)[-1].rstrip(")")

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import functools
 import mmap
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.content import values_of
+from mbds_xsim.dataset.content import CONTENT, check_content, values_of
 from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.dataset.windows import Windows
@@ -40,7 +40,7 @@ def load_dataset(path: str | Path) -> Dataset:
     if attributes.get("kind") not in ("shard", "rejected", "joined"):
         msg = f"{path} holds no trajectories, it is of the kind {attributes.get('kind')!r}"
         raise InputError(msg)
-    with h5py.File(path, "r") as file:
+    with opened(path) as file:
         small = {name: values_of(file[name]) for name in _small_names(file)}
     if attributes["kind"] != "joined":
         return Dataset(path, attributes, (path,), (len(small["index"]),), small)
@@ -125,6 +125,24 @@ class Dataset:
             msg = f"{self.path} is one shard; the split is in the file that joins the shards"
             raise InputError(msg)
         return np.flatnonzero(self.small["split"] == NAMES.index(split))
+
+    def check(self, names: Collection[str] | None = None) -> None:
+        """Hold values against the checksums that were written with them, which reading does not.
+
+        Args:
+            names: Only these datasets'; all when left out.
+
+        Raises:
+            InputError: Something is not what was written.
+        """
+        for path in dict.fromkeys((self.path, *self.files)):
+            wrong = check_content(path, names)
+            if wrong is not None:
+                raise InputError(f"{path}: {wrong}; get it again, or generate it anew")
+        for path, content in zip(self.files, self.small.get("shard/content", ()), strict=False):
+            if attributes_of(path)[CONTENT] != content:
+                msg = f"{path}: not the shard that {self.path.name} joins; generate it anew"
+                raise InputError(msg)
 
     def windows(
         self,
@@ -221,7 +239,7 @@ def _bytes_of(path: Path) -> mmap.mmap:
 
 def _place(path: Path, name: str) -> tuple[int, tuple[int, ...], np.dtype[Any]]:
     """Where a dataset's values are in its file."""
-    with h5py.File(path, "r") as file:
+    with opened(path) as file:
         if name not in file:
             msg = f"{path} has no dataset {name!r}"
             raise InputError(msg)

@@ -14,6 +14,7 @@ from mbds_xsim.dataset.content import check_content
 from mbds_xsim.dataset.gate import Verdict, judge_rows
 from mbds_xsim.dataset.held import Held
 from mbds_xsim.dataset.layout import CHECKS, FIELDS, Field
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.mechanism import Mechanism
@@ -68,7 +69,7 @@ def reaudit(path: Path, resimulated: int) -> FileReport:
 def _layout(held: Held) -> Iterator[str]:
     """Which datasets there must be, of which type and shape."""
     sizes = _sizes(held)
-    with h5py.File(held.path, "r") as file:
+    with opened(held.path) as file:
         for field in _fields(held.attributes["kind"]):
             if field.name not in file:
                 if field.name not in _OPTIONAL:

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mbds_xsim.dataset.content import CONTENT, check_content, values_of
 from mbds_xsim.dataset.join import JOINT, valid_numbers
 from mbds_xsim.dataset.layout import SUFFIX, known_names
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.reaudit import FileReport
 from mbds_xsim.dataset.split import NAMES, split_of
@@ -30,7 +30,7 @@ def recheck_joined(path: Path) -> FileReport:
         if wrong is not None:
             return FileReport(str(path), "joined", 0, (f"checksum: {wrong}",))
         told = attributes_of(path)
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             problems = (*_parts(path, file, told), *_virtual(file))
             index = file["index"][()]
             if not np.array_equal(file["split"][()], split_of(index, told["count"])):
@@ -62,7 +62,7 @@ def _parts(path: Path, file: Any, told: dict[str, Any]) -> Iterator[str]:
         differing = [k for k in told if k not in _OWN and other.get(k) != told[k]]
         if differing:
             yield f"shard {name} was made otherwise: {', '.join(differing)}"
-        with h5py.File(part, "r") as shard:
+        with opened(part) as shard:
             found.append(shard["index"][()])
         if len(found[-1]) != count:
             yield f"shard {name} has {len(found[-1])} trajectories, not {count}"
@@ -80,7 +80,7 @@ def _rejected(path: Path, index: Any, told: dict[str, Any]) -> Iterator[str]:
         return
     found = [index]
     for part in sorted(folder.glob(f"*{SUFFIX}")):
-        with h5py.File(part, "r") as file:
+        with opened(part) as file:
             found.append(file["index"][()])
     if not np.array_equal(np.sort(np.concatenate(found)), np.arange(told["count"])):
         yield f"published and rejected trajectories do not make up 0 to {told['count'] - 1}"
@@ -128,7 +128,7 @@ def recheck_joint(path: Path) -> FileReport:
         wrong = check_content(path)
         if wrong is not None:
             return FileReport(str(path), "joint", 0, (f"checksum: {wrong}",))
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             valid, told = file["valid"][()], values_of(file["variant"]).tolist()
             in_all = file["valid_in_all"][()]
         problems = tuple(_valid(path, valid, told))

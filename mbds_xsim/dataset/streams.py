@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.errors import InputError
 
 __all__ = ["RANKS", "Piece", "read_hdf5", "read_npz"]
@@ -62,7 +63,7 @@ class _Source(Protocol):
 
 def read_hdf5(path: Path) -> Iterator[Piece]:
     """Read arrays by their paths and attributes as facts; of other datasets only the names."""
-    with h5py.File(path, "r") as file:
+    with opened(path) as file:
         sources: dict[str, _Source] = {}
 
         def visit(name: str, item: Any) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.dataset.work import Carrier
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task
@@ -19,6 +20,7 @@ from mbds_xsim.learn.progress import TrainingSink, watched
 from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.runs import Run, carry_out, check_data, finished
 from mbds_xsim.learn.train import PROFILES, Profile
+from mbds_xsim.learn.window import names_read
 
 __all__ = ["LONG", "Campaign", "Outcome", "Request", "carry", "costs", "planned", "profile_named"]
 
@@ -56,6 +58,8 @@ class Campaign:
     """Facts of those that have been, by their name."""
     left_out: dict[str, str]
     """Why a model or an engine is not, by scene, variant and its name."""
+    blocked: dict[str, str]
+    """Of a campaign that is only planned, which of the runs have another's file in their place."""
 
 
 @dataclass
@@ -79,12 +83,16 @@ def profile_named(name: str) -> Profile:
     return PROFILES[name]
 
 
-def planned(request: Request) -> Campaign:
+def planned(request: Request, *, only: bool = False) -> Campaign:
     """List the runs.
 
+    Args:
+        request: What is to be trained.
+        only: Whether nothing will be written, so that nothing can be in its place.
+
     Raises:
-        InputError: A model, track or training is not there, data are too few or too short for it,
-            or in the place of a run there is another.
+        InputError: A model, track or training is not there, data are too few or too short for it
+            or not what was written, or in the place of a run there is another.
     """
     track = request.track or _TRACKS[request.profile_name]
     _check_models(request.models, track)
@@ -98,19 +106,53 @@ def planned(request: Request) -> Campaign:
         if not reason
         for run in _runs(request, group, model, track)
     ]
+    if not runs:
+        told = "; ".join(f"{model}: {reason}" for (_, model), reason in reasons.items())
+        raise InputError(f"nothing to train: {told}")
     for run in runs:
         check_data(run)
-    known = {run.name: finished(run) for run in runs}
+    found, blocked = _found(runs, only=only)
+    missing = tuple(run for run in runs if run.name not in found)
+    _check_contents(missing)
     return Campaign(
-        runs=tuple(run for run in runs if known[run.name] is None),
-        found={name: facts for name, facts in known.items() if facts is not None},
+        runs=missing,
+        found=found,
         left_out={
             f"{group.name}/{engine}": lack
             for group in request.groups
             for engine, lack in group.left_out.items()
         }
         | {f"{group.name}/{model}": reason for (group, model), reason in reasons.items() if reason},
+        blocked=blocked,
     )
+
+
+def _found(runs: Sequence[Run], *, only: bool) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
+    """Give the facts of finished runs, and why others could not be written."""
+    found: dict[str, dict[str, str]] = {}
+    blocked: dict[str, str] = {}
+    for run in runs:
+        try:
+            facts = finished(run)
+        except InputError as error:
+            if not only:
+                raise
+            blocked[run.name] = str(error)
+            continue
+        if facts is not None:
+            found[run.name] = facts
+    return found, blocked
+
+
+def _check_contents(runs: Sequence[Run]) -> None:
+    """Refuse data that are not what was written: a model's file will bear their checksums."""
+    names: dict[Dataset, set[str]] = {}
+    for run in runs:
+        read = names_read(bodies=load_model(run.model).needs_bodies)
+        for engine in run.share.engines:
+            names.setdefault(run.group.data[engine], set()).update(read)
+    for data, needed in names.items():
+        data.check(needed)
 
 
 def _check_models(models: Sequence[str], track: str) -> None:

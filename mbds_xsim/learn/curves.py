@@ -12,7 +12,7 @@ import msgspec
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.train import Point
 
-__all__ = ["Curve", "EventLog", "check_events", "read_curve", "write_curve"]
+__all__ = ["Curve", "EventLog", "check_events", "log_whole", "read_curve", "write_curve"]
 
 
 class Curve(msgspec.Struct, frozen=True):
@@ -56,7 +56,7 @@ def read_curve(path: Path) -> Curve:
     try:
         found = msgspec.json.decode(path.read_bytes(), type=_FileCurve)
     except (OSError, msgspec.MsgspecError) as error:
-        msg = f"{path}: no learning curve ({error}); give a file that training has written"
+        msg = f"{path}: no learning curve, or a damaged one ({error}); remove it"
         raise InputError(msg) from error
     points = [Point(p.step, _number(p.loss), _number(p.error), p.rate) for p in found.points]
     return Curve(found.run, found.most_steps, found.ended, points)
@@ -66,9 +66,13 @@ def _number(value: float | None) -> float:
     return float("inf") if value is None else value
 
 
-def check_events() -> None:
-    """Raise InputError where TensorBoard is not installed."""
+def check_events(folder: Path) -> None:
+    """Raise InputError where TensorBoard is not installed, or a file is in the folder's place."""
     _writer()
+    blocking = next((place for place in (folder, *folder.parents) if place.is_file()), None)
+    if blocking is not None:
+        msg = f"--tensorboard: got {folder}, but {blocking} is a file; name a folder"
+        raise InputError(msg)
 
 
 class EventLog(AbstractContextManager["EventLog"]):
@@ -91,6 +95,14 @@ class EventLog(AbstractContextManager["EventLog"]):
     def __exit__(self, *_: object) -> None:
         if self._to is not None:
             self._to.close()
+
+
+def log_whole(curve: Path, folder: Path) -> None:
+    """Tell TensorBoard of a run that is over, unless it has been told."""
+    if curve.exists() and not folder.exists():
+        with EventLog(folder) as log:
+            for point in read_curve(curve).points:
+                log.add(point)
 
 
 def _writer() -> Any:

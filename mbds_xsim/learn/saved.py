@@ -103,8 +103,11 @@ def read_facts(path: Path) -> dict[str, str]:
 def _read(path: Path) -> dict[str, Any]:
     try:
         whole: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:
-        msg = f"{path}: no trained model ({error}); give a file that training has written"
+    except OSError as error:
+        msg = f"{path}: no trained model can be read ({error.strerror or error})"
+        raise InputError(msg) from error
+    except Exception as error:  # whatever a file makes torch say, it tells a user nothing
+        msg = f"{path}: no trained model, or a damaged one; give another, or remove it"
         raise InputError(msg) from error
     if not isinstance(whole, dict) or whole.get("format") != _FORMAT:
         msg = f"{path}: no trained model of this version; train it again"

@@ -369,7 +369,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:
-        msg = f"{path}: no checkpoint that can be read ({error}); remove it to start anew"
+        msg = f"{path}: no checkpoint, or a damaged one; remove it to start anew"
         raise InputError(msg) from error
     return found
 

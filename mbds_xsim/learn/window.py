@@ -10,14 +10,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 
-__all__ = ["HISTORY", "Inputs", "Motions", "Sample", "Start"]
+__all__ = ["HISTORY", "Inputs", "Motions", "Sample", "Start", "names_read"]
 
 HISTORY = 6
 """Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
+
+_PARTICLES = ("position", "velocity")
+# What a model may be told: `input/force` has the noise in it and is never read.
+_KNOWN_FORCE, _TORQUE = "input/known_force", "input/torque"
+_BODIES = ("body/position", "body/orientation", "body/velocity", "body/angular_velocity")
+
+
+def names_read(*, bodies: bool) -> tuple[str, ...]:
+    """Name the datasets that `Motions.of` reads."""
+    return (*_PARTICLES, _KNOWN_FORCE, _TORQUE, *(_BODIES if bodies else ()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,18 +246,16 @@ class Motions:
 
 
 def _inputs(data: Dataset, rows: NDArray[np.int64], dtype: torch.dtype) -> Inputs:
-    """What a model may be told: `input/force` has the noise in it and is never read."""
     bodies, steps = len(data.scene.bodies), int(data.attributes["steps"])
     force = torch.zeros(1, 1, 1, 1).expand(len(rows), steps, bodies, 3)
-    if _has(data, "input/known_force"):
-        force = _stacked(data, "input/known_force", rows)
-    torque = _stacked(data, "input/torque", rows)
+    if _has(data, _KNOWN_FORCE):
+        force = _stacked(data, _KNOWN_FORCE, rows)
+    torque = _stacked(data, _TORQUE, rows)
     return Inputs(force.to(dtype), torque.to(dtype))
 
 
 def _bodies(data: Dataset, rows: NDArray[np.int64]) -> Tensor:
-    names = ("position", "orientation", "velocity", "angular_velocity")
-    return torch.cat([_stacked(data, f"body/{name}", rows) for name in names], dim=-1)
+    return torch.cat([_stacked(data, name, rows) for name in _BODIES], dim=-1)
 
 
 def _stacked(data: Dataset, name: str, rows: NDArray[np.int64]) -> Tensor:
@@ -255,7 +264,5 @@ def _stacked(data: Dataset, name: str, rows: NDArray[np.int64]) -> Tensor:
 
 def _has(data: Dataset, name: str) -> bool:
     """Whether a file has a dataset that may be absent."""
-    import h5py
-
-    with h5py.File(data.files[0], "r") as file:
+    with opened(data.files[0]) as file:
         return name in file

@@ -91,6 +91,8 @@ def samples_png(studies: Sequence[Samples]) -> bytes:
         blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
         for block, samples in zip(blocks[:, 0], studies, strict=True):
             draw_samples(block, samples)
+            if len(studies) > 1:
+                block.suptitle(samples.board.test.scene.name, fontsize=10, x=0.01, ha="left")
 
     return themed.png(draw, (sizes[0][0], sum(heights)))
 
@@ -143,5 +145,6 @@ def _draw_nodes(
     for one, two in zip(senders, receivers, strict=True):
         if one < two:
             axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
-    if not len(senders):
-        axes.plot(nodes[:, 0], nodes[:, 2], "o", ms=4, color=look["color"], alpha=0.85)
+    loose = np.setdiff1d(np.arange(len(nodes)), np.concatenate([senders, receivers]))
+    hollow = {} if look["ls"] == "-" else {"mfc": "none"}  # as dashed lines are
+    axes.plot(nodes[loose, 0], nodes[loose, 2], "o", ms=4, **{**look, "lw": 0.0}, **hollow)

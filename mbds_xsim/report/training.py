@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mbds_xsim.learn.campaign import Campaign, Outcome
     from mbds_xsim.learn.cost import Cost
 
-__all__ = ["TrainingBar", "print_costs", "print_left_out", "print_outcome"]
+__all__ = ["TrainingBar", "print_blocked", "print_costs", "print_left_out", "print_outcome"]
 
 
 class TrainingBar(Bar):
@@ -93,6 +93,17 @@ def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console
         highlight=False,
         soft_wrap=True,
     )
+
+
+def print_blocked(campaign: Campaign, console: Console) -> None:
+    """Print why what is planned could not be trained into the folder that was named."""
+    if campaign.blocked:
+        first = next(iter(campaign.blocked.values()))
+        console.print(
+            f"{len(campaign.blocked)} of these runs could not be written there: {first}",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def print_left_out(campaign: Campaign, console: Console) -> None:

@@ -44,6 +44,9 @@ def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) 
         assert row.failures == ()
         assert row.error_1s_m is not None
         assert row.error_1s_m < 1e-3
+        (early,) = (found for found in row.findings if found.check == "error at 1 s")
+        fast = [index % 3 == 2 for index in told.trajectories]  # chaotic, so not judged by it
+        assert [figure is None for figure in early.figures] == fast
         assert row.version in page
         assert row.engine in ended.out
     assert told.verdict.upper() in ended.out

@@ -331,7 +331,8 @@ def test_pieces_of_a_file_are_as_the_whole(
     ]
     for one, other in zip(pieces.findings, at_once.findings, strict=True):
         assert (one.check, one.passed) == (other.check, other.passed)
-        np.testing.assert_allclose(one.figures, other.figures, rtol=1e-9)
+        figures, others = (np.array(f.figures, dtype=np.float64) for f in (one, other))
+        np.testing.assert_allclose(figures, others, rtol=1e-9)
         assert one.figure == pytest.approx(other.figure, rel=1e-9)
         assert one.trajectory == other.trajectory or not any(one.figures)
     assert pieces.taken == at_once.taken

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -16,6 +17,8 @@ from mbds_xsim.dataset.numbers import parse_numbers
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene_file import read_scene
+
+from .conftest import Make
 
 MOTION = ("position", "velocity", "body/position", "body/orientation", "body/velocity")
 SET = "1pendulum/mujoco-matched"
@@ -121,6 +124,15 @@ def test_bad_requests_are_one_line(whole: Path, tmp_path: Path) -> None:
     _exported(whole, tmp_path, "csv", [3])
     with pytest.raises(InputError, match=r"holds 0000000003\.csv, which is not of this export"):
         _exported(whole, tmp_path, "csv", [4])
+
+
+def test_damaged_data_are_not_exported(make: Make, tmp_path: Path) -> None:
+    make(tmp_path / "data", trajectories=4)
+    with h5py.File(tmp_path / "data" / SET / "0000000000.h5", "r+") as file:
+        file["position"][2, 3] += 1e-6
+    with pytest.raises(InputError, match="dataset position is not what was written"):
+        _exported(tmp_path / "data", tmp_path / "out", "npz")
+    assert not (tmp_path / "out").exists()
 
 
 def test_numbers_are_read_as_people_write_them() -> None:

@@ -14,9 +14,11 @@ from mbds_xsim.checks import audit
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.split import split_of
+from mbds_xsim.errors import InputError
 from mbds_xsim.matched import settings_for
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling_terms import Levels, Turn
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.simulate import Simulation, simulate
@@ -95,6 +97,27 @@ def test_without_noise_nothing_pushes(make: Make, tmp_path: Path) -> None:
     with h5py.File(tmp_path / FILE) as file:
         assert not file["input/force"][()].any()
         assert not file.attrs["noise"]
+
+
+def test_copies_are_not_published(make: Make, rod: Scene, tmp_path: Path) -> None:
+    still = msgspec.structs.replace(rod, name="still", sampling=())
+    with pytest.raises(InputError, match=r"still: trajectories 0 and 1 would be the same, .* give"):
+        make(tmp_path, scene=still, trajectories=2, noise=False)
+    assert not list(tmp_path.iterdir())
+    make(tmp_path / "noise", scene=still, trajectories=2)
+    make(tmp_path / "one", scene=still, trajectories=1, noise=False)
+
+
+def test_one_start_an_interval_makes_copies_of_the_fourth(
+    make: Make, rod: Scene, tmp_path: Path
+) -> None:
+    rate = Levels((1.0, 1.0), (2.0, 2.0), (3.0, 3.0))
+    turn = Turn(point=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0), angle=(0.5, 0.5), rate=rate)
+    turned = msgspec.structs.replace(rod, name="turned", sampling=(turn,))
+    make(tmp_path / "three", scene=turned, trajectories=3, noise=False)
+    with pytest.raises(InputError, match=r"0 and 3 would be the same, .*; .* --trajectories 3$"):
+        make(tmp_path / "four", scene=turned, trajectories=4, noise=False)
+    assert not (tmp_path / "four").exists()
 
 
 def test_files_say_how_they_were_made(rod: Scene, whole: Path) -> None:

@@ -115,7 +115,7 @@ def test_files_that_hold_no_trajectories(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("not HDF5")
     with pytest.raises(InputError, match="cannot be read as HDF5"):
         mbds_xsim.load_dataset(tmp_path / "text.h5")
-    with pytest.raises(InputError, match=r"No such file|unable to open"):
+    with pytest.raises(InputError, match=r"nothing\.h5: there is no such file"):
         mbds_xsim.load_dataset(tmp_path / "nothing.h5")
 
 
@@ -131,3 +131,48 @@ def test_shards_that_are_missing_are_told(make: Make, tmp_path: Path) -> None:
 def test_the_package_knows_no_other_names() -> None:
     with pytest.raises(AttributeError, match="no attribute 'load_data'"):
         mbds_xsim.load_data  # noqa: B018
+
+
+@pytest.mark.parametrize("name", [FILE, "1pendulum/mujoco-matched/0000000000.h5"])
+def test_files_that_were_cut_off(name: str, make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=6)
+    whole = (tmp_path / name).read_bytes()
+    for size in range(0, len(whole), 1024):
+        (tmp_path / name).unlink()  # what is mapped of it must not change
+        (tmp_path / name).write_bytes(whole[:size])
+        with pytest.raises(InputError, match=rf"{Path(name).name} cannot be read as HDF5 \("):
+            mbds_xsim.load_dataset(tmp_path / FILE).check()
+
+
+@pytest.mark.parametrize(
+    "text", [b"\x89HDF\r\n", b"OHDR", b"GCOL", b"mujoco-matched/0000000000.h5"]
+)
+def test_damage_is_told_in_one_line(text: bytes, make: Make, tmp_path: Path) -> None:
+    """HDF5 raises errors of several kinds for it; bytes that are no text are not even its own."""
+    make(tmp_path, trajectories=6)
+    whole = (tmp_path / FILE).read_bytes()
+    assert text in whole
+    (tmp_path / FILE).write_bytes(whole.replace(text, b"\xff" * len(text)))
+    with pytest.raises(InputError, match=r"^\S+matched\.h5 cannot be read as HDF5 \(.*\); it is"):
+        mbds_xsim.load_dataset(tmp_path / FILE).check()
+
+
+def test_values_are_held_against_their_checksums(make: Make, tmp_path: Path) -> None:
+    make(tmp_path, trajectories=6)
+    data = mbds_xsim.load_dataset(tmp_path / FILE)
+    data.check()
+    shard = tmp_path / "1pendulum/mujoco-matched/0000000000.h5"
+    with h5py.File(shard, "r+") as file:
+        file["velocity"][1, 2] += 1e-6
+    data.check(["position"])
+    with pytest.raises(InputError, match=r"0\.h5: dataset velocity is not what was written; get"):
+        data.check(["position", "velocity"])
+
+
+def test_a_shard_of_another_set_is_not_taken_for_its_own(make: Make, tmp_path: Path) -> None:
+    make(tmp_path / "one", trajectories=6)
+    make(tmp_path / "two", trajectories=6, seed=1)
+    shard = "1pendulum/mujoco-matched/0000000000.h5"
+    (tmp_path / "two" / shard).replace(tmp_path / "one" / shard)
+    with pytest.raises(InputError, match=r"0\.h5: not the shard that mujoco-matched\.h5 joins"):
+        mbds_xsim.load_dataset(tmp_path / "one" / FILE).check()

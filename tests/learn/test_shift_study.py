@@ -22,7 +22,7 @@ import torch
 from mbds_xsim.choice import Choice
 from mbds_xsim.cli import app
 from mbds_xsim.dataset.generate import Request, generate
-from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.gns import GNS, GNSSettings
@@ -97,7 +97,7 @@ def cache(folder: Path) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def shift(folder: Path, cache: None) -> Shift:
     del cache
-    return study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    return study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
 
 
 def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
@@ -151,9 +151,43 @@ def test_what_was_tested_is_not_tested_again(
         raise AssertionError
 
     monkeypatch.setattr(evaluate, "figures_on", refuse)
-    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
+
+
+def test_without_the_cache_all_is_done_anew(
+    folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tested: list[tuple[Any, ...]] = []
+    gone_on: list[tuple[Any, ...]] = []
+    predicted = restart._predicted
+
+    def noted_figures(*words: Any, **more: Any) -> Figures:
+        tested.append(words)
+        return figures_on(*words, **more)
+
+    def noted_restart(*words: Any) -> torch.Tensor:
+        gone_on.append(words)
+        return predicted(*words)
+
+    monkeypatch.setattr(evaluate, "figures_on", noted_figures)
+    monkeypatch.setattr(restart, "_predicted", noted_restart)
+    question = study.asked(folder / "models", folder / "data", SCENE)
+    again = study.study(question, cache=False, workers=0).shift
+    assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
+    assert len(gone_on) == 2 * 3
+    assert again.cells == shift.cells
+    assert again.gaps == shift.gaps
+
+
+def test_all_scenes_are_checked_before_the_first_is_studied(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
+    words = ["shift", str(folder / "models"), str(folder / "data")]
+    with pytest.raises(InputError, match="balldrop"):
+        app([*words, "--scene", SCENE, "--scene", "balldrop"], standalone_mode=False)
 
 
 def test_restarts_that_were_interrupted_go_on(
@@ -168,7 +202,7 @@ def test_restarts_that_were_interrupted_go_on(
         return predicted(job, motions, inputs)
 
     monkeypatch.setattr(restart, "_predicted", noted)
-    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert done == [(one.name, two.name)]
     assert again.gaps == shift.gaps
 
@@ -219,7 +253,7 @@ def test_a_restart_that_crashes_takes_no_other_along(
         (one.name, one.name)
     }
     assert (meter.whole, meter.done) == (2, 2)
-    again = study.study(folder / "models", folder / "data", SCENE, workers=0).shift
+    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert again.gaps == shift.gaps
 
 
@@ -267,7 +301,7 @@ def test_memory_holds_one_domain_and_no_figures(
 def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:
     def studied(at: int) -> Shift:
         places = folder / "models", folder / "data"
-        return study.study(*places, SCENE, at=at, workers=0).shift
+        return study.study(study.asked(*places, SCENE), at=at, workers=0).shift
 
     early = studied(1)
     assert (shift.at, early.at) == (10, 1)
@@ -320,13 +354,15 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
 def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     models, data = folder / "models", folder / "data"
     part = Part.parse("native", "each", 1)
-    shift = study.study(models, data, SCENE, trajectories=2, part=part, workers=0).shift
+    shift = study.study(
+        study.asked(models, data, SCENE, trajectories=2, part=part), workers=0
+    ).shift
     trained = [model for model in shift.models if model.engines]
     assert trained
     assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
     assert {domain.variant for domain in shift.domains} == {"native", ""}
     with pytest.raises(InputError, match="no data of matched settings"):
-        study.study(models, data, SCENE, part=Part.parse("matched", None, None))
+        study.asked(models, data, SCENE, part=Part.parse("matched", None, None))
     with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
         find_entries(models, SCENE, Part.parse(None, "leave-one-out", None))
 
@@ -339,7 +375,7 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
         _train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
     parts = find_entries(tmp_path / "models", SCENE, Part.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
-    found = study.study(tmp_path / "models", tmp_path / "data", SCENE, workers=0).shift
+    found = study.study(study.asked(tmp_path / "models", tmp_path / "data", SCENE), workers=0).shift
     assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
     answer = next(answer for answer in found.answers if answer.kind == "speed")
     assert answer.question == "What does a change of speed cost (mujoco-native)?"
@@ -404,12 +440,18 @@ def _copied(folder: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["start/velocity", "input/force"])
-def test_unpaired_domains_are_refused(folder: Path, tmp_path: Path, name: str) -> None:
+def test_unpaired_domains_are_refused(
+    folder: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = _copied(folder, tmp_path)
     paired = load_paired(data, SCENE)
     shard = next((data / SCENE / "mujoco-native").glob("*.h5"))
     with h5py.File(shard, "r+") as file:
         file[name][int(paired.domains[1].rows[0]), ..., 0] += 1e-9
+    with pytest.raises(InputError, match=rf"0\.h5: dataset {name} is not what was written; get"):
+        load_paired(data, SCENE)
+    # Checksums that fit say nothing of pairing.
+    monkeypatch.setattr(Dataset, "check", lambda *_: None)
     with pytest.raises(InputError, match=f"{name} of trajectory {paired.index[0]} is not that"):
         load_paired(data, SCENE)
 
@@ -438,7 +480,7 @@ def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
     path = tmp_path / SCENE / "native" / "gns" / "mujoco-s0.pt"
     path.parent.mkdir(parents=True)
     path.write_bytes(b"nothing")
-    with pytest.raises(InputError, match="no trained model"):
+    with pytest.raises(InputError, match=r"-s0\.pt: no trained model, or a damaged one; give an"):
         find_entries(tmp_path, SCENE)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
 import msgspec
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.learn import campaign, runs
 from mbds_xsim.learn.campaign import Request, carry, planned
-from mbds_xsim.learn.curves import Curve, EventLog, read_curve, write_curve
+from mbds_xsim.learn.curves import Curve, EventLog, log_whole, read_curve, write_curve
 from mbds_xsim.learn.domains import Group, groups
 from mbds_xsim.learn.mixture import Share, mixed, trainings, turns
 from mbds_xsim.learn.progress import watched
@@ -383,9 +384,30 @@ def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset],
     assert "contact" in found.left_out["balldrop/native/hgnn"]
 
 
+def test_nothing_to_train_is_said_with_every_reason(data: Callable[..., Dataset], ask: Ask) -> None:
+    (ball,) = groups([data("balldrop").path])
+    request = dataclasses.replace(ask("hgnn", "lgnn", on="each"), groups=[ball])
+    with pytest.raises(InputError, match=r"^nothing to train: hgnn: .*contact.*; lgnn: .*contact"):
+        planned(request)
+
+
+def test_damaged_data_are_not_trained_on(made: Path, ask: Ask, tmp_path: Path) -> None:
+    folder = shutil.copytree(made, tmp_path / "data")
+    (shard_file,) = (folder / "2pendulum/mujoco-native").glob("*.h5")
+    with h5py.File(shard_file, "r+") as file:
+        file["position"][2, 3] += 1e-6
+    request = dataclasses.replace(ask(on="each"), groups=groups([folder]))
+    with pytest.raises(InputError, match="dataset position is not what was written"):
+        planned(request)
+    planned(dataclasses.replace(request, on="pybullet"))  # reads none of it
+
+
 def test_another_run_in_its_place_is_refused(ask: Ask) -> None:
     _carry(ask())
     longer = msgspec.structs.replace(TINY, steps=16)
+    plan = planned(dataclasses.replace(ask(), profile=longer), only=True)
+    assert list(plan.blocked) == [run.name for run in plan.runs]
+    assert "a model of another profile" in next(iter(plan.blocked.values()))
     with pytest.raises(InputError, match=r"all-s0.pt: a model of another profile; name another"):
         planned(dataclasses.replace(ask(), profile=longer))
     with pytest.raises(InputError, match=r"a model of another track, settings;"):
@@ -444,6 +466,19 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
     ]
 
 
+def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_path: Path) -> None:
+    reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    request = ask()
+    _carry(request)
+    (name,) = planned(request).found
+    for _ in range(2):  # once is enough
+        log_whole(request.out / f"{name}.curve.json", tmp_path / "events")
+    read = reading.EventAccumulator(str(tmp_path / "events"))
+    read.Reload()
+    points = read_curve(request.out / f"{name}.curve.json").points
+    assert [event.step for event in read.Scalars("error")] == [point.step for point in points]
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
@@ -460,6 +495,7 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
         (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
         (["DATA", "--profile", "smoke", "--out", "a-file"], "cannot write"),
+        (["DATA", "--tensorboard", "a-file/x"], "got a-file/x, but a-file is a file; name a"),
         (["SHARD"], "is one shard; the split is in the file that joins the shards"),
         (["FEW"], "0 trajectories of 13 frames for validation that all engines have, needed"),
     ],

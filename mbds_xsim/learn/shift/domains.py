@@ -13,11 +13,12 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import CONTENT
+from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.window import Inputs, Motions
+from mbds_xsim.learn.window import Inputs, Motions, names_read
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
@@ -132,8 +133,8 @@ def load_paired(
         variants: Only files of these settings; left out, all.
 
     Raises:
-        InputError: There is no data, or files do not belong together: another scene, seed, length
-            or start, or no test trajectory that all have.
+        InputError: There is no data, or it is not what was written, or files do not belong
+            together: another scene, seed, length or start, or no test trajectory that all have.
     """
     paths = sorted(path for path in (folder / scene).glob("*.h5") if _is_joined(path))
     if not paths:
@@ -156,6 +157,8 @@ def load_paired(
     if not len(index):
         msg = f"{folder / scene}: no test trajectory is valid in all {len(files)} files; make more"
         raise InputError(msg)
+    for file in files:
+        file.check({*_PAIRED, *names_read(bodies=True)})
     index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     _check_paired(files, rows)
@@ -225,9 +228,7 @@ def _batch(file: Dataset, rows: NDArray[np.int64]) -> Batch:
 
 
 def _quiet(file: Dataset, rows: NDArray[np.int64]) -> Array:
-    import h5py
-
-    with h5py.File(file.files[0], "r") as shard:
+    with opened(file.files[0]) as shard:
         known = "input/known_force" in shard
     if known:
         return _stacked(file, "input/known_force", rows)

@@ -49,6 +49,7 @@ def evaluate(
     domains: Sequence[Domain],
     plan: Plan,
     *,
+    cache: bool = True,
     workers: int | None = None,
     meter: Meter | None = None,
 ) -> Evaluated:
@@ -59,6 +60,7 @@ def evaluate(
         entries: Models.
         domains: Test domains.
         plan: How long to predict.
+        cache: Whether what was done is kept; else it is done anew.
         workers: Processes at a time.
         meter: Told of every model that is done now.
 
@@ -70,6 +72,9 @@ def evaluate(
     """
     # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
     paths = {(entry, d.name): _path(entry, d, plan) for entry in entries for d in domains}
+    if not cache:
+        for path in paths.values():
+            path.unlink(missing_ok=True)
     missing = [e for e in entries if not all(paths[e, d.name].is_file() for d in domains)]
     parts = [missing[k : k + _TOGETHER] for k in range(0, len(missing), _TOGETHER)]
     tasks = [

@@ -73,10 +73,11 @@ def restarted(
     domains: Sequence[Domain],
     horizon: int,
     *,
+    cache: bool = True,
     workers: int | None = None,
     meter: Meter | None = None,
 ) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
-    """Let every engine go on from every domain; what was done is kept and not done again.
+    """Let every engine go on from every domain; with `cache` what was done is not done again.
 
     Returns:
         Figures by engine and domain, and why there are none, by engine or by engine and domain.
@@ -88,7 +89,7 @@ def restarted(
         each = [_Job(engine, domain, horizon) for domain in domains]
         try:
             # All places are named here: tasks take them along.
-            missing += [job for job in each if read_figures(job.path) is None]
+            missing += [job for job in each if not cache or read_figures(job.path) is None]
         except Exception as error:  # an engine that is not installed, or does not load
             lost[engine.name] = str(error)
         else:

@@ -41,10 +41,18 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.registry import package_version
 from mbds_xsim.study.identity import machine
 
-__all__ = ["Studied", "study"]
+__all__ = ["Asked", "Studied", "asked", "study"]
 
 Array = NDArray[np.float64]
 _AT = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Models and data of one scene that belong together."""
+
+    test: Paired
+    trained: tuple[Entry, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +64,36 @@ class Studied:
     domains: tuple[Domain, ...]
 
 
-def study(
+def asked(
     models: Path,
     data: Path,
     scene: str,
     *,
     trajectories: int | None = None,
     part: Part = WHOLE,
+) -> Asked:
+    """Find what is to be studied.
+
+    Args:
+        models: Folder of trained models.
+        data: Folder of data sets.
+        scene: Name of the scene in both.
+        trajectories: Test with at most so many.
+        part: Which models and domains.
+
+    Raises:
+        InputError: Models or data are missing, or do not belong together.
+    """
+    test = load_paired(data, scene, trajectories, part.variants)
+    trained = find_entries(models, scene, part)
+    check_budget(trained)
+    check_data(trained, test)
+    return Asked(test, tuple(trained))
+
+
+def study(
+    question: Asked,
+    *,
     at: int | None = None,
     cache: bool = True,
     workers: int | None = None,
@@ -73,35 +104,30 @@ def study(
     """Test all models of a scene on all domains, and say what a change of engine does.
 
     Args:
-        models: Folder of trained models.
-        data: Folder of data sets.
-        scene: Name of the scene in both.
-        trajectories: Test with at most so many.
-        part: Which models and domains.
+        question: Which models, on which data.
         at: Frame of the answers and tables; left out, 10, or the last where there are fewer.
-        cache: Whether stored reference solutions are used.
+        cache: Whether what was solved, predicted and simulated before is used.
         workers: Processes at a time.
         device: Of the models.
         meter: Told of every model that is tested, and of every engine that goes on.
         command: What was typed.
 
     Raises:
-        InputError: Models or data are missing, or do not belong together, or there is no such
-            frame.
+        InputError: There is no such frame, or a model cannot be tested.
     """
     began = time.perf_counter()
-    test = load_paired(data, scene, trajectories, part.variants)
-    trained = find_entries(models, scene, part)
-    check_budget(trained)
-    check_data(trained, test)
-    entries = [*trivial_entries(), *trained]
+    test, entries = question.test, [*trivial_entries(), *question.trained]
     plan = Plan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
     at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
-    figures = evaluate(test.scene, entries, domains, plan, workers=workers, meter=meter)
-    gone_on, refused = restarted(test, domains, plan.horizon, workers=workers, meter=meter)
+    figures = evaluate(
+        test.scene, entries, domains, plan, cache=cache, workers=workers, meter=meter
+    )
+    gone_on, refused = restarted(
+        test, domains, plan.horizon, cache=cache, workers=workers, meter=meter
+    )
     board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
     left_out = {
         **test.left_out,
