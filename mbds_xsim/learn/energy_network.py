@@ -20,7 +20,8 @@ from torch import Tensor, nn
 
 from mbds_xsim.learn.energy import Kinetic, squares, velocities
 from mbds_xsim.learn.mechanics import Mechanics
-from mbds_xsim.learn.mechanics_points import kinds_of
+from mbds_xsim.learn.mechanics_points import distinct, kinds_of
+from mbds_xsim.sampling import noise_components
 
 __all__ = ["Drag", "EnergyNetwork", "EnergyShape"]
 
@@ -77,12 +78,17 @@ class Potential(nn.Module):
     """V over its unit, of positions in units of the scene's length."""
 
     kind: Tensor
+    axes: Tensor
+    """1 along axes in which the scene moves: of a plane motion nothing learned shall leave it."""
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
         width = shape.width
         kind, kinds = kinds_of(mechanics.points)
         self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
+        axes = torch.zeros(3)
+        axes[noise_components(mechanics.mechanism.scene)] = 1.0
+        self.register_buffer("axes", axes, persistent=False)
         self.embed = nn.Embedding(kinds, width)
         self.of_place = _perceptron(width + 3, 1, shape)
         self.slope = nn.Linear(width, 3)
@@ -92,7 +98,7 @@ class Potential(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
-        place = x[:, : len(self.kind)]
+        place = x[:, : len(self.kind)] * self.axes
         kind = self.embed(self.kind).expand(len(x), -1, -1)
         at = self.of_place(torch.cat([kind, place], -1))[..., 0]
         energy = (at + (self.slope(kind) * place).sum(-1)).sum(1)
@@ -104,14 +110,16 @@ class OfDistances(nn.Module):
 
     edge_map: Tensor
     ends: Tensor
+    kind: Tensor
 
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
         width = shape.width
-        for name, values in zip(("edge_map", "ends"), _edges(mechanics), strict=True):
+        for name, values in zip(("edge_map", "ends", "kind"), _edges(mechanics), strict=True):
             self.register_buffer(name, values, persistent=False)
         self.passes = shape.passes
-        self.of_distance = _perceptron(1, width, shape)
+        self.embed = nn.Embedding(int(self.kind.max()) + 1, width)
+        self.of_distance = _perceptron(width + 1, width, shape)
         self.message = _perceptron(2 * width, width, shape)
         self.renew = _perceptron(width, width, shape)
         self.of_edge = _perceptron(width, 1, shape)
@@ -120,7 +128,8 @@ class OfDistances(nn.Module):
     def forward(self, x: Tensor, node: Tensor) -> Tensor:
         """Give it, shape (batch,), at all nodes (batch, all nodes, 3) and their embeddings."""
         span = torch.linalg.vector_norm(self.edge_map @ x, dim=-1, keepdim=True)
-        edge = self.of_distance(span)
+        kind = self.embed(self.kind).expand(len(x), -1, -1)
+        edge = self.of_distance(torch.cat([kind, span], -1))
         for _ in range(self.passes):
             a, b = node[:, self.ends[0]], node[:, self.ends[1]]
             node = node.index_add(1, self.ends[0], self.message(torch.cat([a, edge], -1)))
@@ -140,8 +149,8 @@ class EnergyNetwork(nn.Module):
         self.mechanics = mechanics
         points = mechanics.points
         node_kind, node_kinds = kinds_of(points)
-        _, rod_kind = np.unique(np.round(_rod_columns(mechanics), 12), axis=0, return_inverse=True)
-        kind = np.concatenate([node_kind[: points.free], node_kinds + rod_kind.reshape(-1)])
+        rods = np.stack([points.rod_mass, points.rod_length], axis=1)
+        kind = np.concatenate([node_kind[: points.free], node_kinds + distinct(rods)])
         self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
         self.kinds = int(kind.max()) + 1
         self.length, self.square_speed = _units(mechanics)
@@ -212,18 +221,20 @@ def _units(mechanics: Mechanics) -> tuple[float, float]:
     return scene.length, (gravity or scene.length) * scene.length
 
 
-def _rod_columns(mechanics: Mechanics) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    return np.stack([mechanics.points.rod_mass, mechanics.points.rod_length], axis=1)
-
-
-def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor]:
-    """Vectors along rods, distance links and springs (edge, all nodes), and nodes at their ends."""
+def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
+    """Vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
+    (2, edge), and what tells their laws apart (edge,).
+    """
     points, mechanism = mechanics.points, mechanics.mechanism
     pairs = [*mechanism.distances, *mechanism.springs]
     spans = [points.span(pair.bodies, pair.in_body) for pair in pairs]
     rods = np.eye(points.count)[points.rods]
     ends = [[points.of_body(body).com for body in pair.bodies] for pair in pairs]
+    sizes = [len(rods), len(mechanism.distances), len(mechanism.springs)]
+    law = np.repeat(np.pad(np.eye(3), ((0, 0), (0, 3))), sizes, axis=0)
+    law[sizes[0] + sizes[1] :, 3:] = mechanics.spring_law.numpy()
     return (
         torch.as_tensor(np.concatenate([rods[:, 0] - rods[:, 1], *[s[None] for s in spans]])),
         torch.as_tensor(np.concatenate([points.rods, *[np.array([end]) for end in ends]]).T.copy()),
+        torch.as_tensor(distinct(law)),
     )

@@ -45,7 +45,8 @@ class Lagrangian(nn.Module):
             load = load + self.drag(v)
         mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
         jacobian = self.mechanics.jacobian(q).dense()
-        solved = constrained(mass, load.flatten(1), jacobian, self.mechanics.bias(v))
+        bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
+        solved = constrained(mass, load.flatten(1), jacobian, bias, redundant)
         return solved.view_as(q)
 
     def total_energy(self, q: Tensor, v: Tensor) -> Tensor:

@@ -28,19 +28,22 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-def constrained(mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
+def constrained(
+    mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor, redundant: int = 0
+) -> Tensor:
     """Accelerations under constraints, by the Schur complement of the mass matrix.
 
     Args:
         mass: Positive definite, shape (batch, n, n).
         load: Applied forces, shape (batch, n).
-        jacobian: A, of full rank, shape (batch, row, n).
+        jacobian: A, shape (batch, row, n).
         bias: Ȧ q̇, shape (batch, row).
+        redundant: How many rows A has beyond its rank.
 
     Returns:
         Shape (batch, n).
     """
-    solved: Tensor = _Constrained.apply(mass, load, jacobian, bias)  # type: ignore[no-untyped-call]
+    solved: Tensor = _Constrained.apply(mass, load, jacobian, bias, redundant)  # type: ignore[no-untyped-call]
     return solved
 
 
@@ -51,14 +54,16 @@ class _Constrained(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor) -> Tensor:
+    def forward(
+        ctx: Any, mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor, redundant: int
+    ) -> Tensor:
         factor, failed = torch.linalg.cholesky_ex(mass)
         # A contiguous matrix under the transpose is the layout of LAPACK, and is not copied.
         sides = torch.cat([jacobian, load[:, None]], dim=1).mT
         half, side = torch.linalg.solve_triangular(factor, sides, upper=False).split(
             [jacobian.shape[1], 1], dim=-1
         )
-        schur, failed_too = torch.linalg.cholesky_ex(half.mT @ half)
+        schur, failed_too = torch.linalg.cholesky_ex(_filled(half.mT @ half, redundant))
         value, multiplier = _saddle(factor, half, schur, side, bias)
         value = torch.where((failed + failed_too > 0)[:, None], torch.nan, value)
         ctx.save_for_backward(factor, half, schur, value, multiplier)
@@ -66,14 +71,34 @@ class _Constrained(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, ...]:
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         factor, half, schur, value, multiplier = ctx.saved_tensors
         side = torch.linalg.solve_triangular(factor, slope[..., None], upper=False)
         by_load, pull = _saddle(factor, half, schur, side, torch.zeros_like(multiplier))
         by_mass = -by_load[..., :, None] * value[..., None, :]
         by_jacobian = multiplier[..., :, None] * by_load[..., None, :]
         by_jacobian = -by_jacobian - pull[..., :, None] * value[..., None, :]
-        return by_mass, by_load, by_jacobian, -pull
+        return by_mass, by_load, by_jacobian, -pull, None
+
+
+def _filled(matrix: Tensor, redundant: int) -> Tensor:
+    """Fill up the null space that redundant rows leave in A M⁻¹ Aᵀ, so that it has a factor.
+
+    Multipliers of that space push nothing: Aᵀ has no part of them. Its dimension is known, so that
+    states at which constraints are violated a little have the same; what fills it is constant to
+    derivatives, since what it changes of multipliers pushes nothing either.
+    """
+    if not redundant:
+        return matrix
+    with torch.no_grad():
+        size = matrix.diagonal(dim1=-2, dim2=-1).sqrt()[..., None]
+        unit = matrix / size / size.mT
+        sound = unit.isfinite().all(-1).all(-1)[:, None, None]  # others have no spectrum, and fail
+        eye = torch.eye(unit.shape[-1]).to(unit)
+        _, axes = torch.linalg.eigh(torch.where(sound, unit, eye))
+        rest = size * axes[..., :redundant]
+        fill = rest @ rest.mT
+    return matrix + fill
 
 
 def _saddle(
@@ -120,6 +145,7 @@ class Mechanics(nn.Module):
         self.points = points_of(self.mechanism)
         self.free = self.points.free
         rows = rows_of(self.mechanism, self.points)
+        self.redundant = rows.redundant
         moved_mass, speed_map = _terms(self.points)
         mass = speed_map.T @ (moved_mass[:, None] * speed_map)
         mass_inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
@@ -147,7 +173,7 @@ class Mechanics(nn.Module):
 
     @property
     def row_count(self) -> int:
-        """Number of independent constraints."""
+        """Number of constraints, with those that follow from others."""
         return len(self.goal)
 
     def all_nodes(self, q: Tensor) -> Tensor:
@@ -202,7 +228,7 @@ class Mechanics(nn.Module):
 
     def factored(self, jacobian: Jacobian) -> Callable[[Tensor], Tensor]:
         """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row)."""
-        factor = _factor(jacobian.over_mass())
+        factor = _factor(_filled(jacobian.over_mass(), self.redundant))
         return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
 
     def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:

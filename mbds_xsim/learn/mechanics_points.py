@@ -21,12 +21,13 @@ from mbds_xsim.errors import Unsupported
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.spin import idle_axes
 
-__all__ = ["BodyPoints", "Points", "kinds_of", "points_of"]
+__all__ = ["BodyPoints", "Points", "distinct", "kinds_of", "points_of"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _SAME = 1e-12  # relative, of lengths and second moments
+_DIGITS = 12
 _MERGING = ("ball", "hinge", "fixed")
 
 
@@ -173,8 +174,16 @@ def kinds_of(points: Points) -> tuple[Indices, int]:
     """
     mass = points.mass[: points.count - 3]
     moves = np.arange(len(mass)) < points.free
-    _, kind = np.unique(np.stack([mass.round(12), moves], axis=1), axis=0, return_inverse=True)
-    return kind.reshape(-1).astype(np.int64), int(kind.max()) + 1
+    kind = distinct(np.stack([mass, moves], axis=1))
+    return kind, int(kind.max()) + 1
+
+
+def distinct(rows: Array) -> Indices:
+    """Number the different rows of a table, shape (row,); what rounding makes of one is alike."""
+    unit = np.abs(rows).max(axis=0, initial=0.0)
+    rounded = np.round(rows / np.where(unit > 0.0, unit, 1.0), _DIGITS)
+    _, kind = np.unique(rounded, axis=0, return_inverse=True)
+    return kind.reshape(-1).astype(np.int64)
 
 
 def _frame(mechanism: Mechanism, body: int, idle: Array) -> _Frame:

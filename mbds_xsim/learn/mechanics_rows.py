@@ -22,6 +22,7 @@ __all__ = ["PointRows", "rows_of"]
 Array = NDArray[np.float64]
 
 _AXES = np.eye(3)
+_STARTS = 8
 _DEPENDENT = 1e-9
 _ROUNDING = 1e-9
 
@@ -36,10 +37,13 @@ class PointRows:
     """W, shape (row, node)."""
     goal: Array
     """c [m²], or [m] where W is an axis of the world; shape (row,)."""
+    redundant: int
+    """How many of them follow from the others. Which these are depends on the pose: of a hinge in
+    a plane loop one right angle is enough, but at some angle not the one that was at another."""
 
 
 def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
-    """Write down the rows of rigid bodies and joints, of which none follows from the others."""
+    """Write down the rows of rigid bodies and joints that hold something that moves."""
     products: list[tuple[Array, Array, float]] = []
     for joint in mechanism.joints:
         products += _coincidence(joint, points)
@@ -50,13 +54,19 @@ def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
     for link in mechanism.distances:
         span = points.span(link.bodies, link.in_body)
         products.append((span, span, link.length**2))
-    rows = PointRows(
-        np.array([row[0] for row in products]).reshape(-1, points.count),
-        np.array([row[1] for row in products]).reshape(-1, points.count),
-        np.array([row[2] for row in products]),
+    first, second = (
+        _cleaned(np.array([row[k] for row in products]).reshape(-1, points.count)) for k in (0, 1)
     )
-    kept = _independent(mechanism, points, rows)
-    return PointRows(rows.first[kept], rows.second[kept], rows.goal[kept])
+    moves = (first[:, : points.free] != 0.0).any(1) | (second[:, : points.free] != 0.0).any(1)
+    first, second = first[moves], second[moves]
+    goal = np.array([row[2] for row in products])[moves]
+    return PointRows(first, second, goal, len(goal) - _rank(mechanism, points, first, second))
+
+
+def _cleaned(weights: Array) -> Array:
+    """Without what rounding left: alone in a row it would be a constraint like any other."""
+    largest = np.abs(weights).max(axis=1, keepdims=True, initial=0.0)
+    return np.where(np.abs(weights) > _ROUNDING * largest, weights, 0.0)
 
 
 def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
@@ -92,22 +102,14 @@ def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, flo
     return rows
 
 
-def _independent(mechanism: Mechanism, points: Points, rows: PointRows) -> NDArray[np.bool_]:
-    """Whether a row does not follow from those before it, at a drawn start."""
-    start = draw_batch(mechanism.scene, [2], noise=False, inputs=False)
-    free = points.place(start.position[0], mechanism.native_rotation(start.orientation[0]))
-    x = np.concatenate([free, points.fixed])
-    product = rows.first[:, :, None] * (rows.second @ x)[:, None]
-    product += rows.second[:, :, None] * (rows.first @ x)[:, None]
-    dense = product[:, : points.free].reshape(len(rows.goal), 3 * points.free)
-    basis = np.zeros((0, dense.shape[1]))
-    kept = np.zeros(len(dense), dtype=bool)
-    for k, row in enumerate(dense):
-        length = np.linalg.norm(row)
-        left = row
-        for _ in range(2):  # twice is enough (Kahan and Parlett)
-            left = left - basis.T @ (basis @ left)
-        kept[k] = np.linalg.norm(left) > _DEPENDENT * length
-        if kept[k]:
-            basis = np.concatenate([basis, left[None] / np.linalg.norm(left)])
-    return kept
+def _rank(mechanism: Mechanism, points: Points, first: Array, second: Array) -> int:
+    """Rank of the Jacobian; the largest at drawn starts, of which some may be singular."""
+    start = draw_batch(mechanism.scene, range(_STARTS), noise=False, inputs=False)
+    free = points.place(start.position, mechanism.native_rotation(start.orientation))
+    fixed = np.broadcast_to(points.fixed, (_STARTS, *points.fixed.shape))
+    x = np.concatenate([free, fixed], axis=1)
+    product = first[:, :, None] * (second @ x)[:, :, None]
+    product += second[:, :, None] * (first @ x)[:, :, None]
+    dense = product[:, :, : points.free].reshape(_STARTS, len(first), 3 * points.free)
+    dense /= np.linalg.norm(dense, axis=-1, keepdims=True)
+    return int(np.linalg.matrix_rank(dense, tol=_DEPENDENT).max()) if dense.size else 0

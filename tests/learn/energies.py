@@ -11,14 +11,16 @@ from mbds_xsim.learn.energy_network import EnergyNetwork, EnergyShape
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
 
 torch.set_num_threads(1)
 
 
-def random_energy(name: str, width: int = 5, seed: int = 3) -> EnergyNetwork:
+def random_energy(scene: Scene | str, width: int = 5, seed: int = 3) -> EnergyNetwork:
     """An energy as its random parameters make it; embeddings are shaken so that kinds differ."""
     torch.manual_seed(seed)
-    energy = EnergyNetwork(Mechanics(load_scene(name)), EnergyShape(width=width)).double()
+    scene = load_scene(scene) if isinstance(scene, str) else scene
+    energy = EnergyNetwork(Mechanics(scene), EnergyShape(width=width)).double()
     for parameter in energy.parameters():
         parameter.data += 0.3 * torch.randn_like(parameter)
     return energy

@@ -10,8 +10,11 @@ import pytest
 import torch
 
 from benchmarks.energy_rollouts import errors, from_places
+from mbds_xsim import rotation
+from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import Unsupported
+from mbds_xsim.learn import refusal
 from mbds_xsim.learn.energy import TrueEnergy
 from mbds_xsim.learn.energy_model import EnergyModel
 from mbds_xsim.learn.graph import Graph
@@ -22,7 +25,11 @@ from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
 from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
+
+from .energies import drawn_states
+from .mechanisms import scene_of
 
 DYNAMICS = {"lgnn": Lagrangian, "hgnn": Hamiltonian}
 
@@ -60,6 +67,28 @@ def test_a_start_is_what_was_published(data: Data, name: str) -> None:
     assert (model.positions(state) - start.history[:, -1]).abs().max() < 1e-6
     assert (model.velocities(state) - start.velocity).abs().max() < 1e-5
     assert model.mechanics.residual(state[:, 0]).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("scene", ["workbench", "linked", "every_joint"])
+def test_a_start_is_where_the_bodies_are(scene: str) -> None:
+    """Also of bodies whose frames are turned at the reference pose, and of nodes off centres."""
+    graph = Graph.of(scene_of(scene))
+    model = build("lgnn", graph, refusal._of_nothing(), track="lite")
+    assert isinstance(model, EnergyModel)
+    batch = draw_batch(graph.scene, range(3), noise=False)
+    rows = ("position", "orientation", "velocity", "angular_velocity")
+    body = torch.cat([torch.as_tensor(getattr(batch, name)) for name in rows], dim=-1)
+    history = torch.zeros(3, HISTORY, graph.particle_count, 3).double()
+    state = model.begin(Start(history, history[:, 0], body))
+    q, v = drawn_states(model.mechanics, 3)
+    assert torch.allclose(state[:, 0], q, atol=1e-9)
+    assert torch.allclose(state[:, 1], v, atol=1e-9)
+    assert scene == "every_joint" or (v != 0.0).any()
+    published = Points.of(graph.scene)
+    at = batch.position[:, published.body] + rotation.rotate(
+        published.mechanism.native_rotation(batch.orientation)[:, published.body], published.offset
+    )
+    assert torch.allclose(model.positions(state), torch.as_tensor(at), atol=1e-9)
 
 
 def test_violent_windows_have_no_say_and_slow_ones_as_much_as_fast_ones(data: Data) -> None:

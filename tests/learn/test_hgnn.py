@@ -11,6 +11,7 @@ from torch import Tensor
 from mbds_xsim.learn.hgnn import Hamiltonian
 
 from .energies import drawn_states, march, no_inputs, random_energy
+from .mechanisms import scene_of
 
 
 @pytest.mark.parametrize(("name", "steps"), [("6pendulum", 10), ("3ladder", 20)])
@@ -40,10 +41,10 @@ def test_a_learned_energy_is_kept(name: str, steps: int) -> None:
     assert drifts[1] < 1e-9 * speed
 
 
-@pytest.mark.parametrize("name", ["6pendulum", "3ladder"])
+@pytest.mark.parametrize("name", ["6pendulum", "3ladder", "four-bar", "bricard", "linked"])
 def test_rates_keep_the_constraints(name: str) -> None:
     """A q̇ = 0 and d/dt (A M⁻¹ p) = 0, whatever the energy and the forces."""
-    energy = random_energy(name)
+    energy = random_energy(scene_of(name))
     mechanics, model = energy.mechanics, Hamiltonian(energy)
     q, v = drawn_states(mechanics)
     torch.manual_seed(4)

@@ -14,9 +14,11 @@ from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape, OfD
 from mbds_xsim.learn.hgnn import Hamiltonian
 from mbds_xsim.learn.lgnn import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
-from mbds_xsim.scene import Scene
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Body, Particle, Scene, SpringDamper
 
 from .energies import drawn_states, march, no_inputs, random_energy
+from .mechanisms import scene_of
 
 
 @pytest.mark.parametrize("name", ["6pendulum", "3ladder"])
@@ -108,6 +110,90 @@ def test_drag_only_takes_energy() -> None:
             parameter.data = torch.randn_like(parameter)
         v = 5.0 * torch.randn(8, energy.mechanics.free, 3, dtype=torch.float64)
         assert ((drag(v) * v).sum((1, 2)) < 0).all()
+
+
+@pytest.mark.parametrize("name", ["3ladder", "four-bar", "bricard"])
+@pytest.mark.parametrize("dynamics", [Lagrangian, Hamiltonian])
+def test_accelerations_follow_the_parameters(
+    name: str, dynamics: type[Lagrangian | Hamiltonian]
+) -> None:
+    """Their gradient is what moving the parameters changes, also where rows are redundant."""
+    energy = random_energy(scene_of(name))
+    model, inputs = dynamics(energy), no_inputs(energy.mechanics, 2)
+    q, v = drawn_states(energy.mechanics, 2)
+    torch.manual_seed(7)
+    weight = torch.randn_like(q)
+    used = [parameter for parameter in energy.parameters() if parameter.requires_grad]
+    way = [torch.randn_like(parameter) for parameter in used]
+
+    def moved(size: float) -> Tensor:
+        for parameter, step in zip(used, way, strict=True):
+            parameter.data += size * step
+        total = (weight * model.acceleration(q, v, *inputs)).sum()
+        for parameter, step in zip(used, way, strict=True):
+            parameter.data -= size * step
+        return total
+
+    slopes = torch.autograd.grad(moved(0.0), used, allow_unused=True, materialize_grads=True)
+    along = sum(float((slope * step).sum()) for slope, step in zip(slopes, way, strict=True))
+    small = 1e-4
+    change = (moved(small) - moved(-small)).item() / (2.0 * small)
+    assert change == pytest.approx(along, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "3ladder"])
+def test_energy_falls_by_the_power_of_drag(name: str) -> None:
+    energy = random_energy(name)
+    drag = Drag(energy, EnergyShape()).double()
+    for parameter in drag.parameters():
+        parameter.data = torch.randn_like(parameter)
+    q, v = drawn_states(energy.mechanics)
+    v, inputs = v + 0.0, no_inputs(energy.mechanics, len(q))
+    lagrangian, hamiltonian = Lagrangian(energy, drag), Hamiltonian(energy, drag)
+    a = lagrangian.acceleration(q, v, *inputs)
+    lost = torch.func.jvp(lagrangian.total_energy, (q, v), (v, a))[1]
+    power = (drag(v) * v).sum((1, 2))
+    assert (power < 0).all()
+    assert torch.allclose(lost, power, rtol=1e-8)
+    p = hamiltonian.momentum(v)
+    q_rate, p_rate = hamiltonian.derivative(q, p, *inputs)
+    lost = torch.func.jvp(hamiltonian.total_energy, (q, p), (q_rate, p_rate))[1]
+    assert torch.allclose(lost, (drag(q_rate) * q_rate).sum((1, 2)), rtol=1e-8)
+
+
+def test_springs_are_told_apart_by_their_laws_and_not_by_their_ends() -> None:
+    def potential(springs: tuple[tuple[str, str, float], ...]) -> Tensor:
+        """Of three like bodies, the middle one nearer to the first."""
+        place = {"a": (0.0, 0.0, 0.0), "b": (1.0, 0.1, 0.0), "c": (2.5, 0.0, 0.3)}
+        scene = Scene(
+            "three",
+            tuple(Body(name, particles=(Particle(at),)) for name, at in place.items()),
+            1.0,
+            springs=tuple(
+                SpringDamper(f"{one}{two}", (one, two), (place[one], place[two]), stiffness, 0.1)
+                for one, two, stiffness in springs
+            ),
+        )
+        energy = random_energy(scene)
+        return energy.potential(drawn_states(energy.mechanics, 1)[0])
+
+    unlike = potential((("a", "b", 1.0), ("b", "c", 1000.0)))
+    other = potential((("a", "b", 1000.0), ("b", "c", 1.0)))
+    assert (unlike - other).abs() > 1e-6 * unlike.abs()
+    turned = potential((("b", "a", 1.0), ("c", "b", 1000.0)))
+    assert torch.allclose(unlike, turned, rtol=1e-12)
+
+
+@pytest.mark.parametrize("dynamics", [Lagrangian, Hamiltonian])
+def test_a_plane_motion_stays_in_its_plane(dynamics: type[Lagrangian | Hamiltonian]) -> None:
+    chain = load_scene("2pendulum")
+    energy = random_energy(msgspec.structs.replace(chain, dimension=2, sampling=()))
+    drag = Drag(energy, EnergyShape()).double()
+    q, v = drawn_states(energy.mechanics, 1)
+    v[:, :, 0] += torch.tensor([1.0, 3.0])
+    a = dynamics(energy, drag).acceleration(q, v, *no_inputs(energy.mechanics, 1))
+    assert (a[..., 1] == 0.0).all()
+    assert (a[..., [0, 2]].abs() > 0.0).all()
 
 
 def renamed(scene: Scene) -> Scene:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -22,31 +23,13 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations, solve
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene import Scene
+
+from .energies import march, no_inputs
+from .mechanisms import scene_of
 
 Array = NDArray[np.float64]
 torch.set_num_threads(1)
-
-INERTIA = Inertia(2.0, (0.3, 0.4, 0.5), (0.02, -0.03, 0.04), (0.1, 0.2, -0.1))
-
-
-def every_joint() -> Scene:
-    """A tree with every joint kind, a spring and skew inertias."""
-    return Scene(
-        "every_joint",
-        tuple(Body(f"b{k}", inertia=INERTIA, position=(1.0 * k, 0.2 * k, 0.0)) for k in range(6)),
-        1.0,
-        joints=(
-            Joint("h", "hinge", "world", "b0", (0.0, 0.0, 0.0), (1.0, 0.5, 0.2)),
-            Joint("s", "slider", "b0", "b1", (0.5, 0.0, 0.0), (0.3, 1.0, 0.2)),
-            Joint("f", "fixed", "b1", "b2", (1.5, 0.1, 0.0)),
-            Joint("b", "ball", "b3", "b2", (2.5, 0.1, 0.3)),
-            Joint("h2", "hinge", "b4", "b3", (3.5, 0.1, 0.3), (0.0, 0.0, 1.0)),
-        ),
-        springs=(
-            SpringDamper("k", ("b0", "b4"), ((0.0, 0.3, 0.0), (3.0, 2.0, 1.0)), 100.0, 3.0, 0.5),
-        ),
-    )
 
 
 def tree_states(mechanism: Mechanism) -> BodyStates:
@@ -62,7 +45,7 @@ def tree_states(mechanism: Mechanism) -> BodyStates:
 @functools.cache
 def recorded_states(name: str) -> BodyStates:
     """Drawn starts, and states along reference trajectories."""
-    scene = load_scene(name)
+    scene = scene_of(name)
     mechanism = Mechanism.of(scene)
     starts = draw_batch(scene, range(9), noise=False)
     short = starts[:3].truncated(20)
@@ -75,9 +58,10 @@ def recorded_states(name: str) -> BodyStates:
 
 
 def states_of(name: str) -> tuple[Scene, BodyStates]:
+    scene = scene_of(name)
     if name == "every_joint":
-        return every_joint(), tree_states(Mechanism.of(every_joint()))
-    return load_scene(name), recorded_states(name)
+        return scene, tree_states(Mechanism.of(scene))
+    return scene, recorded_states(name)
 
 
 def reference_accelerations(
@@ -100,7 +84,8 @@ def nodes(mechanics: Mechanics, bodies: BodyStates) -> tuple[Tensor, Tensor]:
     )
 
 
-NAMES = ["6pendulum", "3ladder", "every_joint"]
+LOOPS = ["andrews", "bricard", "workbench", "four-bar"]
+NAMES = ["6pendulum", "3ladder", "every_joint", "linked", *LOOPS]
 KINDS = ["mechanics", "lgnn", "hgnn"]
 
 
@@ -133,7 +118,8 @@ def test_rows_leave_the_freedoms_of_the_scene(name: str) -> None:
     mechanics = Mechanics(scene)
     idle = sum(len(body.tips) == 1 for body in mechanics.points.bodies)
     freedom = degrees_of_freedom(mechanics.mechanism) - idle
-    assert 3 * mechanics.free - mechanics.row_count == freedom
+    assert 3 * mechanics.free - mechanics.row_count + mechanics.redundant == freedom
+    assert (mechanics.redundant > 0) == (name in LOOPS)
     q, v = nodes(mechanics, bodies)
     assert mechanics.residual(q).abs().max() < 1e-9
     rate = mechanics.jacobian(q).along(v)
@@ -145,27 +131,76 @@ def test_a_pendulum_is_its_particles() -> None:
     assert (mechanics.free, mechanics.row_count) == (6, 6)
 
 
-def test_rows_that_say_the_same_are_dropped() -> None:
-    """A planar four-bar of hinges turns, though its hinges' axes are constrained thrice over."""
-    corners = [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.2, 0.0, 1.5), (2.0, 0.0, 0.0)]
-    bodies = ["world", "crank", "coupler", "rocker", "world"]
-    scene = Scene(
-        "fourbar",
-        tuple(
-            Body(name, inertia=Inertia(1.0, (0.1, 0.12, 0.1)), position=(0.7 * k, 0.0, 0.8))
-            for k, name in enumerate(bodies[1:4])
-        ),
-        1.0,
-        joints=tuple(
-            Joint(f"j{k}", "hinge", bodies[k], bodies[k + 1], corner, (0.0, 1.0, 0.0))
-            for k, corner in enumerate(corners)
+def rate_of(kind: str, energy: TrueEnergy, force: Tensor, torque: Tensor, state: Tensor) -> Tensor:
+    """Rate of nodes and their velocities, or momenta, under forces and torques."""
+    q, v = state.unbind(1)
+    if kind == "lgnn":
+        return torch.stack([v, Lagrangian(energy).acceleration(q, v, force, torque)], dim=1)
+    return torch.stack(Hamiltonian(energy).derivative(q, v, force, torque), dim=1)
+
+
+@pytest.mark.parametrize("kind", ["lgnn", "hgnn"])
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_move_as_the_reference(name: str, kind: str) -> None:
+    """Which of redundant rows is needed changes on the way; of fourth order, as the method."""
+    scene = scene_of(name)
+    steps = min(120, scene.clock.steps)
+    start = draw_batch(scene, [0], noise=False).truncated(steps)
+    moved, mechanics = solve(scene, start), Mechanics(scene)
+    q, v = nodes(
+        mechanics,
+        BodyStates(
+            moved.position[0],
+            mechanics.mechanism.native_rotation(moved.orientation[0]),
+            moved.velocity[0],
+            moved.angular_velocity[0],
         ),
     )
-    mechanics = Mechanics(scene)
-    assert 3 * mechanics.free - mechanics.row_count == 1
+    energy = TrueEnergy(mechanics)
+    first = v[:1] if kind == "lgnn" else mechanics.mass @ v[:1]
+    force, torque = torch.as_tensor(start.force), torch.as_tensor(start.torque)
+
+    def end(substeps: int) -> Tensor:
+        state = torch.stack([q[:1], first], dim=1)
+        for frame in range(steps):
+            push, turn = force[:, frame], torque[:, frame]
+            rate = functools.partial(rate_of, kind, energy, push, turn)
+            state = march(rate, state, substeps, scene.clock.frame)
+        return state[0, 0]
+
+    with torch.no_grad():
+        errors = [float((end(k) - q[-1]).abs().max()) / scene.length for k in (1, 2)]
+    print(f"{name} {kind}: {errors[1]:.1e}, order {math.log2(errors[0] / errors[1]):.2f}")
+    assert errors[1] < 1e-3
+    assert math.log2(errors[0] / errors[1]) > 3.5
 
 
-@pytest.mark.parametrize("name", ["6pendulum", "every_joint"])
+def test_gradients_go_through_redundant_rows() -> None:
+    """By the mass matrix and the loads, where constraints are met; along these rows all agree."""
+    generator = torch.Generator().manual_seed(5)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(shape, dtype=torch.float64, generator=generator)
+
+    rows, bias = draw(2, 3, 6), draw(2, 3)
+    mix = torch.cat([torch.eye(3), draw(2, 3).float()]).double()
+    jacobian, same = mix @ rows, (mix @ bias[..., None])[..., 0]
+
+    def solve_with_any(root: Tensor, load: Tensor, redundant: bool) -> Tensor:
+        mass = root @ root.mT + torch.eye(6, dtype=root.dtype)
+        if redundant:
+            return constrained(mass, load, jacobian, same, 2)
+        return constrained(mass, load, rows, bias)
+
+    root, load = draw(2, 6, 6).requires_grad_(), draw(2, 6).requires_grad_()
+    values = [solve_with_any(root, load, redundant) for redundant in (True, False)]
+    assert torch.allclose(values[0], values[1], atol=1e-10)
+    slopes = [torch.autograd.grad(value.pow(2).sum(), (root, load)) for value in values]
+    for one, other in zip(*slopes, strict=True):
+        assert torch.allclose(one, other, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "every_joint", "linked"])
 def test_jacobians_are_those_of_the_residual(name: str) -> None:
     scene, bodies = states_of(name)
     mechanics = Mechanics(scene)
@@ -178,7 +213,7 @@ def test_jacobians_are_those_of_the_residual(name: str) -> None:
     assert torch.allclose(rate.along(v), mechanics.bias(v), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["6pendulum", "every_joint"])
+@pytest.mark.parametrize("name", ["6pendulum", "every_joint", "linked"])
 def test_jacobians_need_not_be_written_out(name: str) -> None:
     scene, bodies = states_of(name)
     mechanics = Mechanics(scene)
@@ -211,6 +246,26 @@ def test_projection_closes_the_joints(name: str) -> None:
     same, again = mechanics.project(q, v)
     assert torch.allclose(same, q, atol=1e-9)
     assert torch.allclose(again, v, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["6pendulum", "bricard"])
+def test_a_lost_state_takes_no_other_along(name: str) -> None:
+    scene, bodies = states_of(name)
+    mechanics = Mechanics(scene)
+    q, v = nodes(mechanics, bodies)
+    lost = q.clone()
+    lost[1] = torch.nan
+    (sound, slow), (closed, slowed) = (mechanics.project(at, v) for at in (q, lost))
+    others = torch.arange(len(q)) != 1
+    assert torch.equal(closed[others], sound[others])
+    assert torch.equal(slowed[others], slow[others])
+    assert closed[1].isnan().all()
+    load, (push, turn) = torch.zeros_like(q), no_inputs(mechanics, len(q))
+    for at in (q, lost):
+        moved = Lagrangian(TrueEnergy(mechanics)).acceleration(at, v, push, turn)
+        assert moved[others].isfinite().all()
+        assert mechanics.acceleration(at, v, load)[others].isfinite().all()
+    assert moved[1].isnan().all()
 
 
 def test_contact_is_refused() -> None:
