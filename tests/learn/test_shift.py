@@ -533,6 +533,20 @@ def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     assert "Mean gap ratio 4 [4, 4] on native" in told
 
 
+def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
+    """However sure it is that errors differ there, if engines differ by less than these."""
+    board = _of_variants({"native": 4.0, "matched": 2.0}, 0.0)
+    oracles = {
+        pair: _figures(np.zeros((COUNT, FRAMES))) if all("matched" in n for n in pair) else apart
+        for pair, apart in board.oracles.items()
+    }
+    board = dataclasses.replace(board, oracles=oracles)
+    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    told = found["Does matched data remove the shift of gns?"]
+    assert "no shift is resolved on matched data, whose engines differ by less than" in told
+    assert "2 [2, 2] on matched data" in told
+
+
 def test_what_a_change_of_speed_costs() -> None:
     """Trained on another interval, models err 9 times as much, in medium starts 25 times."""
     board = _board(_shifted, floor=1.0)

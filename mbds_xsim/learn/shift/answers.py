@@ -321,13 +321,14 @@ def _removal(
     if not any(gap.resolved[place] for gap in gaps["native"]):
         return _UNTOLD
     less = change.low[place] > 1.0
-    if matched.low[place] > 1.0:
+    there = matched.low[place] > 1.0
+    if there and any(gap.resolved[place] for gap in gaps["matched"]):
         return "matched data lessen the shift" if less else "the shift is there on matched data too"
     if not less:
         return "whether matched data remove the shift cannot be told"
     near = all(gap.why[place] == WEAK for gap in gaps["matched"])
     why = ", whose engines differ by less than the model errs" if near else ""
-    return f"no shift is left on matched data{why}"
+    return f"no shift is {'resolved' if there else 'left'} on matched data{why}"
 
 
 def _ratio(draws: Draws, figure: Callable[[Look], Array]) -> _Ratio:
