@@ -94,6 +94,7 @@ reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
 	$(BIN)/python -m benchmarks.yardstick > $(REPORTS)/yardstick.md
+	$(BIN)/python -m benchmarks.filters > $(REPORTS)/filters.md
 
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
@@ -209,8 +210,9 @@ reports-data-full: $(VENV)/ready
 	$(call made,full,6pendulum --engines mujoco,$(FULL))
 	$(page)
 
-# The page that lists the reports.
+# What is told of the reports: how near the validations come to the budgets, and the page of all.
 reports-pages: $(VENV)/ready
+	$(BIN)/python benchmarks/margins.py $(REPORTS) > $(REPORTS)/margins.md
 	$(BIN)/python benchmarks/reports_page.py $(REPORTS) > $(REPORTS)/README.md
 
 # The table of README, from the trade-offs that are kept here.

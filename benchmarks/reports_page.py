@@ -12,6 +12,7 @@ from pathlib import Path
 
 CHAPTERS = (
     ("Validation", "make reports-validate", "[0-9a-z]*.md"),
+    ("How near the budgets", "make reports-pages", "margins.md"),
     ("Contact at matched settings", "make reports-contact", "contact-limits.md"),
     ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
     ("Is anything cheaper?", "make reports-cheapest", "cheapest.md"),
@@ -19,6 +20,7 @@ CHAPTERS = (
     ("Where models fail, and at what price", "make reports-models", "models/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),
+    ("Chunks and filters", "make reports-overhead", "filters.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
     ("Models under a change of engine", "make reports-shift", "shift/*.md"),

@@ -33,9 +33,10 @@ class Silence:
     def advance(self, done: int, rejected: int) -> None: ...
 
 
-def made(folder: Path) -> Path:
+def made(folder: Path, scene: str = "6pendulum", trajectories: int = 1000) -> Path:
+    """Make a data set in MuJoCo at its native settings."""
     choice = Choice.parse(engines="mujoco", profiles="native")
-    request = Request((load_scene("6pendulum"),), choice, 1000, folder)
+    request = Request((load_scene(scene),), choice, trajectories, folder)
     (count,) = generate(request, progress=Silence()).variants
     return folder / count.file
 

@@ -251,6 +251,7 @@ def finding_result(batch: Batch, finding: Finding) -> FindingResult:
         frame=int(finding.frame[row]),
         where=finding.where[row],
         figures=tuple(_finite(figure) for figure in finding.figure),
+        note=finding.note,
     )
 
 

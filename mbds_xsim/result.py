@@ -50,6 +50,8 @@ class FindingResult(msgspec.Struct, frozen=True):
     where: str
     figures: tuple[float | None, ...]
     """One a trajectory; None where there is none, or it is not finite."""
+    note: str
+    """What else the check saw: how much it resolves, what was delivered; empty where nothing."""
 
 
 class EngineResult(msgspec.Struct, frozen=True):

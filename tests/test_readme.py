@@ -33,6 +33,12 @@ def test_the_page_of_reports_lists_what_is_stored() -> None:
     assert found == _printed("reports_page.py", "reports"), "make reports-pages"
 
 
+def test_the_page_of_margins_is_that_of_the_validations() -> None:
+    found = (_ROOT / "reports" / "margins.md").read_text("utf-8")
+
+    assert found == _printed("margins.py", "reports"), "make reports-pages"
+
+
 def test_all_scenes_and_studies_are_reported() -> None:
     command = ["make", "-n", "reports-tradeoff", "reports-stability"]
     told = subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout

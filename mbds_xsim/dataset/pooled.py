@@ -37,6 +37,7 @@ class Pooled:
                 worst,
                 passed=new.passed and (before is None or before.passed),
                 figures=(before.figures if before else ()) + new.figures,
+                note=new.note if before is None else "",  # told of some trajectories alone
             )
 
     @property

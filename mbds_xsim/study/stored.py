@@ -21,6 +21,7 @@ class StoredFinding(msgspec.Struct, frozen=True):
     figure: float | None
     budget: float | None
     passed: bool
+    figures: tuple[float | None, ...]
 
 
 class StoredEngine(msgspec.Struct, frozen=True):

@@ -96,6 +96,15 @@ def test_both_profiles_stand_side_by_side(validate: Callable[..., Validation]) -
     assert len(told.matrix_m) == 5
 
 
+def test_what_a_check_saw_besides_is_told(validate: Callable[..., Validation]) -> None:
+    (row,) = validate("--engines", "mujoco").engines
+
+    notes = {finding.check: finding.note for finding in row.findings}
+    assert notes["kinematics"].startswith("frames resolve ")
+    assert notes["consistency of positions"] == f"order {row.order} declared"
+    assert notes["gap"] == ""
+
+
 def test_method_and_step_are_those_asked_for(validate: Callable[..., Validation]) -> None:
     (row,) = validate("--engines", "mujoco", "--method", "Euler", "--step", "0.0005").engines
 

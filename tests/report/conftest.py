@@ -156,6 +156,7 @@ def _finding(check: str, unit: str, values: Array, budget: float | None) -> Find
         int(np.argmax(values[trajectory])),
         "joint1",
         tuple(figures.tolist()),
+        "told besides",
     )
 
 

@@ -89,6 +89,12 @@ def _unclosed(page: str) -> list[str]:
     return parser.open
 
 
+def test_it_tells_what_a_check_saw_besides(page: str, case: Case) -> None:
+    findings = [finding for result in case.validation.engines for finding in result.findings]
+
+    assert page.count("told besides") == len(findings)
+
+
 def test_it_names_verdict_command_versions_and_options(page: str, case: Case) -> None:
     validation = case.validation
     for text in (validation.command, validation.machine, *validation.versions, "1.2.3"):

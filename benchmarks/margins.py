@@ -1,0 +1,100 @@
+"""Write reports/margins.md: how much of its budgets each engine uses at matched settings.
+
+python benchmarks/margins.py reports > reports/margins.md
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.report import quantity
+from mbds_xsim.study.stored import StoredFinding, StoredValidation
+
+_LEAST = 1e-3
+
+_HEAD = """\
+# How near the budgets
+
+<!-- Written by: python benchmarks/margins.py reports > reports/margins.md -->
+
+The worst figure of every check, over all starts of all [validated](README.md#validation) scenes, as
+a share of what the scene allows. At 100 % a budget is only just kept; over it (bold), in how many
+trajectories it is not stands behind. Then the figure itself and the scene; without a share it is
+shown and not judged, 0 is exact, and – is a check that nothing here is about. What checks mean:
+[checks](../docs/checks.md).
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """What comes nearest to its budget in a check, or goes furthest beyond it."""
+
+    share: float
+    scene: str
+    finding: StoredFinding
+
+
+Found = dict[str, dict[str, Worst]]
+"""By check, then by engine."""
+
+
+def main(folder: Path) -> None:
+    """Print the page."""
+    found: Found = {}
+    for file in sorted(folder.glob("*.json")):
+        _add(found, msgspec.json.decode(file.read_bytes(), type=StoredValidation))
+    engines = sorted({engine for worst in found.values() for engine in worst})
+    print(_HEAD)
+    print(f"| check | {' | '.join(engines)} |")
+    print(f"| :-- |{' :-- |' * len(engines)}")
+    for check, worst in _by_tightness(found):
+        print(f"| {check} | {' | '.join(_cell(worst.get(engine)) for engine in engines)} |")
+
+
+def _add(found: Found, validation: StoredValidation) -> None:
+    for engine in validation.engines:
+        for finding in engine.findings:
+            if finding.figure is not None:
+                share = finding.figure / (finding.budget or 1.0)
+                worst = Worst(share, validation.scene, finding)
+                kept = found.setdefault(finding.check, {}).setdefault(engine.engine, worst)
+                if share > kept.share:
+                    found[finding.check][engine.engine] = worst
+
+
+def _by_tightness(found: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
+    """Tightest first, and last what is not judged."""
+
+    def place(item: tuple[str, dict[str, Worst]]) -> tuple[bool, float]:
+        worst = item[1].values()
+        return any(one.finding.budget is None for one in worst), -max(one.share for one in worst)
+
+    yield from sorted(found.items(), key=place)
+
+
+def _cell(worst: Worst | None) -> str:
+    if worst is None:
+        return quantity.NONE
+    finding, share = worst.finding, worst.share
+    if finding.figure == 0:
+        return "0"
+    told = f"{quantity.with_unit(finding.figure, finding.unit)}, {worst.scene}"
+    if finding.budget is None:
+        return told
+    if share < _LEAST:
+        return f"<{100 * _LEAST} %: {told}"
+    text = f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
+    if share <= 1:
+        return f"{text}: {told}"
+    judged = [figure for figure in finding.figures if figure is not None]
+    over = sum(figure > finding.budget for figure in judged)
+    return f"**{text}**, {over} of {len(judged)}: {told}"
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
