@@ -79,8 +79,8 @@ def main() -> None:
         for scene in _SCENES:
             data = mbds_xsim.load_dataset(made(Path(folder), scene, _TRAJECTORIES))
             for part, names in _PARTS.items():
+                arrays = {name: np.array(data[name]) for name in names}
                 for way in _WAYS:
-                    arrays = {name: np.array(data[name]) for name in names}
                     row = _measured(arrays, way, Path(folder) / "tried.h5")
                     print(f"| {scene} | {part} | {way.label} | {row} |", flush=True)
     print(f"\nMade on {machine()}, with HDF5 {h5py.version.hdf5_version}.")

@@ -5,6 +5,7 @@ python benchmarks/margins.py reports > reports/margins.md
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,9 +24,9 @@ _HEAD = """\
 <!-- Written by: python benchmarks/margins.py reports > reports/margins.md -->
 
 The worst figure of every check, over all starts of all [validated](README.md#validation) scenes, as
-a share of what the scene allows. At 100 % a budget is only just kept; over it (bold), in how many
-trajectories it is not stands behind. Then the figure itself and the scene; without a share it is
-shown and not judged, 0 is exact, and – is a check that nothing here is about. What checks mean:
+a share of what the scene allows. At 100 % a budget is only just kept; where it is not (bold), the
+trajectories that are over it are counted. Then the figure itself and the scene; without a share it
+is shown and not judged, 0 is exact, and – is nothing to tell. What checks mean:
 [checks](../docs/checks.md).
 """
 
@@ -34,9 +35,19 @@ shown and not judged, 0 is exact, and – is a check that nothing here is about.
 class Worst:
     """What comes nearest to its budget in a check, or goes furthest beyond it."""
 
-    share: float
     scene: str
     finding: StoredFinding
+
+    @property
+    def share(self) -> float:
+        """Of the budget, the figure itself where there is none; no figure is the worst."""
+        figure = self.finding.figure
+        return math.inf if figure is None else figure / (self.finding.budget or 1.0)
+
+    @property
+    def place(self) -> tuple[bool, float]:
+        """What fails is worse than what passes."""
+        return not self.finding.passed, self.share
 
 
 Found = dict[str, dict[str, Worst]]
@@ -59,12 +70,10 @@ def main(folder: Path) -> None:
 def _add(found: Found, validation: StoredValidation) -> None:
     for engine in validation.engines:
         for finding in engine.findings:
-            if finding.figure is not None:
-                share = finding.figure / (finding.budget or 1.0)
-                worst = Worst(share, validation.scene, finding)
-                kept = found.setdefault(finding.check, {}).setdefault(engine.engine, worst)
-                if share > kept.share:
-                    found[finding.check][engine.engine] = worst
+            worst = Worst(validation.scene, finding)
+            kept = found.setdefault(finding.check, {}).setdefault(engine.engine, worst)
+            if worst.place > kept.place:
+                found[finding.check][engine.engine] = worst
 
 
 def _by_tightness(found: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
@@ -80,20 +89,22 @@ def _by_tightness(found: Found) -> Iterator[tuple[str, dict[str, Worst]]]:
 def _cell(worst: Worst | None) -> str:
     if worst is None:
         return quantity.NONE
-    finding, share = worst.finding, worst.share
+    finding = worst.finding
+    figure = quantity.with_unit(finding.figure, finding.unit)
+    if finding.figure is None:
+        return quantity.NONE if finding.passed else f"**no figure**, {worst.scene}"
     if finding.figure == 0:
         return "0"
-    told = f"{quantity.with_unit(finding.figure, finding.unit)}, {worst.scene}"
     if finding.budget is None:
-        return told
-    if share < _LEAST:
-        return f"<{100 * _LEAST} %: {told}"
-    text = f"{100 * share:.2g} %" if share < 1 else f"{100 * share:.0f} %"
-    if share <= 1:
-        return f"{text}: {told}"
-    judged = [figure for figure in finding.figures if figure is not None]
-    over = sum(figure > finding.budget for figure in judged)
-    return f"**{text}**, {over} of {len(judged)}: {told}"
+        return f"{figure}, {worst.scene}"
+    share = f"{100 * worst.share:.2g} %" if worst.share < 1 else f"{100 * worst.share:.0f} %"
+    if worst.share < _LEAST:
+        share = f"<{100 * _LEAST} %"
+    if finding.passed:
+        return f"{share}: {figure}, {worst.scene}"
+    judged = [each for each in finding.figures if each is not None]
+    over = sum(each > finding.budget for each in judged)
+    return f"**{share}**, {over} of {len(judged)}: {figure}, {worst.scene}"
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ __all__ = ["eccentric_friction", "eccentric_restitution"]
 
 Array = NDArray[np.float64]
 
-_RESTITUTION = 5.0  # times the budget of balls; springs of a dozen steps give up to 0.038
+_RESTITUTION = 5.0  # times the budget of balls; springs of a few steps give up to 0.033
 _FRICTION = 15.0  # times the budget; PyBullet's friction beside the slip gives up to 0.24
 _BLUR = 3.0  # times the rebound's speed that the course does not explain
 
@@ -38,6 +38,14 @@ class _Deviation:
     friction: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Least(_Deviation):
+    """From the law that each impact keeps to best."""
+
+    rigid: NDArray[np.bool_]
+    """Whether that is the rigid one."""
+
+
 def eccentric_restitution(record: Record) -> Finding | None:
     """Compare what single eccentric impacts give back with the scene's coefficient, else None.
 
@@ -48,13 +56,17 @@ def eccentric_restitution(record: Record) -> Finding | None:
         return None
     assert record.scene.ground is not None
     ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
+    note = told_restitution(ratios, record.scene.ground.restitution)
+    if ratios:
+        rigid = sum(int(deviation.rigid.sum()) for _, _, deviation in groups)
+        note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
     return Finding.of(
         "eccentric restitution",
         "1",
         _parts(record, [(hits, deviation.restitution) for _, hits, deviation in groups]),
         budget=_RESTITUTION * record.scene.budget.restitution,
         names=tuple(name for name, _, _ in groups),
-        note=told_restitution(ratios, record.scene.ground.restitution),
+        note=note,
     )
 
 
@@ -82,15 +94,14 @@ def _parts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
 
 
 @functools.lru_cache(maxsize=1)
-def _deviations(record: Record) -> list[tuple[str, Impacts, _Deviation]]:
+def _deviations(record: Record) -> list[tuple[str, Impacts, _Least]]:
     """Name and impacts of each group that is no ball, and how far they are from a law."""
     pushes = [push for push in pushes_of(record) if not push.ball]
     found = [(push.name, fast_impacts_of(record, push)) for push in pushes]
-    return [(name, hits, _deviation(record, hits)) for name, hits in found]
+    return [(name, hits, _least(record, hits)) for name, hits in found]
 
 
-def _deviation(record: Record, hits: Impacts) -> _Deviation:
-    """From the law that each impact keeps to best."""
+def _least(record: Record, hits: Impacts) -> _Least:
     budget = record.scene.budget
     rigid, compliant = _from_rigid(record, hits), _from_compliant(record, hits)
     worst = [
@@ -101,9 +112,10 @@ def _deviation(record: Record, hits: Impacts) -> _Deviation:
         for law in (rigid, compliant)
     ]
     hard = worst[0] <= worst[1]
-    return _Deviation(
+    return _Least(
         np.where(hard, rigid.restitution, compliant.restitution),
         np.where(hard, rigid.friction, compliant.friction),
+        hard,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 
 import msgspec
@@ -212,6 +213,9 @@ def test_impacts_keep_to_either_law(law: Law, known: float) -> None:
     assert restitution.figure.max() < known
     assert friction.figure.max() < known
     assert "the scene has 0.9332" in restitution.note
+    (counts,) = re.findall(r"; (\d+) of (\d+) impacts by the rigid law", restitution.note)
+    rigid, impacts = map(int, counts)
+    assert rigid == impacts if law is _State.hit else rigid < impacts / 2
 
 
 def test_springs_do_not_keep_to_newtons_law() -> None:

@@ -335,6 +335,8 @@ def test_pieces_of_a_file_are_as_the_whole(
         np.testing.assert_allclose(figures, others, rtol=1e-9)
         assert one.figure == pytest.approx(other.figure, rel=1e-9)
         assert one.trajectory == other.trajectory or not any(one.figures)
+        assert one.note == ""  # a piece's would not be true of all
+    assert any(finding.note for finding in at_once.findings)
     assert pieces.taken == at_once.taken
     assert (pieces.trajectories, pieces.verdict) == (100, at_once.verdict)
 
