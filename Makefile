@@ -12,7 +12,7 @@ comma = ,
 
 # One at a time: the reports take times.
 .NOTPARALLEL:
-.PHONY: validate test lint package clean reports reports-validate reports-contact \
+.PHONY: validate test fuzz lint package clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-data \
 	reports-data-full reports-pages readme
@@ -23,6 +23,11 @@ validate: $(VENV)/ready
 test: $(VENV)/ready
 	MBDS_XSIM_MUST_RUN=mujoco,pybullet,dart,exudyn $(BIN)/python -m pytest \
 		--numprocesses logical --dist worksteal
+
+# Ten times the cases of bad input that the tests have, new ones each time.
+FUZZ ?= 3000
+fuzz: $(VENV)/ready
+	MBDS_XSIM_FUZZ=$(FUZZ) $(BIN)/python -m pytest tests/fuzz
 
 lint: $(VENV)/ready
 	$(BIN)/ruff check .
