@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from mbds_xsim.engine import ModelSize, Readback, Settings
+import numpy as np
+
+from mbds_xsim.engine import ModelSize, Readback, Run, Settings
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["Simulation", "simulate"]
+__all__ = ["Simulation", "recorded", "simulate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +46,8 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
         loaded = time.perf_counter()
         readback = run.readback(batch)
         start, spent = time.perf_counter(), time.process_time()
-        trajectory = run.rollout(batch)
+        trajectory = recorded(run, batch)
         end, spent = time.perf_counter(), time.process_time() - spent
-        _check_shape(engine, trajectory, batch)
         return Simulation(
             engine=engine,
             version=adapter.version(),
@@ -60,9 +61,31 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
         )
 
 
-def _check_shape(engine: str, trajectory: Trajectory, batch: Batch) -> None:
-    """Refuse what would not fit beside the other engines' trajectories."""
-    expected = (len(batch), batch.steps + 1, *batch.position.shape[1:])
-    if trajectory.position.shape != expected:
-        msg = f"{engine} gave positions of shape {trajectory.position.shape}, not {expected}"
+def recorded(run: Run, batch: Batch) -> Trajectory:
+    """Run a batch, and hold what comes back against what a `Run` promises.
+
+    Frames from a failure on are NaN, whatever an adapter left in them.
+
+    Raises:
+        ValueError: An array has another shape or type than it must, or failures are not told.
+    """
+    trajectory = run.rollout(batch)
+    rows = (len(batch), batch.steps + 1, batch.position.shape[1])
+    shapes = {
+        "time": rows[1:2],
+        "position": (*rows, 3),
+        "orientation": (*rows, 4),
+        "velocity": (*rows, 3),
+        "angular_velocity": (*rows, 3),
+    }
+    for name, shape in shapes.items():
+        given = getattr(trajectory, name, None)
+        if not isinstance(given, np.ndarray) or given.dtype != float or given.shape != shape:
+            got = f"{given.dtype} {given.shape}" if isinstance(given, np.ndarray) else type(given)
+            msg = f"the adapter gave {name} as {got}, not as float64 {shape}"
+            raise ValueError(msg)
+    told = trajectory.failures
+    if len(told) != len(batch) or not all(one is None or isinstance(one, Failure) for one in told):
+        msg = f"the adapter gave failures {told!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
+    return trajectory.cut_at_failures()

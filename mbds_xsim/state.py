@@ -119,6 +119,18 @@ class Trajectory:
             failures[row] = failure
         return Trajectory(self.time, **arrays, failures=tuple(failures))
 
+    def cut_at_failures(self) -> Trajectory:
+        """Put NaN into all frames from each failure on, the last one at least.
+
+        So that no frame is used, whatever numbers an adapter left there.
+        """
+        last = len(self.time) - 1
+        for row, failure in enumerate(self.failures):
+            if failure is not None:
+                for key in ("position", "orientation", "velocity", "angular_velocity"):
+                    getattr(self, key)[row, min(max(failure.frame, 0), last) :] = np.nan
+        return self
+
     @staticmethod
     def joined(parts: Sequence[Trajectory]) -> Trajectory:
         """Put trajectories one after the other, one part at least."""

@@ -47,6 +47,8 @@ class Verdict:
     """Of each trajectory, why it does not pass all checks; in the order of the checks."""
     failed: NDArray[np.bool_]
     """Shape (trajectory, check)."""
+    ended: NDArray[np.bool_]
+    """Whether the engine ended it before its time: no check can then pass it; (trajectory,)."""
     misbuilt: list[str]
     """What the engine's model has otherwise than the scene."""
 
@@ -60,6 +62,7 @@ class Verdict:
             frame=np.full(shape, -1, dtype=np.int32),
             reasons=[[] for _ in range(count)],
             failed=np.zeros(shape, dtype=bool),
+            ended=np.zeros(count, dtype=bool),
             misbuilt=[],
         )
 
@@ -76,9 +79,9 @@ class Verdict:
                 self.reasons[rows[k]].append(_reason(finding, int(k)))
 
     def published(self, *, certified: bool) -> NDArray[np.bool_]:
-        """Tell which trajectories pass all checks, or those of integrity."""
+        """Tell which trajectories came to their end and pass all checks, or those of integrity."""
         judged = list(CHECKS) if certified else list(INTEGRITY)
-        failed = self.failed[:, [_COLUMNS[name] for name in judged]].any(axis=1)
+        failed = self.failed[:, [_COLUMNS[name] for name in judged]].any(axis=1) | self.ended
         return np.asarray(~failed & (not (certified and self.misbuilt)))
 
     def reason(self, row: int) -> str:
@@ -109,6 +112,7 @@ def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Makin
     verdict = Verdict.empty(len(batch))
     for row, failure in enumerate(trajectory.failures):
         if failure is not None:
+            verdict.ended[row] = True
             verdict.reasons[row].append(f"ended at frame {failure.frame}: {failure.reason}")
     for group, rows in _groups(scene, batch.index):
         findings = audit(

@@ -27,6 +27,7 @@ from mbds_xsim.scene import (
     Particle,
     Scene,
 )
+from mbds_xsim.simulate import recorded
 from mbds_xsim.state import Batch, Trajectory
 
 __all__ = [
@@ -100,7 +101,7 @@ class Bench:
     def motion(self, scene: Scene, batch: Batch) -> Trajectory:
         """Let the engine run a batch; velocities are as recorded."""
         with load_adapter(self.engine).open(scene, self.settings) as run:
-            return run.rollout(batch)
+            return recorded(run, batch)
 
     def measured(
         self,

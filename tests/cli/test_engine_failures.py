@@ -114,7 +114,7 @@ def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
         "raising": "crash: RuntimeError: the model has too many bodies",
         "leaving": "crash: the process crashed with exit code 3: licence expired",
         "hanging": f"crash: no answer within {_HANG:g} s",
-        "misshapen": "crash: ValueError: misshapen gave positions of shape (1, 3, 7, 3), not ",
+        "misshapen": "crash: ValueError: the adapter gave time as float64 (3,), not as ",
     }
     for name, reason in expected.items():
         assert rows[name]["verdict"] == "fail"

@@ -22,6 +22,7 @@ from mbds_xsim.sampling_terms import Levels, Turn
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import Failure
 
 from .conftest import TRAJECTORIES, Make, Silence, contents
 
@@ -190,6 +191,22 @@ def test_what_fails_is_kept_aside_with_its_reason(
         assert reason.startswith("gap: 0.00173 m, allowed 0.0001 (joint joint1), frame 5; ")
     with h5py.File(tmp_path / "1pendulum/joint.h5") as file:
         assert np.flatnonzero(~file["valid_in_all"][()]).tolist() == [333]
+
+
+@pytest.mark.parametrize("settings", ["matched", "native"])
+def test_what_its_engine_calls_a_failure_is_never_published(
+    settings: str, make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(*arguments: object) -> Simulation:
+        done = simulate(*arguments)  # type: ignore[arg-type]
+        told = (None, Failure(5, "constraint solver: no convergence"), None)
+        return dataclasses.replace(
+            done, trajectory=dataclasses.replace(done.trajectory, failures=told)
+        )
+
+    monkeypatch.setattr(shard, "simulate", failing)  # all its numbers are finite
+    (count,) = make(tmp_path, trajectories=3, settings=settings).variants
+    assert (count.published, count.rejected_by) == (2, {"ended early": 1})
 
 
 def test_native_sets_keep_what_is_whole_and_say_uncertified(

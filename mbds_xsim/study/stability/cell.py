@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from mbds_xsim import registry
 from mbds_xsim.engine import Settings
 from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import recorded
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.stability.verdict import Verdict, judge
 
@@ -56,7 +57,7 @@ def run_cell(
     adapter = registry.load_adapter(engine)
     with adapter.open(scene, settings) as run:
         begin = time.perf_counter()
-        trajectory = run.rollout(batch)
+        trajectory = recorded(run, batch)
         wall = time.perf_counter() - begin
     method = adapter.methods[settings.method]
     return Judged(judge(scene, batch, trajectory, truth, method, settings.step), wall)
