@@ -34,6 +34,7 @@ __all__ = [
     "DETECTORS",
     "SOLVERS",
     "ContactSolver",
+    "centers",
     "contact_failures",
     "contact_statements",
     "pairs",
@@ -132,6 +133,13 @@ def pairs(shapes: list[Any]) -> Array | None:
             for shape, sphere in zip(shapes[1:], spheres, strict=True)
         ]
     )
+
+
+def centers(shapes: list[Any]) -> Array | None:
+    """Centres of the spheres in W as the model stands [m], shape (sphere, 3)."""
+    if not shapes:
+        return None
+    return np.array([shape.getWorldTransform().translation() for shape in shapes[1:]])
 
 
 class ContactSolver:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import exudyn
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,6 +80,13 @@ class RigidBodies:
             com=np.array([body["centerOfMass"] for body in bodies]),
             gravity=_gravity(names),
         )
+
+    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+        del com, turn  # the engine places its markers itself
+        mbs, place = names["mbs"], exudyn.OutputVariableType.Position
+        joints = [mbs.GetObject(number)["markerNumbers"] for number in names["joints"]]
+        ends = [[mbs.GetMarkerOutput(end, place) for end in pair] for pair in joints]
+        return np.array(ends).reshape(-1, 2, 3)
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         mbs, axes = names["mbs"], []

@@ -139,6 +139,10 @@ class Spheres:
         none = np.zeros_like(slip_x)
         return np.stack([self.gaps(), np.hypot(slip_x, slip_y), none, none], axis=-1).ravel()
 
+    def centers(self) -> Array:
+        """In W as the model stands [m], shape (sphere, 3)."""
+        return self._told(_OUTPUT.Position)
+
     def coefficients(self) -> Array:
         """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
         held = [self._mbs.GetObject(number) for number in self._contacts]

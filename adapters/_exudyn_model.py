@@ -65,6 +65,9 @@ class Model(Protocol):
     def held(self, names: Mapping[str, Any]) -> Held:
         """Read mass properties back."""
 
+    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+        """Anchors in the parent and in the child, in W as the bodies are, shape (joint, 2, 3)."""
+
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
 

@@ -163,12 +163,13 @@ class ExudynRun(Run):
         turn = self._output("RotationMatrix").reshape(-1, 3, 3)
         spin = self._output("AngularVelocity")
         arm = np.einsum("kij,kj->ki", turn, held.com)
+        com = self._output("Position") + arm
         alike = not np.ptp(held.gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
         return Readback(
             mass=held.mass,
             inertia=held.inertia,
-            com=self._output("Position") + arm,
+            com=com,
             orientation=self._mechanism.body_orientation(rotation.from_matrix(turn)),
             velocity=self._output("Velocity") + np.cross(spin, arm),
             angular_velocity=spin,
@@ -177,6 +178,8 @@ class ExudynRun(Run):
             joint_axis=self._model.joint_axes(self._names, turn),
             damping=None,
             contact=self._spheres.coefficients() if self._spheres is not None else None,
+            sphere=self._spheres.centers() if self._spheres is not None else None,
+            anchor=self._model.anchors(self._names, com, turn),
         )
 
     def _output(self, name: str) -> Array:

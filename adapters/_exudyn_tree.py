@@ -107,6 +107,22 @@ class KinematicTree:
             gravity=np.tile(tree["gravity"], (len(link), 1)),
         )
 
+    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+        tree = names["mbs"].GetObject(names["tree"])
+        frames = turn @ np.swapaxes(self._back(names), -1, -2)
+        anchors = np.zeros((len(self._mechanism.joints), 2, 3))
+        origin: dict[int, Array] = {}
+        for k, link in enumerate(self._mechanism.links):
+            body, joint = link.body, _joint(link)
+            origin[body] = com[body] - frames[body] @ tree["linkCOMs"][k]
+            above = np.array(tree["jointOffsets"][k])
+            if link.parent != WORLD_INDEX:
+                above = origin[link.parent] + frames[link.parent] @ above
+            ends = (above, origin[body])
+            forwards = self._mechanism.joints[joint.index].child == body
+            anchors[joint.index] = ends if forwards else ends[::-1]
+        return anchors
+
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
         axes = np.zeros((len(self._mechanism.joints), 3))

@@ -201,6 +201,10 @@ class Spheres:
         x, y, z = x - a, y - b, z - c
         return math.hypot(u + q * z - r * y, v + r * x - p * z, w + p * y - q * x)
 
+    def centers(self, data: Any) -> Array:
+        """In W as the model stands [m], shape (sphere, 3)."""
+        return np.array(data.geom_xpos[self._geoms])
+
     def coefficients(self, model: Any) -> Array:
         """Radius and friction of each sphere's pair; MuJoCo has no restitution."""
         friction = np.where(model.pair_dim == 1, 0.0, model.pair_friction[:, 0])

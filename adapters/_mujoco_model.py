@@ -20,7 +20,7 @@ from ._mujoco_cardan import slim
 from ._mujoco_contact import Impact, add_ground, cone_options
 from ._mujoco_numbers import numbers
 
-__all__ = ["Stepping", "closing_point", "mjcf", "text", "with_start"]
+__all__ = ["CLOSING_POINTS", "Stepping", "closing_point", "mjcf", "text", "with_start"]
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 # Points of a loop joint's axis that are kept together, in lengths of the scene from the anchor.
 # Two of a hinge make six rows for five. A fixed joint closes a loop only where the tree has
 # already welded its two bodies.
-_CLOSING_POINTS: dict[str, tuple[float, ...]] = {
+CLOSING_POINTS: dict[str, tuple[float, ...]] = {
     "ball": (0.0,),
     "hinge": (-0.5, 0.5),
     "fixed": (),
@@ -198,7 +198,7 @@ def _close(
     length: float,
     softness: dict[str, str],
 ) -> None:
-    for k, along in enumerate(_CLOSING_POINTS[joint.kind]):
+    for k, along in enumerate(CLOSING_POINTS[joint.kind]):
         sites = _sites(bodies, joint, along * length * joint.axis, closing_point(joint, k))
         SubElement(
             equalities, "connect", dict(zip(("site1", "site2"), sites, strict=True)) | softness

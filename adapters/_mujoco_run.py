@@ -21,7 +21,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 from ._mujoco_bodies import Frames
 from ._mujoco_cardan import Hanger
 from ._mujoco_contact import Spheres, sunk_spheres
-from ._mujoco_model import Stepping, closing_point, mjcf, text, with_start
+from ._mujoco_model import CLOSING_POINTS, Stepping, closing_point, mjcf, text, with_start
 from ._mujoco_state import Coordinates
 from ._mujoco_steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
 
@@ -202,6 +202,8 @@ class ModelRun(Run):
             joint_axis=self._joint_axes(),
             damping=self._unasked_damping(),
             contact=self._spheres.coefficients(model),
+            sphere=self._spheres.centers(data),
+            anchor=self._anchors(),
         )
 
     def _twist(self, body: int) -> Array:
@@ -225,6 +227,33 @@ class ModelRun(Run):
                 ends = [data.site(f"{closing_point(joint, k)} parent").xpos for k in (0, 1)]
                 axes.append((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
         return np.array(axes).reshape(-1, 3)
+
+    def _anchors(self) -> Array:
+        """As fixed in the parent and in the child, in W; a fixed joint has no place in MuJoCo."""
+        data, anchors = self._data, np.full((len(self._mechanism.joints), 2, 3), np.nan)
+        for link in self._mechanism.links:
+            if link.joint is None:
+                continue
+            body = self._bodies[link.body]
+            forwards = self._mechanism.joints[link.joint.index].child == link.body
+            for joint in self._model.body(body).jntadr[: self._model.body(body).jntnum[0]]:
+                above = self._model.body_pos[body] + self._model.jnt_pos[joint]
+                ends = (
+                    self._place(self._model.body_parentid[body], above),
+                    self._place(body, self._model.jnt_pos[joint]),
+                )
+                anchors[link.joint.index] = ends if forwards else ends[::-1]
+        for loop in self._mechanism.loops:
+            points = range(len(CLOSING_POINTS[loop.kind]))
+            for end, side in enumerate(("parent", "child") if points else ()):
+                sites = [data.site(f"{closing_point(loop, k)} {side}").xpos for k in points]
+                anchors[loop.index, end] = np.mean(sites, axis=0)
+        return anchors
+
+    def _place(self, body: int, point: Array) -> Array:
+        """Place a point of MuJoCo's body in W."""
+        turn = self._data.xmat[body].reshape(3, 3)
+        return np.asarray(self._data.xpos[body] + turn @ point)
 
     def _unasked_damping(self) -> Array:
         model = self._model

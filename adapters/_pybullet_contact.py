@@ -155,6 +155,17 @@ class Contact:
             f"{self._radius[sphere] - height[sphere]:.3g} m in the ground, deeper than its radius"
         )
 
+    def centers(self, address: Callable[[int], tuple[int, int]], told: Array) -> Array:
+        """Centres of the spheres in W at the states that `Model.read` tells [m], (sphere, 3)."""
+        shapes = self._client.function("getCollisionShapeData")
+        places = np.empty((len(self._body), 3))
+        for body in np.unique(self._body).tolist():
+            # Bullet tells them in the inertial frame.
+            local = np.array([shape[5] for shape in shapes(*address(body))])
+            turned = rotation.rotate(told[body, [6, 3, 4, 5]], local)
+            places[self._body == body] = told[body, :3] + turned
+        return places
+
     def readback(self, address: Callable[[int], tuple[int, int]]) -> Array:
         """Radius [m], friction and restitution of the pair as Bullet combines them, (sphere, 3)."""
         told = np.empty((len(self._body), 3))

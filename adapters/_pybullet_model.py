@@ -52,6 +52,16 @@ class Damping:
     angular: float
 
 
+@dataclass(frozen=True)
+class _Tie:
+    """A constraint that closes a joint."""
+
+    joint: int
+    number: int
+    ends: list[tuple[int, int]]
+    """Of the joint's parent, then child: the body, and which of the constraint's ends it is."""
+
+
 class Model:
     """The native model in one connection."""
 
@@ -73,6 +83,7 @@ class Model:
                 self.places[part.base] = Place(number, -1)
             for k, link in enumerate(part.links):
                 self.places[link.body] = Place(number, k)
+        self._ties: list[_Tie] = []
         rows = sum(self._close(joint) for joint in self.closures)
         self.size = ModelSize(
             sum(_coordinate_count(part) for part in self.parts), rows, len(mechanism.sphere_body)
@@ -192,6 +203,33 @@ class Model:
             axes.append(sign * rotation.rotate(turn[body], local))
         return np.array(axes).reshape(-1, 3)
 
+    def anchors(self, told: Array) -> Array:
+        """As fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
+        anchors = np.full((len(self.mechanism.joints), 2, 3), np.nan)
+        for link in (link for part in self.parts for link in part.links if link.joint):
+            assert link.joint is not None
+            address = self.address(link.body)
+            above = np.array(self.client.function("getJointInfo")(*address)[14])
+            # Where the inertial frame is in the link frame, which sits at the joint.
+            below = -rotation.rotate(
+                self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
+            )
+            ends = {
+                link.parent: _placed(told, link.parent, above),
+                link.body: _placed(told, link.body, below),
+            }
+            joint = self.mechanism.joints[link.joint.index]
+            anchors[joint.index] = ends[joint.parent], ends[joint.child]
+        info = self.client.function("getConstraintInfo")
+        for index in {tie.joint for tie in self._ties}:
+            points = [
+                [_placed(told, end, np.array(info(tie.number)[6 + k])) for end, k in tie.ends]
+                for tie in self._ties
+                if tie.joint == index
+            ]
+            anchors[index] = np.mean(points, axis=0)
+        return anchors
+
     def damping(self) -> Array:
         """Damping and friction of every joint; Bullet does not tell the drag on its links."""
         info = self.client.function("getJointInfo")
@@ -296,8 +334,10 @@ class Model:
         second, other = self._carrier(joint.parent, joint.in_parent + shift)
         if first == second:
             return 0  # rigidly joined in the tree already
+        ends = [(second, 1), (first, 0)]
         if first == WORLD_INDEX:
             first, pivot, second, other = second, other, first, pivot
+            ends = [(first, 0), (second, 1)]
         turn_first, turn_second = self._into_principal(first), self._into_principal(second)
         number = self.client.build(
             "createConstraint", *self.address(first), *self.address(second), Constant(kind),
@@ -305,6 +345,8 @@ class Model:
             rotation.rotate(turn_second, other).tolist(), _xyzw(turn_first), _xyzw(turn_second),
         )  # fmt: skip
         self.client.build("changeConstraint", number, maxForce=_IMPULSE_CAP)
+        forwards = self.mechanism.joints[joint.index].child == joint.child
+        self._ties.append(_Tie(joint.index, int(number), ends if forwards else ends[::-1]))
         return rows
 
     def _carrier(self, body: int, point: Array) -> tuple[int, Array]:
@@ -324,6 +366,13 @@ class Model:
         if body == WORLD_INDEX:
             return rotation.IDENTITY
         return np.asarray(rotation.conjugate(self._principal[body]))
+
+
+def _placed(told: Array, body: int, point: Array) -> Array:
+    """Place a point of an inertial frame in W, by what `Model.read` tells."""
+    if body == WORLD_INDEX:
+        return point
+    return np.asarray(told[body, :3] + rotation.rotate(told[body, [6, 3, 4, 5]], point))
 
 
 def _principal_axes(tensor: Array) -> tuple[Array, Array]:

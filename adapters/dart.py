@@ -26,7 +26,7 @@ from mbds_xsim.engine import (
 )
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
@@ -37,6 +37,7 @@ from ._dart_contact import (
     DETECTORS,
     SOLVERS,
     ContactSolver,
+    centers,
     contact_failures,
     contact_statements,
     pairs,
@@ -264,6 +265,8 @@ class _DartRun(Run):
             joint_axis=self._joint_axes(),
             damping=self._damping(),
             contact=pairs(model.shapes),
+            sphere=centers(model.shapes),
+            anchor=self._anchors(),
         )
 
     def _joint_axes(self) -> Array:
@@ -281,6 +284,22 @@ class _DartRun(Run):
             turn = self._model.bodies[link.body].getWorldTransform().rotation()
             axes.append(sign * turn @ self._model.joints[link.body].getAxis())
         return np.array(axes).reshape(-1, 3)
+
+    def _anchors(self) -> Array:
+        """As fixed in the parent and in the child, in W; DART does not tell those of loops."""
+        anchors = np.full((len(self._mechanism.joints), 2, 3), np.nan)
+        for link in self._mechanism.links:
+            if link.joint is None:
+                continue
+            joint, body = self._model.joints[link.body], self._model.bodies[link.body]
+            above = joint.getTransformFromParentBodyNode().translation()
+            if link.parent != WORLD_INDEX:
+                above = self._model.bodies[link.parent].getWorldTransform().multiply(above)
+            below = joint.getTransformFromChildBodyNode().translation()
+            ends = (above, body.getWorldTransform().multiply(below))
+            forwards = self._mechanism.joints[link.joint.index].child == link.body
+            anchors[link.joint.index] = ends if forwards else ends[::-1]
+        return anchors
 
     def _damping(self) -> Array:
         return np.array(

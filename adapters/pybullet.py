@@ -271,13 +271,15 @@ class _Run(Run):
         )
 
     def readback(self, batch: Batch) -> Readback:
+        inertia = self._model.inertia()  # puts the model at its reference pose
         self._start(batch, 0)
-        state = self._model.states(self._model.read())
+        told = self._model.read()
+        state = self._model.states(told)
         world = self._client.function("getPhysicsEngineParameters")()
         joint_axis = self._model.joint_axis()
         return Readback(
             mass=self._model.mass(),
-            inertia=self._model.inertia(),
+            inertia=inertia,
             com=state.position,
             orientation=self._mechanism.body_orientation(state.native),
             velocity=state.velocity,
@@ -287,6 +289,8 @@ class _Run(Run):
             joint_axis=joint_axis,
             damping=self._model.damping(),
             contact=self._contact.readback(self._model.address) if self._contact else None,
+            sphere=self._contact.centers(self._model.address, told) if self._contact else None,
+            anchor=self._model.anchors(told),
         )
 
     def native(self) -> str:

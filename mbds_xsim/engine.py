@@ -212,6 +212,11 @@ class Readback:
     contact: Array | None = None
     """Radius [m], friction and restitution of each contact sphere on the ground, in scene order;
     NaN where the engine has no such coefficient. Shape (sphere, 3)."""
+    sphere: Array | None = None
+    """Centres of the contact spheres, in scene order and in W at that start [m], (sphere, 3)."""
+    anchor: Array | None = None
+    """Anchors of the joints in scene order, as fixed in the parent and in the child, in W at that
+    start [m], shape (joint, 2, 3); NaN where a joint has no native counterpart that tells."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.engine import Readback, Settings
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene import WORLD
 from mbds_xsim.spin import idle_axes
 from mbds_xsim.state import Batch
 
@@ -55,7 +56,10 @@ def compare(
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
     if readback.damping is not None and np.any(readback.damping):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
-    return lines + _axis_differences(mechanism, batch, readback) + _contact(mechanism, readback)
+    lines += _axis_differences(mechanism, batch, readback)
+    lines += _anchor_differences(mechanism, batch, readback.anchor)
+    lines += _sphere_differences(mechanism, batch, readback.sphere)
+    return lines + _contact(mechanism, readback)
 
 
 def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> Readback:
@@ -121,6 +125,53 @@ def _contact(mechanism: Mechanism, readback: Readback) -> list[str]:
         scale = float(wanted.max()) or 1.0
         lines += _differences(what, told[:, None], wanted[:, None], scale, names)
     return lines
+
+
+def _anchor_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
+    if got is None or not mechanism.joints:
+        return []
+    wanted = np.array(
+        [
+            [
+                _placed(mechanism, batch, joint.parent, joint.in_parent),
+                _placed(mechanism, batch, joint.child, joint.in_child),
+            ]
+            for joint in mechanism.joints
+        ]
+    )
+    names = [
+        f"{joint.name} in {mechanism.scene.bodies[end].name if end != WORLD_INDEX else WORLD}"
+        for joint in mechanism.joints
+        for end in (joint.parent, joint.child)
+    ]
+    return _place_differences("anchor [m]", got, wanted, mechanism, names)
+
+
+def _sphere_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
+    if got is None or not mechanism.scene.contacts:
+        return []
+    pairs = list(zip(mechanism.sphere_body.tolist(), mechanism.sphere_offset, strict=True))
+    wanted = np.array([_placed(mechanism, batch, body, offset) for body, offset in pairs])
+    names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(mechanism.scene.contacts)]
+    return _place_differences("centre of contact [m]", got, wanted, mechanism, names)
+
+
+def _placed(mechanism: Mechanism, batch: Batch, body: int, point: Array) -> Array:
+    """Place a point of a native frame in W at the first start."""
+    if body == WORLD_INDEX:
+        return point
+    turn = mechanism.native_rotation(batch.orientation[0])[body]
+    return np.asarray(batch.position[0, body] + rotation.rotate(turn, point))
+
+
+def _place_differences(
+    what: str, got: Array, wanted: Array, mechanism: Mechanism, names: list[str]
+) -> list[str]:
+    if got.shape != wanted.shape:
+        return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
+    told = np.where(np.isnan(got), wanted, got).reshape(-1, 3)
+    scale = max(mechanism.scene.length, float(np.abs(wanted).max()))
+    return _differences(what, told, wanted.reshape(-1, 3), scale, names)
 
 
 def _axis_differences(mechanism: Mechanism, batch: Batch, readback: Readback) -> list[str]:

@@ -131,6 +131,7 @@ class ContactContract:
             for start in (batch[[0]], batch[[1]]):
                 found = run.readback(start)
                 assert found.contact is not None
+                assert found.sphere is not None
                 assert readback.compare(Mechanism.of(scene), start, settings, found) == []
             assert run.size.contact_pairs == len(scene.contacts)
 

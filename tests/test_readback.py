@@ -1,0 +1,73 @@
+"""What the read-back of every engine tells of geometry that a start at rest does not show."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from mbds_xsim import readback
+from mbds_xsim.engine import Adapter, Readback
+from mbds_xsim.matched import settings_for
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.testing import CASES
+
+
+def _held(adapter: Adapter, scene: Scene, other: Scene) -> tuple[Readback, list[str]]:
+    """Hold what the engine has of one scene against another."""
+    batch, settings = draw_batch(scene, [0]), settings_for(scene, adapter, "matched")
+    with adapter.open(scene, settings) as run:
+        found = run.readback(batch)
+    return found, readback.compare(Mechanism.of(other), batch, settings, found)
+
+
+def _with_anchor(scene: Scene, joint: str, shift: float) -> Scene:
+    """Move a joint's anchor along x [m]."""
+    joints = tuple(
+        msgspec.structs.replace(one, anchor=(one.anchor[0] + shift, *one.anchor[1:]))
+        if one.name == joint
+        else one
+        for one in scene.joints
+    )
+    return msgspec.structs.replace(scene, joints=joints)
+
+
+def _with_sphere(scene: Scene, sphere: int, shift: float) -> Scene:
+    """Move a contact sphere's centre along z [m]."""
+    contacts = list(scene.contacts)
+    x, y, z = contacts[sphere].center
+    contacts[sphere] = msgspec.structs.replace(contacts[sphere], center=(x, y, z + shift))
+    return msgspec.structs.replace(scene, contacts=tuple(contacts))
+
+
+def test_an_anchor_a_millimetre_off_is_told(adapter: Adapter) -> None:
+    """A wheel's hub: the wheel stands where it should, and turns about another line."""
+    car = load_scene("particlecar")
+
+    _, lines = _held(adapter, _with_anchor(car, "front_left", 1e-3), car)
+
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("anchor [m] of front_left in ")
+    assert "(2 differ)" in lines[0]
+
+
+def test_a_loops_anchor_is_told_where_the_engine_tells_it(adapter: Adapter) -> None:
+    (scene,) = (case.scene for case in CASES if case.name == "parallelogram")
+
+    found, lines = _held(adapter, _with_anchor(scene, "right pin", 1e-3), scene)
+
+    assert found.anchor is not None
+    (loop,) = Mechanism.of(scene).loops
+    assert bool(lines) == bool(np.isfinite(found.anchor[loop.index]).all())
+
+
+def test_a_contact_sphere_three_millimetres_off_is_told(adapter: Adapter) -> None:
+    cubli = load_scene("simplecubli")
+
+    _, lines = _held(adapter, _with_sphere(cubli, 5, 3e-3), cubli)
+
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("centre of contact [m] of sphere 5 on ")
+    assert "(1 differ)" in lines[0]
