@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,40 @@ def test_damaged_entries_are_computed_again(tmp_path: Path, computed: list[int])
     np.testing.assert_array_equal(whole.position, again.position)
     solve(SCENE, BATCH)
     assert computed == [2, 2]
+
+
+def _shift(path: Path) -> None:
+    """Write a valid file whose numbers are not those that were kept."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    states = {name: values for name, values in arrays.items() if values.dtype.kind == "f"}
+    with path.open("wb") as stream:
+        np.savez(stream, **arrays | {name: values + 1e-3 for name, values in states.items()})
+
+
+def _rename(path: Path) -> None:
+    with np.load(path) as file:
+        first, *rest = file.files
+        arrays = {"other": file[first], **{name: file[name] for name in rest}}
+    with path.open("wb") as stream:
+        np.savez(stream, **arrays)
+
+
+def _exchange(path: Path) -> None:
+    """Put the entry of another trajectory there."""
+    other = next(each for each in files(cache.directory()) if each != path)
+    path.write_bytes(other.read_bytes())
+
+
+@pytest.mark.parametrize("change", [_shift, _rename, _exchange])
+def test_entries_that_were_changed_are_computed_again(
+    change: Callable[[Path], None], tmp_path: Path, computed: list[int]
+) -> None:
+    whole = solve(SCENE, BATCH)
+    change(files(tmp_path)[0])
+    again = solve(SCENE, BATCH)
+    assert computed == [2, 1]
+    np.testing.assert_allclose(again.position, whole.position, rtol=0, atol=1e-12)
 
 
 def test_key_follows_physics_start_inputs_and_tolerance() -> None:

@@ -2,17 +2,18 @@
 
 Entries stand in the user's cache directory, or where MBDS_XSIM_CACHE says. Their names are
 hashes of everything that decides the result, the solver's own source among it. They are never
-changed, only replaced whole; one that cannot be read is computed again.
+changed, only replaced whole. Each ends in a checksum of its name and content: one that was damaged,
+changed or put under another name is computed again.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import os
 import tempfile
 import warnings
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,16 @@ import mbds_xsim
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["Arrays", "complete", "directory", "key_of", "load", "store"]
+__all__ = [
+    "Arrays",
+    "complete",
+    "directory",
+    "key_of",
+    "load",
+    "read_sealed",
+    "sealed",
+    "store",
+]
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[int, int], None]
@@ -35,6 +45,7 @@ _PHYSICS = (
     "dimension",
 )  # fmt: skip
 _CORE = ("mechanism.py", "rotation.py")
+_SEAL = hashlib.sha256().digest_size
 
 
 def complete(
@@ -104,12 +115,33 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
 
 
 def load(key: str) -> Arrays | None:
-    """Read an entry; None where there is none that can be read."""
+    """Read an entry; None where there is none that is as it was written."""
+    return read_sealed(_path(key))
+
+
+def sealed(path: Path, arrays: Arrays) -> bytes:
+    """Give the bytes of a file of arrays at a path, as npz with a checksum at the end."""
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+    content = stream.getvalue()
+    return content + _seal(path, content)
+
+
+def read_sealed(path: Path) -> Arrays | None:
+    """Read what `sealed` gave; None where the path has no such file as it was written."""
     try:
-        with np.load(_path(key), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        whole = path.read_bytes()
+    except OSError:
         return None
+    content, seal = whole[:-_SEAL], whole[-_SEAL:]
+    if seal != _seal(path, content):
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _seal(path: Path, content: bytes) -> bytes:
+    return hashlib.sha256(f"{path.parent.name}/{path.name}".encode() + content).digest()
 
 
 def store(key: str, arrays: Arrays) -> None:
@@ -119,7 +151,7 @@ def store(key: str, arrays: Arrays) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
             try:
-                np.savez(file, **arrays)  # type: ignore[arg-type]
+                file.write(sealed(path, arrays))
                 file.close()
                 os.replace(file.name, path)
             except BaseException:

@@ -1,11 +1,12 @@
 """Rows of long studies kept on disk, so that one that was interrupted goes on where it stopped.
 
-A file of JSON lines: a row is appended whole in one write, and a line that was cut off, or that
-another version wrote, is passed over.
+A file of lines, each a checksum and a row as JSON: a row is appended whole in one write, and a line
+that was cut off or changed, or that another version wrote, is passed over.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -48,7 +49,8 @@ class Store(Generic[R]):
         """
         self.rows[row.key] = row
         # A line of its own even after one that was cut off.
-        line = b"\n" + msgspec.json.encode(row) + b"\n"
+        row_text = msgspec.json.encode(row)
+        line = b"\n" + _sum(row_text) + b" " + row_text + b"\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -66,8 +68,15 @@ def _read(path: Path, kind: type[R]) -> list[R]:
         return []
     rows = []
     for line in path.read_bytes().splitlines():
+        checksum, _, text = line.partition(b" ")
+        if checksum != _sum(text):
+            continue
         try:
-            rows.append(msgspec.json.decode(line, type=kind))
+            rows.append(msgspec.json.decode(text, type=kind))
         except (msgspec.DecodeError, msgspec.ValidationError):
             continue
     return rows
+
+
+def _sum(text: bytes) -> bytes:
+    return hashlib.sha256(text).hexdigest()[:16].encode()

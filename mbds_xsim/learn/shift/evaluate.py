@@ -75,7 +75,7 @@ def evaluate(
     if not cache:
         for path in paths.values():
             path.unlink(missing_ok=True)
-    missing = [e for e in entries if not all(paths[e, d.name].is_file() for d in domains)]
+    missing = [e for e in entries if not all(_is_kept(paths[e, d.name]) for d in domains)]
     parts = [missing[k : k + _TOGETHER] for k in range(0, len(missing), _TOGETHER)]
     tasks = [
         Task(_carry_out, (scene, _places(paths, part), domains, plan), _TIMEOUT) for part in parts
@@ -121,6 +121,10 @@ class Evaluated(Mapping[tuple[Entry, str], Figures]):
         return len(self._paths)
 
 
+def _is_kept(path: Path) -> bool:
+    return read_figures(path) is not None
+
+
 def _places(paths: Paths, entries: Sequence[Entry]) -> Paths:
     return {key: path for key, path in paths.items() if key[0] in entries}
 
@@ -137,7 +141,7 @@ def _carry_out(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: Plan
     for domain in domains:  # outermost, so that the motions of one alone are in memory
         motions = functools.cache(domain.motions)
         for (entry, name), path in paths.items():
-            if name == domain.name and not path.is_file():
+            if name == domain.name and not _is_kept(path):
                 model = load(entry)
                 known = motions(model.dtype)
                 figures_on(model, known, **dataclasses.asdict(plan)).write(path)

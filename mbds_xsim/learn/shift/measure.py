@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.shift.rigid import RigidPairs
 from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.reference.cache import read_sealed, sealed
 from mbds_xsim.write import write_whole
 
 __all__ = ["EXPLODED", "LOST", "Figures", "figures_on", "measure", "one_step_error", "read_figures"]
@@ -51,21 +50,16 @@ class Figures:
 
     def write(self, path: Path) -> None:
         """Keep them, whole or not at all."""
-        content = io.BytesIO()
-        np.savez(content, **{name: getattr(self, name) for name in _NAMES})
-        write_whole(path, content.getvalue())
+        write_whole(path, sealed(path, {name: getattr(self, name) for name in _NAMES}))
 
 
 _NAMES = tuple(Figures.__dataclass_fields__)
 
 
 def read_figures(path: Path) -> Figures | None:
-    """Read what was kept; None where there is none that can be read."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return Figures(**{name: file[name] for name in _NAMES})
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+    """Read what was kept; None where there is none that is as it was written."""
+    arrays = read_sealed(path)
+    return None if arrays is None else Figures(**arrays)
 
 
 def figures_on(

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +16,7 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.shift.domains import Paired, Solved
 from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY
-from mbds_xsim.reference.cache import directory, key_of
+from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.write import write_whole
@@ -93,11 +90,8 @@ def read_truth(path: Path) -> Truth:
 
 
 def _kept(path: Path) -> Truth | None:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return Truth(**{name: file[name] for name in Truth.__dataclass_fields__})
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+    arrays = read_sealed(path)
+    return None if arrays is None else Truth(**arrays)
 
 
 def _tasks(test: Paired, batch: Batch, cache: bool) -> list[Task]:
@@ -151,7 +145,5 @@ def _joined(parts: list[Truth]) -> Truth:
 
 
 def _write(path: Path, truth: Truth) -> None:
-    content = io.BytesIO()
-    arrays: dict[str, Any] = {name: getattr(truth, name) for name in Truth.__dataclass_fields__}
-    np.savez(content, **arrays)
-    write_whole(path, content.getvalue())
+    arrays = {name: getattr(truth, name) for name in Truth.__dataclass_fields__}
+    write_whole(path, sealed(path, arrays))

@@ -1,0 +1,31 @@
+"""Rows that are kept: as they were written, or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from mbds_xsim.study.store import Store
+
+
+class _Row(msgspec.Struct):
+    key: str
+    error: float
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [(b"0.25", b"0.15"), (b"0.25}", b""), (b'"one"', b'"two"'), (b"{", b"[")]
+)
+def test_a_row_that_was_changed_is_passed_over(old: bytes, new: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "rows.jsonl"
+    store = Store(path, _Row)
+    store.add(_Row("one", 0.25))
+    store.add(_Row("last", 1.0))
+    whole = path.read_bytes()
+    assert whole.count(old) >= 1
+
+    assert set(Store(path, _Row).rows) == {"one", "last"}
+    path.write_bytes(whole.replace(old, new, 1))
+    assert set(Store(path, _Row).rows) == {"last"}
