@@ -22,7 +22,7 @@ from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.result import EngineResult
 from mbds_xsim.scene import Scene
-from mbds_xsim.validate import validate_with_evidence
+from mbds_xsim.validation import validate_with_evidence
 
 __all__ = ["SCENES", "table"]
 

@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mbds_xsim.api import audit, generate, load_scene, validate, verify
     from mbds_xsim.dataset.read import load_dataset
+    from mbds_xsim.errors import InputError
+    from mbds_xsim.scene import Scene
+    from mbds_xsim.scene_file import save_scene
+    from mbds_xsim.study.tradeoff import tradeoff
 
-__all__ = ["load_dataset"]
+__all__ = [
+    "InputError",
+    "Scene",
+    "audit",
+    "generate",
+    "load_dataset",
+    "load_scene",
+    "save_scene",
+    "tradeoff",
+    "validate",
+    "verify",
+]
+
+_HOMES = {
+    "InputError": "mbds_xsim.errors",
+    "Scene": "mbds_xsim.scene",
+    "load_dataset": "mbds_xsim.dataset.read",
+    "save_scene": "mbds_xsim.scene_file",
+    "tradeoff": "mbds_xsim.study.tradeoff",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for: importing the package stays light."""
-    if name == "load_dataset":
-        from mbds_xsim.dataset.read import load_dataset
+    if name not in __all__:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    return getattr(import_module(_HOMES.get(name, "mbds_xsim.api")), name)
 
-        return load_dataset
-    msg = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(msg)
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

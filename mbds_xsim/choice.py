@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mbds_xsim import registry
@@ -11,7 +12,7 @@ from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.matched import settings_for
 from mbds_xsim.scene import Scene
 
-__all__ = ["Choice", "Contender"]
+__all__ = ["Choice", "Contender", "words_of"]
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,13 @@ class Choice:
     @staticmethod
     def parse(
         *,
-        engines: str | None = None,
-        profiles: str = "matched",
+        engines: str | Iterable[str] | None = None,
+        profiles: str | Iterable[str] = "matched",
         method: str | None = None,
         step: float | None = None,
     ) -> Choice:
-        """Read the command line's words; no engine named means all installed."""
-        names = _words(engines) if engines is not None else ()
+        """Read names, or words separated by commas; no engine named means all installed."""
+        names = words_of(engines) if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         named = bool(names)
@@ -55,7 +56,7 @@ class Choice:
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, tuple(map(as_profile, _words(profiles))), method, step, named)
+        return Choice(names, tuple(map(as_profile, words_of(profiles))), method, step, named)
 
     def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
         """Settle the settings of every engine.
@@ -106,6 +107,14 @@ def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
     return [name for name in adapter.methods if not adapter.refusals(scene, name)]
 
 
-def _words(text: str) -> tuple[str, ...]:
-    """Split at commas, each word once."""
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+def words_of(given: str | Iterable[str]) -> tuple[str, ...]:
+    """Split a text at commas; each word counts once.
+
+    Raises:
+        InputError: It is neither a text nor several.
+    """
+    words = given.split(",") if isinstance(given, str) else given
+    if not isinstance(words, Iterable) or not all(isinstance(word, str) for word in words):
+        msg = f"got {given!r}, allowed are names, as 'one,other' or ['one', 'other']"
+        raise InputError(msg)
+    return tuple(dict.fromkeys(word.strip() for word in words))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
-from typing import Any, ClassVar, Literal, Self, final
+from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,10 +124,11 @@ class Settings:
 
     def substeps(self, frame: float) -> int:
         """Steps in a frame; raise InputError where the step does not divide it."""
-        count = round(frame / self.step) if self.step > 0 and math.isfinite(self.step) else 0
+        number = isinstance(self.step, SupportsFloat) and math.isfinite(self.step)
+        count = round(frame / self.step) if number and self.step > 0 else 0
         if count < 1 or abs(count * self.step - frame) > 1e-9 * frame:
             msg = (
-                f"step: got {self.step} s, allowed is the frame interval {frame} s divided by a "
+                f"step: got {self.step!r} s, allowed is the frame interval {frame} s divided by a "
                 "whole number"
             )
             raise InputError(msg)

@@ -7,11 +7,13 @@ behind them, for the page's plots.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.frame import frame_of
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
@@ -146,6 +148,10 @@ class Validation(msgspec.Struct, frozen=True):
     """Pairs that no longer agree at the end, with 20 trajectories or more."""
     fingerprint: str = ""
     """Stands for the scene's physics and starts; empty in results of earlier versions."""
+
+    def to_frame(self) -> Any:
+        """Give a `pandas.DataFrame` with a row for each engine at each settings."""
+        return frame_of(self.engines)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import msgspec
-
 from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
+from mbds_xsim.neutral import Neutral
 
 __all__ = [
     "INTERVALS",
@@ -36,7 +35,7 @@ Vector = tuple[float, float, float]
 Range = tuple[float, float]
 
 
-class Levels(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Levels(Neutral):
     """One range per interval."""
 
     low: Range
@@ -56,11 +55,11 @@ def span_of(span: Span, interval: Interval) -> Range:
     return getattr(span, interval) if isinstance(span, Levels) else span
 
 
-class _Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class _Draw(Neutral):
     """What all draws share: a table with a `kind`."""
 
 
-class Swing(_Draw, frozen=True, tag_field="kind", tag="swing"):
+class Swing(_Draw, tag_field="kind", tag="swing"):
     """Hang a chain of ball-jointed bodies at random directions.
 
     For each body, in the given order, drawn in this order: polar angle of the arm (from the
@@ -81,7 +80,7 @@ class Swing(_Draw, frozen=True, tag_field="kind", tag="swing"):
         _ordered("speed", self.speed)
 
 
-class Turn(_Draw, frozen=True, tag_field="kind", tag="turn"):
+class Turn(_Draw, tag_field="kind", tag="turn"):
     """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
 
     point: Vector
@@ -100,7 +99,7 @@ class Turn(_Draw, frozen=True, tag_field="kind", tag="turn"):
         _ordered("rate", self.rate)
 
 
-class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
+class Throw(_Draw, tag_field="kind", tag="throw"):
     """Throw one free body, and all that its joints carry, rigidly.
 
     Drawn in this order: displacement of its centre of mass from the reference pose (x, y, z),
@@ -124,7 +123,7 @@ class Throw(_Draw, frozen=True, tag_field="kind", tag="throw"):
                 _ordered(key, span)
 
 
-class Roll(_Draw, frozen=True, tag_field="kind", tag="roll"):
+class Roll(_Draw, tag_field="kind", tag="roll"):
     """Spin a free body by a share of the rate at which it would roll at the velocity it has.
 
     The share is drawn: 0 slides without spin, 1 rolls without slip. The body carries one contact
@@ -138,7 +137,7 @@ class Roll(_Draw, frozen=True, tag_field="kind", tag="roll"):
         _ordered("share", self.share)
 
 
-class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
+class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
 
     joints: tuple[str, ...]
@@ -153,7 +152,7 @@ class HingeRate(_Draw, frozen=True, tag_field="kind", tag="hinge_rate"):
         bounds.finite("travel", self.travel)
 
 
-class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
+class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
     """Drive hinges with piecewise constant torques.
 
     Drawn stretch by stretch, and within a stretch joint by joint: the value, then, with
@@ -172,7 +171,7 @@ class HingeTorque(_Draw, frozen=True, tag_field="kind", tag="hinge_torque"):
         bounds.at_least_one("hold", self.hold)
 
 
-class Wind(_Draw, frozen=True, tag_field="kind", tag="wind"):
+class Wind(_Draw, tag_field="kind", tag="wind"):
     """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
 
     A(t) is an Ornstein–Uhlenbeck process started from its stationary law. Drawn in this order:

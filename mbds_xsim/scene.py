@@ -15,10 +15,9 @@ import math
 from collections import Counter
 from typing import Literal
 
-import msgspec
-
 from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
+from mbds_xsim.neutral import Neutral
 from mbds_xsim.sampling_terms import Draw, Roll, Throw
 
 __all__ = [
@@ -50,7 +49,7 @@ PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
 """Of the solid sphere that has this mass and inertia [m]."""
 
 
-class Particle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Particle(Neutral):
     """A solid sphere rigidly fixed in its body."""
 
     position: Vector
@@ -66,7 +65,7 @@ class Particle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
         bounds.at_least_zero("inertia", self.inertia)
 
 
-class Inertia(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Inertia(Neutral):
     """Mass, centre of mass and inertia given directly, for a body without particles."""
 
     mass: float
@@ -86,7 +85,7 @@ class Inertia(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         bounds.physical_inertia(self.moments, self.products)
 
 
-class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Body(Neutral):
     """A rigid body: a cluster of particles, or mass properties given directly (exactly one)."""
 
     name: str
@@ -118,7 +117,7 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_default
                 bounds.finite(key, value)
 
 
-class Joint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Joint(Neutral):
     """A holonomic joint between two bodies, placed in W at the reference pose.
 
     Its coordinate (hinge angle, slider displacement) is zero there and grows as the child turns
@@ -161,7 +160,7 @@ class Joint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
             raise SceneError(msg)
 
 
-class DistanceLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class DistanceLink(Neutral):
     """A massless rigid link: keeps two points at a constant distance."""
 
     name: str
@@ -178,7 +177,7 @@ class DistanceLink(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
             bounds.positive("length", self.length)
 
 
-class SpringDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class SpringDamper(Neutral):
     """A massless linear spring and damper along the line between two points."""
 
     name: str
@@ -201,7 +200,7 @@ class SpringDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit
             bounds.at_least_zero("rest_length", self.rest_length)
 
 
-class Force(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Force(Neutral):
     """A force in W on a body's centre of mass, the same in every trajectory."""
 
     body: str
@@ -216,7 +215,7 @@ class Force(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
             bounds.finite("series", row)
 
 
-class Torque(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Torque(Neutral):
     """A torque about a hinge's axis: on the child, and the opposite on the parent."""
 
     joint: str
@@ -230,7 +229,7 @@ class Torque(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         bounds.finite("series", self.series)
 
 
-class ContactSphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class ContactSphere(Neutral):
     """A sphere fixed in a body that can touch the ground plane, and nothing else."""
 
     body: str
@@ -244,7 +243,7 @@ class ContactSphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omi
         bounds.positive("radius", self.radius)
 
 
-class Ground(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Ground(Neutral):
     """The plane z = 0. The coefficients are those of the pair sphere–ground."""
 
     friction: float
@@ -259,7 +258,7 @@ class Ground(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
             raise SceneError(msg)
 
 
-class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Clock(Neutral):
     """When frames are recorded: frame k at k · frame, k = 0 … steps."""
 
     frame: float = 0.02
@@ -277,7 +276,7 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         return self.frame * self.steps
 
 
-class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Budget(Neutral):
     """What a trajectory may deviate and still pass; `docs/checks.md` defines each figure."""
 
     error_1s: float = 1e-3
@@ -315,7 +314,7 @@ class Budget(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
             bounds.positive(key, getattr(self, key))
 
 
-class Scene(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+class Scene(Neutral):
     """A whole scene. `mbds_xsim.mechanism.Mechanism.of` gives its arrays and spanning tree."""
 
     name: str

@@ -60,7 +60,7 @@ def validate(
     """Run a scene in all engines, check every trajectory, and tell which to trust."""
     from mbds_xsim.report.terminal import print_table
     from mbds_xsim.result import to_json
-    from mbds_xsim.validate import Choice, validate_with_evidence
+    from mbds_xsim.validation import Choice, validate_with_evidence
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from mbds_xsim.dataset.pooled import Pooled
 from mbds_xsim.dataset.recover import recover
 from mbds_xsim.engine import Method
 from mbds_xsim.errors import InputError
+from mbds_xsim.frame import frame_of
 from mbds_xsim.judge import error_findings
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import FindingResult
@@ -72,6 +74,10 @@ class Audited:
     """A line for each check that failed."""
     not_checked: dict[str, str]
     """Checks that could not run, with the reason."""
+
+    def to_frame(self) -> Any:
+        """Give a `pandas.DataFrame` with a row for each check."""
+        return frame_of(self.findings)
 
 
 def audit_file(path: Path, scene: Scene | None, told: Told) -> Audited:

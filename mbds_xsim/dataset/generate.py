@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import durable
@@ -17,10 +18,12 @@ from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.dataset.watch import ProgressSink, watched
 from mbds_xsim.dataset.work import Carrier, make
 from mbds_xsim.errors import InputError
+from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import core_count, run_tasks
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
 
 __all__ = ["Generated", "Request", "generate"]
 
@@ -48,12 +51,16 @@ class Generated:
     """Trajectories that this run made; an earlier one may have made others."""
     wall_s: float
 
+    def to_frame(self) -> Any:
+        """Give a `pandas.DataFrame` with a row for each data set."""
+        return frame_of(self.variants)
+
 
 def generate(
     request: Request,
     *,
     workers: int | None = None,
-    progress: ProgressSink,
+    progress: ProgressSink | None = None,
     carry_out: Carrier = run_tasks,
 ) -> Generated:
     """Make what is missing of the data asked for; run again after any interruption to go on.
@@ -61,7 +68,7 @@ def generate(
     Raises:
         InputError: Nothing can be made as asked, or the folder holds or gets something else.
     """
-    begin = time.perf_counter()
+    begin, progress = time.perf_counter(), progress or Silent()
     if request.trajectories < 1:
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)

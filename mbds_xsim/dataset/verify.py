@@ -17,7 +17,9 @@ from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metadata
 from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.errors import InputError
+from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.silence import Silent
 
 __all__ = ["Verified", "verify"]
 
@@ -37,19 +39,25 @@ class Verified:
     """What is to be known of each variant."""
     wall_s: float
 
+    def to_frame(self) -> Any:
+        """Give a `pandas.DataFrame` with a row for each file."""
+        return frame_of(self.files)
+
     @property
     def sound(self) -> bool:
         """Whether everything holds what it says."""
         return not any(report.problems for report in self.files)
 
 
-def verify(path: Path, *, workers: int | None = None, progress: ProgressSink) -> Verified:
+def verify(
+    path: Path, *, workers: int | None = None, progress: ProgressSink | None = None
+) -> Verified:
     """Check everything again that a file, with its shards, or a folder holds.
 
     Raises:
         InputError: There is nothing to check.
     """
-    begin = time.perf_counter()
+    begin, progress = time.perf_counter(), progress or Silent()
     files = _files(path)
     kinds = {file: _kind(file) for file in files}
     shards = [file for file, kind in kinds.items() if kind == "shard"]

@@ -18,7 +18,7 @@ from mbds_xsim.study.ablate_effects import EFFECTS, Effect
 from mbds_xsim.study.ablate_result import Ablation, Row, Size
 from mbds_xsim.study.ablate_size import Least, compared, least_size, native_size
 from mbds_xsim.study.ablate_variants import variants_of
-from mbds_xsim.validate import validate_with_evidence
+from mbds_xsim.validation import validate_with_evidence
 
 __all__ = ["ablate"]
 

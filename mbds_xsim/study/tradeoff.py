@@ -10,13 +10,14 @@ import msgspec
 import numpy as np
 
 from mbds_xsim import registry
-from mbds_xsim.choice import Choice
+from mbds_xsim.choice import Choice, words_of
 from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import core_count
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch
 from mbds_xsim.study.bench import Bench, Meter
 from mbds_xsim.study.curves import curve_results, ratios_of
@@ -36,18 +37,10 @@ LIMIT = 30.0
 _INTERVAL = "medium"  # low starts are easier, and high ones are chaos before anything can be told
 
 
-class _Silent:
-    def forecast(self, left_s: float) -> None:
-        pass
-
-    def advance(self, what: str) -> None:
-        pass
-
-
 def tradeoff(
     scene: Scene | str,
     *,
-    engines: Iterable[str] = (),
+    engines: str | Iterable[str] = (),
     starts: int = STARTS,
     seed: int = 0,
     limit: float = LIMIT,
@@ -58,7 +51,7 @@ def tradeoff(
 
     Args:
         scene: What to simulate, or the name or file of it.
-        engines: Names; all installed ones when empty.
+        engines: One name or several; all installed ones when empty.
         starts: Starts of the medium interval.
         seed: Seed of starts and inputs.
         limit: Longest rollout of one start [s]; points that would take longer are only listed.
@@ -70,13 +63,13 @@ def tradeoff(
     """
     return tradeoff_with_rows(
         registry.load_scene(scene) if isinstance(scene, str) else scene,
-        choice=Choice.parse(engines=",".join(engines) or None),
+        choice=Choice.parse(engines=words_of(engines) or None),
         starts=starts,
         seed=seed,
         limit=limit,
         workers=workers,
         fresh=fresh,
-        command="mbds_xsim.study.tradeoff.tradeoff",
+        command="mbds_xsim.tradeoff",
     )[0]
 
 
@@ -115,7 +108,7 @@ def tradeoff_with_rows(
         limit=limit,
         workers=workers,
         store=Store.of(scene.name),
-        meter=meter or _Silent(),
+        meter=meter or Silent(),
         fresh=fresh,
     )
     found = explore(bench, curves)

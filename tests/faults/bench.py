@@ -10,7 +10,7 @@ from mbds_xsim.matched import settings_for
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.result import Validation
 from mbds_xsim.scene import Scene
-from mbds_xsim.validate import validate_with_evidence
+from mbds_xsim.validation import validate_with_evidence
 
 from .planting import Fault, planted
 from .scenes import scene_of

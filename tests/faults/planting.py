@@ -79,7 +79,7 @@ def planted(fault: Fault | None, engine: str) -> Iterator[None]:
 
     with (
         mock.patch("mbds_xsim.campaign.simulate", run),
-        mock.patch("mbds_xsim.validate.judge", _judged),
+        mock.patch("mbds_xsim.validation.judge", _judged),
     ):
         yield
 

@@ -10,6 +10,7 @@ from mbds_xsim import reference, registry
 from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.bench import Meter
 from mbds_xsim.study.identity import machine
@@ -20,19 +21,9 @@ from mbds_xsim.study.stability.plan import Case, Job, Plan
 from mbds_xsim.study.stability.rows import SCHEMA, Panel, Sweep
 from mbds_xsim.study.stability.verdict import CRITERIA
 
-__all__ = ["Silent", "survey"]
+__all__ = ["survey"]
 
 _REFERENCE_LIMIT = 120.0  # [s]
-
-
-class Silent:
-    """Takes the progress that nobody wants to see."""
-
-    def forecast(self, left_s: float) -> None:
-        """Take how much work is left."""
-
-    def advance(self, what: str) -> None:
-        """Take that a cell is done."""
 
 
 def survey(plan: Plan, meter: Meter | None = None) -> Sweep:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,58 +20,15 @@ from mbds_xsim.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Val
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch
 
-__all__ = ["Choice", "validate", "validate_with_evidence"]
+__all__ = ["Choice", "validate_with_evidence"]
 
 Array = NDArray[np.float64]
 
 _ONE_SECOND = 1.0
 _HIGH = INTERVALS.index("high")
-
-
-class _Silent:
-    def begin(self, total: int) -> None:
-        pass
-
-    def advance(self, what: str) -> None:
-        pass
-
-
-def validate(
-    scene: Scene | str,
-    *,
-    engines: Iterable[str] = (),
-    settings: str = "matched",
-    trajectories: int = 1,
-    seed: int = 0,
-    cache: bool = True,
-    workers: int | None = None,
-) -> Validation:
-    """Validate a scene (or the scene of a name or file) and give the figures.
-
-    Args:
-        scene: What to validate.
-        engines: Names; all installed ones when empty.
-        settings: "matched", "native" or "matched,native".
-        trajectories: Starts of each of the intervals low, medium and high.
-        seed: Seed of starts and inputs.
-        cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out, none but this one for 0.
-
-    Raises:
-        InputError: Something that was given cannot be used.
-    """
-    choice = Choice.parse(engines=",".join(engines) or None, profiles=settings)
-    return validate_with_evidence(
-        registry.load_scene(scene) if isinstance(scene, str) else scene,
-        choice=choice,
-        trajectories=trajectories,
-        seed=seed,
-        cache=cache,
-        workers=workers,
-        command="mbds_xsim.validate.validate",
-    )[0]
 
 
 def validate_with_evidence(
@@ -89,7 +45,7 @@ def validate_with_evidence(
     progress: ProgressSink | None = None,
     command: str = "",
 ) -> tuple[Validation, Evidence]:
-    """Validate, and keep the arrays for a page. See `validate`.
+    """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
 
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
@@ -97,7 +53,7 @@ def validate_with_evidence(
     contenders, left_out = choice.contenders(scene)
     batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
     outcomes, reference = run_campaign(
-        scene, batch, contenders, cache=cache, workers=workers, progress=progress or _Silent()
+        scene, batch, contenders, cache=cache, workers=workers, progress=progress or Silent()
     )
     rows = [judge(scene, batch, outcome, reference, native=readback) for outcome in outcomes]
     results = [row.result for row in rows]

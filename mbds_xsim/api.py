@@ -1,0 +1,220 @@
+"""What `import mbds_xsim` offers: the commands as functions that take and give Python values.
+
+Whatever cannot be used raises `InputError` with the line that the command would print.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbds_xsim import registry
+from mbds_xsim.choice import Choice, words_of
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+
+if TYPE_CHECKING:
+    from mbds_xsim.dataset.audit import Audited
+    from mbds_xsim.dataset.generate import Generated
+    from mbds_xsim.dataset.verify import Verified
+    from mbds_xsim.result import Validation
+
+__all__ = ["audit", "generate", "load_scene", "validate", "verify"]
+
+_MOST_STARTS = 10_000
+
+
+def load_scene(scene: Any) -> Scene:
+    """Make a scene from a built-in name, a family with a size, or a path; a `Scene` stays itself.
+
+    Raises:
+        InputError: There is no such scene, or its file is wrong; the text says where.
+    """
+    match scene:
+        case Scene():
+            return scene
+        case str() | Path():
+            return registry.load_scene(str(scene))
+    msg = f"scene: got {scene!r}, allowed is a Scene, a name or the path of a file"
+    raise InputError(msg)
+
+
+def validate(
+    scene: Scene | str | Path,
+    *,
+    engines: str | Iterable[str] = (),
+    settings: str | Iterable[str] = "matched",
+    trajectories: int = 1,
+    seed: int = 0,
+    method: str | None = None,
+    step: float | None = None,
+    noise: bool = True,
+    inputs: bool = True,
+    cache: bool = True,
+    workers: int | None = None,
+    page: str | Path | None = None,
+) -> Validation:
+    """Run a scene in all engines, check every trajectory, and say which to trust.
+
+    Args:
+        scene: What to validate: a scene, its name, or its file.
+        engines: One name or several; all installed ones when empty.
+        settings: "matched", "native" or both.
+        trajectories: Starts of each of the intervals low, medium and high.
+        seed: Seed of starts and inputs.
+        method: Step with this method; needs a single engine.
+        step: Step [s], a divisor of the frame interval.
+        noise: Whether random forces act.
+        inputs: Whether drawn inputs act: wind, drives.
+        cache: Whether stored reference solutions may be used.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        page: Write a self-contained page into this file.
+
+    Raises:
+        InputError: Something that was given cannot be used.
+    """
+    from mbds_xsim.validation import validate_with_evidence
+    from mbds_xsim.write import check_writable
+
+    _check_whole("trajectories", trajectories, 1, _MOST_STARTS)
+    _check_whole("seed", seed, 0)
+    _check_workers(workers)
+    if page is not None:
+        check_writable(Path(page), "page")
+    choice = Choice.parse(
+        engines=words_of(engines) or None, profiles=settings, method=method, step=step
+    )
+    validation, evidence = validate_with_evidence(
+        load_scene(scene),
+        choice=choice,
+        trajectories=trajectories,
+        seed=seed,
+        noise=noise,
+        inputs=inputs,
+        cache=cache,
+        workers=workers,
+        command="mbds_xsim.validate",
+    )
+    if page is not None:
+        from mbds_xsim.report.page import write_page
+
+        write_page(validation, evidence, Path(page))
+    return validation
+
+
+def generate(
+    scenes: Scene | str | Path | Iterable[Scene | str | Path],
+    out: str | Path,
+    *,
+    engines: str | Iterable[str] = (),
+    settings: str | Iterable[str] = "matched",
+    trajectories: int = 15_000,
+    seed: int = 0,
+    noise: bool = True,
+    workers: int | None = None,
+) -> Generated:
+    """Make data sets: simulate, check every trajectory, publish what passes.
+
+    Run again after any interruption, it goes on.
+
+    Args:
+        scenes: One or several: scenes, their names, or their files.
+        out: Folder of the data, made if needed.
+        engines: One name or several; all installed ones when empty.
+        settings: "matched" (certified), "native" (uncertified), or both.
+        trajectories: How many are drawn; rejected ones are not replaced.
+        seed: Seed of starts and inputs.
+        noise: Whether random forces act.
+        workers: Processes at a time; all cores when left out.
+
+    Raises:
+        InputError: Something that was given cannot be used.
+    """
+    from mbds_xsim.dataset.generate import Request
+    from mbds_xsim.dataset.generate import generate as run
+
+    _check_whole("trajectories", trajectories, 1)
+    _check_whole("seed", seed, 0)
+    _check_workers(workers)
+    several = (scenes,) if isinstance(scenes, Scene | str | Path) else scenes
+    request = Request(
+        scenes=tuple(map(load_scene, several)),
+        choice=Choice.parse(engines=words_of(engines) or None, profiles=settings),
+        trajectories=trajectories,
+        out=Path(out),
+        seed=seed,
+        noise=noise,
+    )
+    return run(request, workers=workers)
+
+
+def audit(
+    file: str | Path,
+    scene: Scene | str | Path | None = None,
+    *,
+    index: str | int | Iterable[int] | None = None,
+    seed: int | None = None,
+    noise: bool | None = None,
+    order: int | None = None,
+    step: float | None = None,
+    velocity_lag: float | None = None,
+    contact_time: float | None = None,
+) -> Audited:
+    """Check trajectories from anywhere: another engine, a lab, a learned model.
+
+    Args:
+        file: npz, CSV or HDF5; docs/data-commands.md lists names and columns.
+        scene: What moves; left out, what the file says.
+        index: Numbers of the starts, as 3, "0-9,15" or [0, 1]; the motion is compared with them.
+        seed: Seed of those starts.
+        noise: Whether their random forces acted.
+        order: Order of the method that made it; first when left out.
+        step: Its integration step [s]; the frame interval when left out.
+        velocity_lag: Velocities belong to frame time + lag [s].
+        contact_time: Time over which it spreads an impact [s].
+
+    Raises:
+        InputError: The file, or what is told of it, cannot be used.
+    """
+    from mbds_xsim.dataset.audit import Told, audit_file
+    from mbds_xsim.dataset.numbers import parse_numbers
+
+    told = Told(
+        index=tuple(parse_numbers(index, "--index")) if isinstance(index, str) else _tuple(index),
+        seed=seed,
+        noise=noise,
+        step_s=step,
+        method_order=order,
+        velocity_lag_s=velocity_lag,
+        contact_time_s=contact_time,
+    )
+    return audit_file(Path(file), None if scene is None else load_scene(scene), told)
+
+
+def verify(path: str | Path, *, workers: int | None = None) -> Verified:
+    """Check a data file, or a folder of them, again from its own contents alone.
+
+    Raises:
+        InputError: There is nothing to check.
+    """
+    from mbds_xsim.dataset.verify import verify as run
+
+    _check_workers(workers)
+    return run(Path(path), workers=workers)
+
+
+def _tuple(index: int | Iterable[int] | None) -> tuple[int, ...] | None:
+    return (index,) if isinstance(index, int) else None if index is None else tuple(index)
+
+
+def _check_workers(workers: int | None) -> None:
+    if workers is not None:
+        _check_whole("workers", workers, 0)
+
+
+def _check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
+    if not isinstance(value, int) or value < least or (most is not None and value > most):
+        allowed = f"{least} or more" if most is None else f"{least} to {most}"
+        msg = f"--{name}: got {value!r}, allowed is a whole number, {allowed}"
+        raise InputError(msg)

@@ -1,0 +1,18 @@
+"""Progress that nobody watches."""
+
+from __future__ import annotations
+
+__all__ = ["Silent"]
+
+
+class Silent:
+    """Progress sink that discards everything."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """Discard how much there is."""
+
+    def advance(self, what: object, rejected: int = 0) -> None:
+        """Discard what is done."""
+
+    def forecast(self, left_s: float) -> None:
+        """Discard how long it will take."""

@@ -1,0 +1,117 @@
+"""What `import mbds_xsim` offers, and what it says of values that it cannot use."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbds_xsim
+from mbds_xsim.choice import Choice
+from mbds_xsim.errors import InputError
+from mbds_xsim.frame import frame_of
+from mbds_xsim.registry import load_scene
+from mbds_xsim.scene import Body, Inertia, Joint, Scene
+
+_MASS = Inertia(mass=1.0, moments=(0.1, 0.1, 0.1))
+
+
+def test_all_that_is_exported_is_there() -> None:
+    assert all(callable(getattr(mbds_xsim, name)) for name in mbds_xsim.__all__)
+    assert set(mbds_xsim.__all__) <= set(dir(mbds_xsim))
+    with pytest.raises(AttributeError, match="no attribute 'valid'"):
+        mbds_xsim.valid  # noqa: B018
+
+
+def test_lists_and_arrays_are_taken_for_tuples() -> None:
+    listed = Scene(
+        name="rod",
+        bodies=[Body(name="rod", inertia=_MASS, position=np.array([0.0, 0.0, -0.5]))],  # type: ignore[arg-type]
+        joints=[Joint("hinge", "hinge", "world", "rod", [0.0, 0.0, 0.0], axis=[0, 1, 0])],  # type: ignore[arg-type]
+        length=1.0,
+    )
+
+    tupled = Scene(
+        name="rod",
+        bodies=(Body(name="rod", inertia=_MASS, position=(0.0, 0.0, -0.5)),),
+        joints=(Joint("hinge", "hinge", "world", "rod", (0.0, 0.0, 0.0), axis=(0, 1, 0)),),
+        length=1.0,
+    )
+    assert listed == tupled
+    assert hash(listed) == hash(tupled)
+
+
+@pytest.mark.parametrize("engines", ["mujoco", ["mujoco"], ("mujoco", "mujoco"), " mujoco"])
+def test_one_engine_is_one_engine(engines: Any) -> None:
+    assert Choice.parse(engines=engines).engines == ("mujoco",)
+
+
+def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+
+    found = mbds_xsim.validate(
+        load_scene("2pendulum"),
+        engines="mujoco",
+        method="Euler",
+        step=0.002,
+        noise=False,
+        workers=0,
+        page=page,
+    )
+
+    (row,) = found.engines
+    assert (row.method, row.step_s) == ("Euler", 0.002)
+    assert found.to_frame()[["engine", "method"]].values.tolist() == [["mujoco", "Euler"]]
+    assert "2pendulum" in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"trajectories": 0}, "--trajectories: got 0, allowed is a whole number, 1 to 10000"),
+        ({"trajectories": 1.5}, "--trajectories: got 1.5"),
+        ({"seed": -1}, "--seed: got -1"),
+        ({"workers": -1}, "--workers: got -1"),
+        ({"engines": "mujco"}, "no engine is called 'mujco'"),
+        ({"engines": 5}, "allowed are names"),
+        ({"engines": ["mujoco", 5]}, "allowed are names"),
+        ({"settings": "best"}, "no settings profile is called 'best'"),
+        ({"method": "RK4"}, "--method RK4: methods differ between engines"),
+        ({"step": "fast", "engines": "mujoco"}, "step: got 'fast'"),
+        ({"step": float("nan"), "engines": "mujoco"}, "step: got nan"),
+        ({"scene": "2pendulums"}, "no scene is called '2pendulums'"),
+        ({"scene": 2}, "scene: got 2, allowed is a Scene, a name or the path of a file"),
+        ({"page": "/dev/null/page.html"}, "page: cannot write"),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line: str) -> None:
+    with pytest.raises(InputError) as told:
+        mbds_xsim.validate(**{"scene": "2pendulum"} | arguments)
+
+    assert line in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.slow
+def test_data_are_made_checked_and_audited(tmp_path: Path) -> None:
+    made = mbds_xsim.generate(
+        "2pendulum", tmp_path, engines="mujoco", trajectories=2, settings=["matched"], workers=1
+    )
+    file = tmp_path / made.variants[0].file
+    checked, audited = mbds_xsim.verify(tmp_path, workers=1), mbds_xsim.audit(file)
+
+    assert made.to_frame()["trajectories"].tolist() == [2]
+    assert checked.sound
+    assert checked.to_frame()["kind"].tolist() == [report.kind for report in checked.files]
+    assert audited.to_frame()["check"].tolist() == [one.check for one in audited.findings]
+    assert len(mbds_xsim.load_dataset(file).index) == made.variants[0].published
+
+
+def test_frames_without_pandas_are_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+
+    with pytest.raises(InputError, match=r"needs pandas.*pip install 'mbds-xsim\[frames\]'"):
+        frame_of([])
