@@ -127,7 +127,7 @@ def train(
         told = _trained(campaign, request, *carrier, console)
     write_json(encoded(told), json)
     _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
-    raise typer.Exit(1 if told["failed"] else 0)
+    raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
 
 
 def _names(models: str | None) -> list[str]:
@@ -154,7 +154,7 @@ def _trained(
 ) -> dict[str, Any]:
     """Carry the runs out, and give what is to be told of them."""
     from mbds_xsim.dataset.lock import locked
-    from mbds_xsim.learn.campaign import LONG, carry
+    from mbds_xsim.learn.campaign import LONG, carry, diverged
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.report.training import TrainingBar, print_outcome
 
@@ -169,9 +169,11 @@ def _trained(
         for name in campaign.found:
             log_whole(request.out / f"{name}.curve.json", request.events / name)
     print_outcome(campaign, outcome, console)
+    runs = dict(sorted({**campaign.found, **outcome.trained}.items()))
     return {
-        "runs": dict(sorted({**campaign.found, **outcome.trained}.items())),
+        "runs": runs,
         "failed": outcome.failed,
+        "diverged": diverged(runs),
         "left_out": campaign.left_out,
         "cost": measured,
     }

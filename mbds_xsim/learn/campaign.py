@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,7 +22,17 @@ from mbds_xsim.learn.runs import Run, carry_out, check_data, finished
 from mbds_xsim.learn.train import PROFILES, Profile
 from mbds_xsim.learn.window import names_read
 
-__all__ = ["LONG", "Campaign", "Outcome", "Request", "carry", "costs", "planned", "profile_named"]
+__all__ = [
+    "LONG",
+    "Campaign",
+    "Outcome",
+    "Request",
+    "carry",
+    "costs",
+    "diverged",
+    "planned",
+    "profile_named",
+]
 
 _MEASURING = 600.0  # of one model [s]
 LONG = 1000
@@ -239,6 +249,11 @@ def _noted(
         progress.ended(run.name, run.profile.steps, told(answer))
 
     return note
+
+
+def diverged(runs: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Name the runs whose losses stopped being numbers."""
+    return [name for name, facts in runs.items() if facts["ended"] == "diverged"]
 
 
 def told(facts: dict[str, str]) -> str:

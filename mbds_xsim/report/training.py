@@ -113,7 +113,9 @@ def print_left_out(campaign: Campaign, console: Console) -> None:
 
 
 def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> None:
-    """Print how many runs ended how, and which did not."""
+    """Print how many runs ended how, and which diverged."""
+    from mbds_xsim.learn.campaign import diverged
+
     facts = [*outcome.trained.values(), *campaign.found.values()]
     ways = {
         "level": "ended level",
@@ -129,6 +131,13 @@ def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> Non
         highlight=False,
         soft_wrap=True,
     )
+    for name in diverged({**campaign.found, **outcome.trained}):
+        console.print(
+            f"{name} diverged: its file has the best parameters before; check its data, or train "
+            "it with another --track into another --out",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def _brief(*values: float) -> list[str]:

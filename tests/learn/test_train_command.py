@@ -361,18 +361,27 @@ def test_an_interrupted_campaign_goes_on_to_the_same_bits(
     assert curves[0] == curves[1]
 
 
-def test_divergence_is_a_result(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_divergence_is_a_result_and_a_failure(
+    ask: Ask, made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     recipe = runs.recipe_of
 
     def wild(run: runs.Run) -> object:
         return msgspec.structs.replace(recipe(run), rate=1e30)
 
     monkeypatch.setattr(runs, "recipe_of", wild)
-    outcome = _carry(ask("gns"))
+    monkeypatch.setitem(PROFILES, "smoke", TINY)
+    outcome = _carry(dataclasses.replace(ask("gns"), profile=TINY.of_exactly(12)))
     (facts,) = outcome.trained.values()
     assert outcome.failed == {}
     assert (facts["ended"], facts["level"]) == ("diverged", "no")
     assert read_facts(ask().out / "2pendulum/native/gns/all-s0.pt")["ended"] == "diverged"
+    words = [str(made), "--models", "gns", "--on", "all", "--seeds", "1", "--steps", "12"]
+    words += ["--profile", "smoke", "--out", str(ask().out), "--json", str(ask().out / "told.json")]
+    assert _end(words, monkeypatch) == 1
+    told = json.loads((ask().out / "told.json").read_bytes())
+    assert told["diverged"] == list(outcome.trained) == list(told["runs"])
+    assert "all-s0 diverged: its file has the best" in capsys.readouterr().out
 
 
 def test_what_a_model_cannot_represent_is_left_out(data: Callable[..., Dataset], ask: Ask) -> None:
