@@ -253,7 +253,7 @@ def _noted(
 
 def diverged(runs: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Name the runs whose losses stopped being numbers."""
-    return [name for name, facts in runs.items() if facts["ended"] == "diverged"]
+    return [name for name, facts in runs.items() if facts.get("ended") == "diverged"]
 
 
 def told(facts: dict[str, str]) -> str:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import io
 import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import torch
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, load_model
 from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.stored import arrays, read_stored
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.write import write_whole
@@ -21,6 +25,8 @@ from mbds_xsim.write import write_whole
 __all__ = ["read_facts", "read_model", "save_model"]
 
 _FORMAT = "mbds-xsim model 1"
+_LARGEST = 10_000
+"""Of all whole numbers in settings: layers, widths, passes, steps in a frame."""
 
 
 def save_model(
@@ -64,25 +70,69 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str,
         UnknownName: The model is not registered here.
     """
     whole = _read(path)
-    kind = load_model(whole["name"])
-    settings = None
-    if kind.tracks:
-        form = type(next(iter(kind.tracks.values())))
-        try:
-            settings = msgspec.json.decode(whole["settings"], type=form)
-        except msgspec.ValidationError as error:
-            raise _other_code(path, error) from error
-    own = msgspec.convert(tomllib.loads(whole["scene"]), Scene)
-    statistics = Statistics.from_state(whole["statistics"])
-    model = kind(Graph.of(scene or own), statistics, settings).to(kind.dtype)
     try:
-        model.load_state_dict(whole["parameters"])
-    except RuntimeError as error:
+        kind = load_model(whole.name)
+        settings = _settings(kind, whole)
+        own = msgspec.convert(tomllib.loads(whole.scene), Scene)
+        statistics = Statistics.from_state(arrays(whole.statistics))
+        parameters = arrays(whole.parameters)
+    except UnknownName as error:
+        raise UnknownName(f"{path}: {error}") from error
+    except Exception as error:  # as many as there are ways of making a file
+        raise _other_code(path, error) from error
+    try:
+        with _no_larger_than(parameters):
+            model = kind(Graph.of(scene or own), statistics, settings).to(kind.dtype)
+        model.load_state_dict(parameters)
+    except InputError:
+        raise
+    except Exception as error:
         if scene is None:
             raise _other_code(path, error) from error
         msg = f"{path}: trained on {own.name}, its parameters do not fit {scene.name}"
         raise InputError(msg) from error
-    return model, whole["facts"]
+    return model, whole.facts
+
+
+def _settings(kind: type[Model], whole: _Whole) -> Any:
+    """Read the hyper-parameters of a kind of model; None where there is nothing to set."""
+    if not kind.tracks:
+        return None
+    settings = msgspec.json.decode(whole.settings, type=type(next(iter(kind.tracks.values()))))
+    _check_sizes(msgspec.to_builtins(settings))
+    return settings
+
+
+def _check_sizes(settings: Any) -> None:
+    for key, value in settings.items():
+        if isinstance(value, dict):
+            _check_sizes(value)
+        elif isinstance(value, int) and not 0 <= value <= _LARGEST:
+            msg = f"{key}: got {value}, allowed is at most {_LARGEST}"
+            raise ValueError(msg)
+
+
+@contextmanager
+def _no_larger_than(parameters: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Let no model be built that has more parameters than the file has for it.
+
+    It is refused before memory is used: that of a parameter is not touched until its values are
+    drawn, which follows its registration.
+    """
+    left = sum(value.numel() for value in parameters.values())
+
+    def count(_module: torch.nn.Module, _name: str, parameter: torch.nn.Parameter) -> None:
+        nonlocal left
+        left -= 0 if parameter is None else parameter.numel()
+        if left < 0:
+            msg = "its settings ask for more parameters than it has"
+            raise ValueError(msg)
+
+    hook = register_module_parameter_registration_hook(count)
+    try:
+        yield
+    finally:
+        hook.remove()
 
 
 def _other_code(path: Path, error: Exception) -> InputError:
@@ -96,20 +146,28 @@ def read_facts(path: Path) -> dict[str, str]:
     Raises:
         InputError: It is no file of a model.
     """
-    facts: dict[str, str] = _read(path)["facts"]
-    return facts
+    return _read(path).facts
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        whole: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-    except OSError as error:
-        msg = f"{path}: no trained model can be read ({error.strerror or error})"
-        raise InputError(msg) from error
-    except Exception as error:  # whatever a file makes torch say, it tells a user nothing
-        msg = f"{path}: no trained model, or a damaged one; give another, or remove it"
-        raise InputError(msg) from error
-    if not isinstance(whole, dict) or whole.get("format") != _FORMAT:
+class _Whole(msgspec.Struct, frozen=True):
+    """What a file holds."""
+
+    name: str
+    scene: str
+    """As a scene file's text."""
+    settings: str
+    """JSON."""
+    statistics: dict[str, Any]
+    parameters: dict[str, Any]
+    facts: dict[str, str]
+
+
+def _read(path: Path) -> _Whole:
+    whole = read_stored(path, "trained model", "give another, or remove it")
+    if whole.get("format") != _FORMAT:
         msg = f"{path}: no trained model of this version; train it again"
         raise InputError(msg)
-    return whole
+    try:
+        return msgspec.convert(whole, _Whole)
+    except Exception as error:  # an array in the place of a dictionary is an `AttributeError`
+        raise _other_code(path, error) from error

@@ -25,6 +25,7 @@ from mbds_xsim.learn.accelerate import compile_networks, precision
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.rollout import roll
+from mbds_xsim.learn.stored import array, arrays, read_stored
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
 
@@ -39,6 +40,10 @@ __all__ = [
     "train",
     "validation_error",
 ]
+
+
+_ANEW = "remove it to start anew"
+_End = Literal["", "steps", "level", "diverged"]
 
 
 class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -106,7 +111,7 @@ class Training:
 
     model: Model
     curve: list[Point] = field(default_factory=list)
-    ended: Literal["", "steps", "level", "diverged"] = ""
+    ended: _End = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
     skipped: int = 0
     """Steps that were not taken, because their gradient was no number."""
@@ -271,7 +276,7 @@ class _Run:
             self._set_rate(_on_plateau(self.recipe.rate, self.schedule, curve))
         self.training.ended = self._end(loss)
 
-    def _end(self, loss: float) -> Literal["", "steps", "level", "diverged"]:
+    def _end(self, loss: float) -> _End:
         training, profile = self.training, self.profile
         if not math.isfinite(loss):
             return "diverged"
@@ -311,21 +316,42 @@ class _Run:
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint."""
         state = _read(path)
-        check_identity(path, "a checkpoint", state["identity"], self.identity)
+        check_identity(path, "a checkpoint", state.identity, self.identity)
         try:
-            self.training.model.load_state_dict(state["model"])
-        except RuntimeError as error:
+            self.training.model.load_state_dict(arrays(state.model))
+        except (RuntimeError, ValueError) as error:
             msg = f"{path}: a checkpoint of another model; name another file"
             raise InputError(msg) from error
-        self.step = state["step"]
-        self.best_state = state["best"]
-        self.adam.load_state_dict(state["adam"])
-        self._set_rate(state["rate"])
-        self.generator.set_state(state["generator"])
-        self.training.curve = msgspec.convert(state["curve"], list[Point])
-        self.training.ended = state["ended"]
-        self.training.skipped = state["skipped"]
-        self.training.wall_s, self.training.cpu_s = state["wall_s"], state["cpu_s"]
+        try:
+            self.best_state = arrays(state.best)
+            moments = {key: arrays(of) for key, of in state.adam["state"].items()}
+            self.adam.load_state_dict({**state.adam, "state": moments})
+            self.generator.set_state(array(state.generator))
+        except Exception as error:  # as many as there are ways of making a file
+            raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
+        self.step = state.step
+        self._set_rate(state.rate)
+        self.training.curve = state.curve
+        self.training.ended = state.ended
+        self.training.skipped = state.skipped
+        self.training.wall_s, self.training.cpu_s = state.wall_s, state.cpu_s
+
+
+class _State(msgspec.Struct, frozen=True):
+    """What a checkpoint holds; arrays as they lie in the file."""
+
+    identity: dict[str, str]
+    step: int
+    rate: float
+    model: dict[str, Any]
+    best: dict[str, Any]
+    adam: dict[str, Any]
+    generator: Any
+    curve: list[Point]
+    ended: _End
+    skipped: int
+    wall_s: float
+    cpu_s: float
 
 
 class _Clock:
@@ -361,17 +387,15 @@ def read_identity(path: Path) -> dict[str, str]:
     Raises:
         InputError: It is no checkpoint.
     """
-    found: dict[str, str] = _read(path)["identity"]
-    return found
+    return _read(path).identity
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> _State:
+    whole = read_stored(path, "checkpoint", _ANEW)
     try:
-        found: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:
-        msg = f"{path}: no checkpoint, or a damaged one; remove it to start anew"
-        raise InputError(msg) from error
-    return found
+        return msgspec.convert(whole, _State)
+    except Exception as error:  # an array in the place of a dictionary is an `AttributeError`
+        raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
 
 
 def _judged(validation: Motions, profile: Profile) -> Sample:

@@ -123,7 +123,7 @@ def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> Non
         "diverged": "diverged",
     }
     counts = [
-        f"{sum(fact['ended'] == way for fact in facts)} {words}" for way, words in ways.items()
+        f"{sum(fact.get('ended') == way for fact in facts)} {words}" for way, words in ways.items()
     ]
     console.print(
         f"{len(facts)} runs done, {len(campaign.found)} of them before, {len(outcome.failed)} "

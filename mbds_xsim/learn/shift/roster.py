@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from mbds_xsim.dataset.split import NAMES, split_of
 from mbds_xsim.errors import InputError
@@ -180,22 +181,32 @@ def entry_of(path: Path) -> Entry:
     if missing:
         msg = f"{path}: does not say its {', '.join(missing)}; train it with mbds-xsim train"
         raise InputError(msg)
+    try:
+        seed, steps = int(facts["seed"]), int(facts.get("steps", 0))
+        data, drawn = _data(facts), _drawn(facts)
+        INTERVALS.index(facts.get("interval") or INTERVALS[0])
+    except (ValueError, KeyError) as error:
+        msg = (
+            f"{path}: its seed, steps, data, interval or drawn are not what mbds-xsim train "
+            "writes; train it again"
+        )
+        raise InputError(msg) from error
     return Entry(
         model=path.parent.name,
         training=f"{facts['training']}-{facts['variant']}",
         engines=tuple(facts["train_engines"].split(",")),
         variant=facts["variant"],
-        seed=int(facts["seed"]),
+        seed=seed,
         path=path.resolve(),
         content=hashlib.sha256(path.read_bytes()).hexdigest(),
         module=type(model).__module__,
         profile=facts.get("profile_name") or facts.get("profile", ""),
-        steps=int(facts.get("steps", 0)),
+        steps=steps,
         ended=facts.get("ended", ""),
-        data=_data(facts),
+        data=data,
         interval=facts.get("interval", ""),
         bodies=model.needs_bodies,
-        drawn=_drawn(facts),
+        drawn=drawn,
         budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
     )
 
@@ -262,12 +273,12 @@ def trivial_entries() -> list[Entry]:
 
 
 def _data(facts: dict[str, str]) -> tuple[tuple[str, str], ...]:
-    told: dict[str, str] = json.loads(facts.get("data", "{}"))
+    told = msgspec.json.decode(facts.get("data", "{}"), type=dict[str, str])
     return tuple(sorted(told.items()))
 
 
 def _drawn(facts: dict[str, str]) -> tuple[int, int] | None:
-    told: dict[str, int] | None = json.loads(facts.get("drawn", "null"))
+    told = msgspec.json.decode(facts.get("drawn", "null"), type=dict[str, int] | None)
     return None if told is None else (told["seed"], told["trajectories"])
 
 
