@@ -302,6 +302,8 @@ class Budget(Neutral):
     scene's length."""
     friction: float = 0.02
     """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
+    balance: float = 1e-3
+    """Impulse of a step that no contact explains, over the weight's or the ground's own."""
     rolling: float = 1e-3
     """Slip of a ball that rolls over its largest speed."""
     restitution: float = 0.01

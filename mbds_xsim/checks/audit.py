@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mbds_xsim.checks.balance import balance, balance_drift
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
@@ -42,6 +43,8 @@ CHECKS: tuple[Check, ...] = (
     contact_gap,
     passivity,
     energy_rise,
+    balance,
+    balance_drift,
     friction,
     wheels,
     rolling,

@@ -80,6 +80,7 @@ def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
     return Spheres(gap, speed[..., 2], speed[..., :2])
 
 
+@functools.lru_cache(maxsize=1)
 def pushes_of(record: Record) -> list[Push]:
     """Find what the ground does to each group that has contact spheres and no other support.
 

@@ -7,6 +7,7 @@ momentum of the frames shows.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,6 +130,7 @@ def untouched(record: Record, push: Push) -> Mask:
     return np.asarray((gap > 0.0).all(axis=2))
 
 
+@functools.lru_cache(maxsize=4)
 def impacts_of(record: Record, push: Push) -> Impacts:
     """Find the steps in which one sphere, and no other of its group, hits the ground once."""
     free = untouched(record, push)

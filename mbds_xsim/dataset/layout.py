@@ -141,6 +141,8 @@ CHECKS: dict[str, str] = {
     "contact gap": "1",
     "passivity": "1",
     "energy rise": "1",
+    "balance": "1",
+    "balance drift": "1",
     "friction": "1",
     "wheels": "1",
     "rolling": "1",

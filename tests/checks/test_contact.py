@@ -86,7 +86,7 @@ def test_exact_motions_pass_every_check(scene: Scene) -> None:
 
     assert _failed(findings) == set()
     assert {"penetration", "contact gap", "passivity", "friction", "hop"} <= set(findings)
-    for name in ("contact gap", "passivity", "friction", "restitution", "hop"):
+    for name in ("balance", "contact gap", "passivity", "friction", "restitution", "hop"):
         assert findings[name].figure.max() < 1e-9, name
 
 
@@ -104,7 +104,8 @@ def test_a_car_on_the_ground_passes_every_check() -> None:
     findings = _findings(*_driven())
 
     assert _failed(findings) == set()
-    assert findings["wheels"].figure.max() < 1e-9
+    for name in ("balance", "balance drift", "wheels"):
+        assert findings[name].figure.max() < 1e-9, name
     assert {"restitution", "rolling", "hop"}.isdisjoint(findings)
 
 

@@ -16,9 +16,10 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
 from .bench import ENGINES
-from .native import no_reaction
+from .native import axle_damping, no_reaction
 from .native_contact import friction_box, speed_limit
 from .planting import Fault
+from .smooth import heavier
 
 __all__ = ["CONTACT"]
 
@@ -27,6 +28,8 @@ _FASTEST = 100.0
 """[rad/s]"""
 _KICK, _LIFT = 10, 2.0 * 9.81
 """Frame in which the ball is pushed up, and by how much: a mass of 1 kg by twice its weight [N]."""
+_DROPPED = 48
+"""Frame whose inputs are left out."""
 
 
 def _ground(**coefficients: float) -> Callable[[Scene], Scene]:
@@ -86,6 +89,28 @@ def _kicked(batch: Batch) -> Batch:
     """Push the ball up for a frame, so that it hops."""
     force = batch.force.copy()
     force[:, _KICK : _KICK + 1, 0, 2] += _LIFT
+    return dataclasses.replace(batch, force=force)
+
+
+def _no_noise(batch: Batch) -> Batch:
+    return dataclasses.replace(batch, force=np.zeros_like(batch.force))
+
+
+def _weak_torque(batch: Batch) -> Batch:
+    return dataclasses.replace(batch, torque=0.95 * batch.torque)
+
+
+def _dropped_torque(batch: Batch) -> Batch:
+    """Leave out the torques of a frame after the first impact."""
+    torque = batch.torque.copy()
+    torque[:, _DROPPED] = 0.0
+    return dataclasses.replace(batch, torque=torque)
+
+
+def _dropped_noise(batch: Batch) -> Batch:
+    """Leave out the noise of a frame after some bounces."""
+    force = batch.force.copy()
+    force[:, _DROPPED] = 0.0
     return dataclasses.replace(batch, force=force)
 
 
@@ -314,5 +339,56 @@ CONTACT = (
         engines=ENGINES,
         checks=("momentum",),
         native=no_reaction,
+    ),
+    Fault(
+        name="axle damping of 0.001 N·m·s",
+        scene="particlecar for 0.8 s",
+        engines=("mujoco", "dart"),
+        checks=("balance", "balance drift"),
+        native=axle_damping,
+    ),
+    Fault(
+        name="one wheel 5 % heavier",
+        scene="particlecar for 0.8 s",
+        engines=("mujoco", "pybullet"),
+        checks=("balance", "balance drift"),
+        told="mass [kg] of",
+        model=heavier("front_left", 0.05),
+    ),
+    Fault(
+        name="chassis 5 % heavier",
+        scene="particlecar for 0.8 s",
+        engines=("mujoco", "pybullet"),
+        checks=("balance", "balance drift"),
+        told="mass [kg] of",
+        model=heavier("chassis", 0.05),
+    ),
+    Fault(
+        name="no noise, on wheels",
+        scene="particlecar for 0.8 s",
+        engines=("mujoco", "pybullet"),
+        checks=("balance", "balance drift"),
+        inputs=_no_noise,
+    ),
+    Fault(
+        name="torques 5 % too weak",
+        scene="simplecubli",
+        engines=("mujoco", "pybullet"),
+        checks=("balance", "balance drift"),
+        inputs=_weak_torque,
+    ),
+    Fault(
+        name="torques of a frame left out after an impact",
+        scene="simplecubli",
+        engines=("mujoco", "pybullet"),
+        checks=("balance", "balance drift"),
+        inputs=_dropped_torque,
+    ),
+    Fault(
+        name="noise of a frame left out after a bounce",
+        scene="balldrop",
+        engines=ENGINES,
+        checks=("balance",),
+        inputs=_dropped_noise,
     ),
 )

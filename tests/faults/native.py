@@ -14,16 +14,16 @@ import numpy as np
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import WORLD_INDEX
 
-__all__ = ["force_off_center", "joint_damping", "motors_left_on", "no_reaction"]
+__all__ = ["axle_damping", "force_off_center", "joint_damping", "motors_left_on", "no_reaction"]
 
 _OFFSET = [0.0, 0.0, 0.05]
 """[m]"""
 _DAMPING = 0.01
 """[N·m·s]"""
-_DART_DAMPING = f"""
+_DART_DAMPING = """
 for joint in joints.values():
     for k in range(joint.getNumDofs()):
-        joint.setDampingCoefficient(k, {_DAMPING})
+        joint.setDampingCoefficient(k, {})
 """
 
 
@@ -34,7 +34,12 @@ def motors_left_on(_engine: str) -> AbstractContextManager[object]:
 
 def joint_damping(engine: str) -> AbstractContextManager[object]:
     """Let every joint of MuJoCo or DART have some damping, as their model files often do."""
-    return {"mujoco": _damped_mujoco, "dart": _damped_dart}[engine]()
+    return {"mujoco": _damped_mujoco, "dart": _damped_dart}[engine](_DAMPING)
+
+
+def axle_damping(engine: str) -> AbstractContextManager[object]:
+    """Let axles have a tenth of it."""
+    return {"mujoco": _damped_mujoco, "dart": _damped_dart}[engine](_DAMPING / 10.0)
 
 
 def force_off_center(engine: str) -> AbstractContextManager[object]:
@@ -92,7 +97,7 @@ def _exudyn() -> AbstractContextManager[object]:
     return mock.patch.object(bodies, "loads_listing", listed_beside)
 
 
-def _damped_mujoco() -> AbstractContextManager[object]:
+def _damped_mujoco(damping: float) -> AbstractContextManager[object]:
     adapter = _adapter("_mujoco_run")
     text = adapter.text
 
@@ -100,17 +105,17 @@ def _damped_mujoco() -> AbstractContextManager[object]:
         for flag in root.iter("flag"):
             flag.attrib.pop("damper", None)
         for joint in root.iter("joint"):
-            joint.set("damping", str(_DAMPING))
+            joint.set("damping", str(damping))
         return text(root)
 
     return mock.patch.object(adapter, "text", text_with_damping)
 
 
-def _damped_dart() -> AbstractContextManager[object]:
+def _damped_dart(damping: float) -> AbstractContextManager[object]:
     adapter = _adapter("dart")
     listing = adapter.build_listing
     return mock.patch.object(
-        adapter, "build_listing", lambda *given: listing(*given) + _DART_DAMPING
+        adapter, "build_listing", lambda *given: listing(*given) + _DART_DAMPING.format(damping)
     )
 
 

@@ -18,6 +18,7 @@ SCENES = {
     "ballscroll at 45°": 40,
     "balldrop": 75,
     "particlecar": 10,
+    "particlecar for 0.8 s": 40,
     "particlecar at 100 rad/s": 12,
     "simplecubli": 50,
     "simplecubli in flight": 18,

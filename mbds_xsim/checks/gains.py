@@ -1,0 +1,265 @@
+"""What the ground gives a group of bodies in a step: impulse, its moment, and spin of wheels.
+
+All is told in axes that turn about the vertical with the group's heaviest body, at the mean rate
+of the step. Coulomb's cone is the same in these, and under what turns on the spot, such as a car,
+contacts stay where they are and slips keep their direction. Joints drop out: theirs are impulses
+between bodies of one group, which have no part in the whole, nor about an axle in the spin of a
+body of revolution.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.ground import Push
+from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+
+__all__ = ["Axle", "Gains", "axles_of", "gains_of"]
+
+Array = NDArray[np.float64]
+
+_EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
+# Times the lag, of the gyroscopic moment's change: first order; tumbling cars leave up to 4.
+_REEL = 6.0
+_UP: Array = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Axle:
+    """The only joint of a body of revolution, a hinge along its axis."""
+
+    name: str
+    body: int
+    hinge: int
+    """Its number among the hinges."""
+    sign: float
+    """Of the hinge's torque on the body: −1 where it is the parent."""
+    moment: float
+    """About the axle [kg·m²]."""
+    axis: Array
+    """In the body's native frame, shape (3,)."""
+    sphere: int | None
+    """Number, within the group, of the body's contact sphere; None where it has none."""
+    radius: float
+    """Of the sphere [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What the ground gives a group in each step; axes are (trajectory, step, …)."""
+
+    linear: Array
+    """Impulse [N·s], (…, 3)."""
+    angular: Array
+    """Its moment about the centre of mass [N·m·s], (…, 3)."""
+    arm: Array
+    """From the centre of mass to the lowest point of each sphere [m], (…, sphere, 3)."""
+    vague: Array
+    """Moment that motion within the step leaves open, of an impulse of 1 N·s [m], (…)."""
+    blur: Array
+    """Moment that velocities beside their places leave open [N·m·s], (…)."""
+    spin: Array
+    """Gained by bodies on axles, less what hinges gave [N·m·s], (…, axle)."""
+    lever: Array
+    """Moment about the axle of an impulse of 1 N·s at the body's sphere [m], (…, axle, 3)."""
+    touches: NDArray[np.bool_]
+    """Spheres that may touch in the step, (…, sphere)."""
+
+
+@functools.lru_cache(maxsize=4)
+def gains_of(record: Record, push: Push) -> Gains:
+    """Take momenta, inputs and gravity of a group together."""
+    mechanism, states = record.mechanism, record.bodies
+    heaviest = max(push.bodies, key=lambda body: float(mechanism.mass[body]))
+    native = states.native[:, :, heaviest]
+    hits = impacts_of(record, push)
+    turn = _turned(native[:, :-1], native[:, 1:])
+    # Of a single impact it is the moment that counts, not the step.
+    turn[hits.row, hits.step] = 0.0
+    turn[~push.reach.any(axis=2)] = 0.0
+    half = turn / 2
+    begin, end = _both(half, _arms(mechanism, states, push))
+    arm = (begin + end) / 2
+    spin, lever, veer = _spins(record, push, half)
+    rates = _both(half, _rates(mechanism, states, push))
+    # How far an arm is from its mean at most: at the ends, and where a path bends in between.
+    strays = rotation.norm(end - begin) / 2 + record.frame / 4 * rotation.norm(rates[1] - rates[0])
+    vague = np.where(push.reach, strays, 0.0).max(axis=2) + veer
+    touches = push.reach.copy()
+    single = push.spheres == hits.sphere[:, None]
+    before, after = (_arms(mechanism, part, push) for part in (hits.before, hits.after))
+    touches[hits.row, hits.step] = single
+    arm[hits.row, hits.step] = (before + after) / 2
+    # Soft contact pushes most in the middle of its time.
+    moved = np.where(single, rotation.norm(after - before), 0.0).max(axis=1)
+    vague[hits.row, hits.step] = moved / 4
+    # Impulses of one step act at places of the step before.
+    speed = np.maximum(
+        *(np.where(push.reach, rotation.norm(part), 0.0).max(axis=2) for part in rates)
+    )
+    vague += 2.0 * abs(record.lag) * speed
+    rate = states.angular_velocity[:, :-1, heaviest]
+    reel = rotation.norm(rate) * np.hypot(rate[..., 0], rate[..., 1])
+    angular, size = _angular(record, push, half)
+    return Gains(
+        linear=_linear(record, push, half),
+        angular=angular,
+        arm=arm,
+        vague=vague,
+        blur=_REEL * abs(record.lag) * record.frame * reel * size,
+        spin=spin,
+        lever=lever,
+        touches=touches,
+    )
+
+
+def axles_of(mechanism: Mechanism, push: Push) -> list[Axle]:
+    """Find the group's bodies of revolution on axles."""
+    found = (_axle_of(mechanism, push, body) for body in push.bodies)
+    return [axle for axle in found if axle is not None]
+
+
+def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
+    mine = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
+    tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
+    spheres = np.flatnonzero(mechanism.sphere_body[push.spheres] == body)
+    if tied or len(mine) != 1 or mine[0].kind != "hinge" or len(spheres) > 1:
+        return None
+    joint, inertia = mine[0], mechanism.inertia[body]
+    anchor = joint.in_child if joint.child == body else joint.in_parent
+    moment = float(joint.axis @ inertia @ joint.axis)
+    across = (np.trace(inertia) - moment) / 2
+    outer = np.outer(joint.axis, joint.axis)
+    even = np.abs(inertia - across * np.eye(3) - (moment - across) * outer).max()
+    centres = [anchor, *mechanism.sphere_offset[push.spheres[spheres]]]
+    off = max(float(np.linalg.norm(np.cross(joint.axis, point))) for point in centres)
+    if off > _EVEN or even > _EVEN * moment:
+        return None
+    return Axle(
+        name=joint.name,
+        body=body,
+        hinge=mechanism.hinges.index(joint),
+        sign=1.0 if joint.child == body else -1.0,
+        moment=moment,
+        axis=joint.axis,
+        sphere=int(spheres[0]) if len(spheres) else None,
+        radius=float(mechanism.sphere_radius[push.spheres[spheres[0]]]) if len(spheres) else 0.0,
+    )
+
+
+def _spins(record: Record, push: Push, half: Array) -> tuple[Array, Array, Array]:
+    """What axles gained less what hinges gave, levers of their spheres, and how far these veer.
+
+    I Δω about the axle is exact: nothing but the hinge and the ground has a moment about it.
+    """
+    axles = axles_of(record.mechanism, push)
+    spin, lever = np.zeros((*half.shape, len(axles))), np.zeros((*half.shape, len(axles), 3))
+    veer = np.zeros(half.shape)
+    for k, axle in enumerate(axles):
+        axis = rotation.rotate(record.bodies.native[:, :, axle.body], axle.axis)
+        own = axle.moment * rotation.dot(axis, record.bodies.angular_velocity[:, :, axle.body])
+        drive = axle.sign * record.batch.torque[:, : record.steps, axle.hinge] * record.frame
+        spin[..., k] = np.diff(own, axis=1) - drive
+        begin, end = _both(half, axis)
+        # axis · (−R ẑ × P)
+        lever[..., k, :] = axle.radius * rotation.cross(_UP, (begin + end) / 2)
+        veer = np.maximum(veer, axle.radius * rotation.norm(end - begin) / 2)
+    return spin, lever, veer
+
+
+def _linear(record: Record, push: Push, half: Array) -> Array:
+    group = list(push.bodies)
+    share = record.mechanism.mass[group] / push.mass
+    place, speed = (
+        np.einsum("b,tfbi->tfi", share, values[:, :, group])
+        for values in (record.bodies.position, record.bodies.velocity)
+    )
+    frame, rate = record.frame, (2.0 * half / record.frame)[..., None]
+    middle = (place[:, 1:] + place[:, :-1]) / 2
+    x = _about(half, place[:, :-1] - middle), _about(-half, place[:, 1:] - middle)
+    v = _both(half, speed)
+    moving = [b - rate * _across(a) for a, b in zip(x, v, strict=True)]
+    mean = frame / 2 * (x[0] + x[1]) + frame**2 / 12 * (moving[0] - moving[1])
+    travel = x[1] - x[0] + rate * _across(mean)
+    load = record.batch.force[:, : record.steps, group].sum(axis=2)
+    given = frame * _held(load + push.mass * np.array(record.scene.gravity), half)
+    return np.asarray(push.mass * (v[1] - v[0] + rate * _across(travel)) - given)
+
+
+def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
+    """About the centre of mass, and how much there is at the beginning."""
+    group, states = list(push.bodies), record.bodies
+    mass = record.mechanism.mass[group]
+    place, speed = (
+        values[:, :, group]
+        - np.einsum("b,tfbi->tfi", mass / push.mass, values[:, :, group])[:, :, None]
+        for values in (states.position, states.velocity)
+    )
+    own = rotation.rotate(states.native[:, :, group], record.turning[:, :, group])
+    whole = (own + rotation.cross(place, mass[:, None] * speed)).sum(axis=2)
+    begin, end = _both(half, whole)
+    arm = np.add(*_both(half, place))
+    load = _held(record.batch.force[:, : record.steps, group], half[..., None])
+    given = record.frame / 2 * rotation.cross(arm, load).sum(axis=2)
+    gained = end - begin + half[..., None] * _across(begin + end) - given
+    return gained, rotation.norm(begin)
+
+
+def _arms(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
+    """From the group's centre of mass to the lowest points of spheres, (…, sphere, 3)."""
+    group, carrier = list(push.bodies), mechanism.sphere_body[push.spheres]
+    share = mechanism.mass[group] / push.mass
+    middle = np.einsum("b,...bi->...i", share, states.position[..., group, :])
+    out = rotation.rotate(states.native[..., carrier, :], mechanism.sphere_offset[push.spheres])
+    low = mechanism.sphere_radius[push.spheres, None] * _UP
+    return np.asarray(states.position[..., carrier, :] + out - middle[..., None, :] - low)
+
+
+def _rates(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
+    """Rates of these arms [m/s]."""
+    group, carrier = list(push.bodies), mechanism.sphere_body[push.spheres]
+    share = mechanism.mass[group] / push.mass
+    middle = np.einsum("b,...bi->...i", share, states.velocity[..., group, :])
+    out = rotation.rotate(states.native[..., carrier, :], mechanism.sphere_offset[push.spheres])
+    swing = rotation.cross(states.angular_velocity[..., carrier, :], out)
+    return np.asarray(states.velocity[..., carrier, :] + swing - middle[..., None, :])
+
+
+def _turned(begin: Array, end: Array) -> Array:
+    """Angle about the vertical from one rotation to another, the twist of a swing and a twist."""
+    change = rotation.multiply(end, rotation.conjugate(begin))
+    return (
+        np.asarray(2.0 * np.arctan2(change[..., 3], change[..., 0]) + np.pi) % (2 * np.pi) - np.pi
+    )
+
+
+def _about(angle: Array, vectors: Array) -> Array:
+    """Turn vectors about the vertical."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, vectors[..., 2]], axis=-1)
+
+
+def _both(half: Array, vectors: Array) -> tuple[Array, Array]:
+    """Vectors at the two ends of each step, in its turning axes; (trajectory, frame, …, 3)."""
+    angle = half.reshape(*half.shape, *(1,) * (vectors.ndim - 3))
+    return _about(angle, vectors[:, :-1]), _about(-angle, vectors[:, 1:])
+
+
+def _across(vectors: Array) -> Array:
+    """ẑ × v."""
+    return np.stack([-vectors[..., 1], vectors[..., 0], np.zeros(vectors.shape[:-1])], axis=-1)
+
+
+def _held(load: Array, half: Array) -> Array:
+    """Mean of what is held in W over a step, in the turning axes."""
+    level = np.sinc(half / np.pi)[..., None]
+    return np.asarray(load * np.concatenate([level, level, np.ones_like(level)], axis=-1))

@@ -1,0 +1,112 @@
+"""What no contact explains shows, frame by frame or in the sum; what contact explains does not."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mbds_xsim import reference, rotation
+from mbds_xsim.checks.balance import balance, balance_drift
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing.straight_car import straight_run
+
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[Scene, Batch, Trajectory]:
+    """A car in closed form that slips at first, and rolls for the most of 2 s."""
+    scene = load_scene("particlecar")
+    scene = msgspec.structs.replace(scene, noise=0.0, clock=Clock(scene.clock.frame, 100))
+    torque = np.repeat([[2.0, -1.0], [-0.5, 2.0]], 50, axis=0)
+    return scene, *straight_run(scene, speed=10.0, rates=(45.0, 55.0), torque=torque)
+
+
+def _both(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Finding, Finding]:
+    record = Record(scene, batch, motion)
+    found = balance(record), balance_drift(record)
+    assert found[0] is not None
+    assert found[1] is not None
+    return found[0], found[1]
+
+
+def _turned(motion: Trajectory, angle: float) -> Trajectory:
+    """Let the car head another way, as if seen by an observer who is turned."""
+    turn = rotation.from_vector(np.array([0.0, 0.0, angle]))
+    vectors = ("position", "velocity", "angular_velocity")
+    changes: dict[str, Any] = {
+        name: rotation.rotate(turn, getattr(motion, name)) for name in vectors
+    }
+    quaternion = rotation.multiply(turn, motion.orientation)
+    return dataclasses.replace(motion, **changes, orientation=quaternion)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
+def test_contact_explains_a_car_in_any_heading(
+    driven: tuple[Scene, Batch, Trajectory], angle: float
+) -> None:
+    scene, batch, motion = driven
+    each, drift = _both(scene, batch, _turned(motion, angle))
+
+    assert each.figure.max() < 1e-9
+    assert drift.figure.max() < 1e-9
+
+
+def test_a_small_torque_on_an_axle_adds_up(driven: tuple[Scene, Batch, Trajectory]) -> None:
+    """0.01 N·m that the record keeps quiet about; all four axles together move the car."""
+    scene, batch, motion = driven
+    kept = dataclasses.replace(batch, torque=batch.torque + 0.01)
+    each, drift = _both(scene, kept, motion)
+
+    assert each.passed.all()
+    assert not drift.passed.any()
+    # The impulses on the wheels, each 0.01 N·m · 20 ms over a radius of 0.2 m, are 1 mN·s. They
+    # are shared out evenly between the car's own momentum and the four spins.
+    mass = 20.0 + 4.0 * 13.0
+    assert drift.figure == pytest.approx(100 * 4e-3 / 5.0 / (mass * 9.81 * 0.02), rel=1e-6)
+
+
+def test_drag_shows_along_the_heading(driven: tuple[Scene, Batch, Trajectory]) -> None:
+    scene, batch, motion = driven
+    force = batch.force.copy()
+    force[:, 60, 0, 0] += 5.0
+    each, _ = _both(scene, dataclasses.replace(batch, force=force), motion)
+
+    assert not each.passed.any()
+    assert (each.frame == 61).all()
+
+
+def test_what_friction_can_explain_does_not_show(driven: tuple[Scene, Batch, Trajectory]) -> None:
+    """A force across the wheels, which these would hold against."""
+    scene, batch, motion = driven
+    force = batch.force.copy()
+    force[:, 60, 0, 1] += 5.0
+    each, drift = _both(scene, dataclasses.replace(batch, force=force), motion)
+
+    assert each.figure.max() < 1e-9
+    assert drift.figure.max() < 1e-9
+
+
+def test_a_force_shows_in_flight() -> None:
+    """A force of a frame that nothing holds against, on a ball in the air."""
+    scene = load_scene("balldrop")
+    scene = msgspec.structs.replace(scene, clock=Clock(scene.clock.frame, 60))
+    batch = draw_batch(scene, range(2))
+    motion = reference.solve(scene, batch, cache=False)
+    force = batch.force.copy()
+    force[:, 5, 0, 0] += 1.0
+    found = balance(Record(scene, dataclasses.replace(batch, force=force), motion))
+
+    assert found is not None
+    assert (found.frame == 6).all()
+    assert found.figure == pytest.approx(1.0 / (19.0 * 9.81), rel=1e-6)
+    assert set(found.where) == {"impulse, disc"}
