@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 # Times the declared duration and the arriving speed. Half of it is what a spring makes that lasts
 # as long; joined bodies make one last longer, measured up to 2.6 times.
 _LONGEST = 2.0
+_LASTING = 4.0  # how much sharper than in impacts it is known where the ground is that carries
 
 
 def penetration(record: Record) -> Finding | None:
@@ -41,7 +42,8 @@ def penetration(record: Record) -> Finding | None:
 def contact_gap(record: Record) -> Finding | None:
     """Measure how far spheres are from the ground that carries them, over the scene's length.
 
-    At frames where the ground carries a steady weight it is the gap of the lowest sphere; in a
+    At frames where the ground carries a steady weight it is the gap of the lowest sphere, four
+    times that where it stays for three of them; in a
     single impact the gap at which the motions before and after it meet. Of those beside the centre
     of mass, what the declared time of contact explains is left out below the ground, and all of it
     where none is declared. None without contact.
@@ -63,6 +65,9 @@ def _gaps(record: Record, push: Push) -> Array:
     """Distances where they are known [m], NaN elsewhere, shape (trajectory, frame)."""
     gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres].min(axis=2)
     found = np.where(push.resting, np.abs(gap), np.nan)
+    # A gap that stays is where the ground is; one of a frame may be a hop.
+    around = np.minimum(np.minimum(found[:, :-2], found[:, 1:-1]), found[:, 2:])
+    found[:, 1:-1] = np.fmax(found[:, 1:-1], _LASTING * around)
     hits = impacts_of(record, push)
     found[hits.row, hits.step + 1] = np.abs(hits.gap) if push.ball else _off(record, hits)
     found[:, 0] = np.nan_to_num(found[:, 0])  # not every trajectory touches

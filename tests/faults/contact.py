@@ -92,6 +92,13 @@ def _kicked(batch: Batch) -> Batch:
     return dataclasses.replace(batch, force=force)
 
 
+def _lowered(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Let all that follows the start go on 1 mm lower."""
+    position = motion.position.copy()
+    position[:, 1:, :, 2] -= 1e-3
+    return dataclasses.replace(motion, position=position)
+
+
 def _no_noise(batch: Batch) -> Batch:
     return dataclasses.replace(batch, force=np.zeros_like(batch.force))
 
@@ -390,5 +397,12 @@ CONTACT = (
         engines=ENGINES,
         checks=("balance",),
         inputs=_dropped_noise,
+    ),
+    Fault(
+        name="ground 1 mm low",
+        scene="particlecar",
+        engines=("mujoco", "pybullet"),
+        checks=("contact gap",),
+        motion=_lowered,
     ),
 )
