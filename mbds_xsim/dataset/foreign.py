@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import tomllib
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.columns import HELD, TIME, groups, sort_columns
+from mbds_xsim.dataset.facts import scene_of
 from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.opened import refuse_other
 from mbds_xsim.dataset.streams import RANKS, Piece, read_hdf5, read_npz
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Clock, Scene
@@ -102,9 +103,7 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     if path.suffix not in readers:
         msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
         raise InputError(msg)
-    if not path.is_file():
-        msg = f"{path}: there is no such file"
-        raise InputError(msg)
+    refuse_other(path)
     try:
         for raw in readers[path.suffix](path, scene):
             yield _checked(raw, scene or _own_scene(raw, path), str(path))
@@ -216,11 +215,7 @@ def _own_scene(raw: _Raw, path: Path) -> Scene:
     if "scene" not in raw.facts:
         msg = f"{path}: the file does not tell its scene; give it with --scene"
         raise InputError(msg)
-    try:
-        return msgspec.convert(tomllib.loads(str(raw.facts["scene"])), Scene)
-    except (msgspec.ValidationError, tomllib.TOMLDecodeError) as error:
-        msg = f"{path}: what it says is its scene is none: {error}; give it with --scene"
-        raise InputError(msg) from error
+    return scene_of(raw.facts["scene"], path, "give it with --scene")
 
 
 def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:

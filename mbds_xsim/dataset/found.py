@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.layout import SUFFIX
-from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.errors import InputError
 
 __all__ = ["joined_files"]

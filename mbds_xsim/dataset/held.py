@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import values_of
+from mbds_xsim.dataset.facts import attributes_of, scene_of
+from mbds_xsim.dataset.fit import check_fit
 from mbds_xsim.dataset.gate import Making
 from mbds_xsim.dataset.layout import known_names
 from mbds_xsim.dataset.opened import opened
-from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.engine import Method, Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
@@ -40,16 +40,16 @@ class Held:
         """Read a file.
 
         Raises:
-            InputError: It is no such file, or its scene is none.
+            InputError: It is no such file, its scene is none, or its datasets are not the scene's.
         """
         attributes = attributes_of(path)
+        if attributes["kind"] not in ("shard", "rejected"):
+            msg = f"{path}: got a file of the kind {attributes['kind']}, allowed is a shard"
+            raise InputError(msg)
+        scene = scene_of(attributes["scene"], path)
         with opened(path) as file:
+            check_fit(file, path, attributes["kind"], scene)
             arrays = {name: values_of(file[name]) for name in known_names() if name in file}
-        try:
-            scene = msgspec.convert(tomllib.loads(attributes.get("scene", "")), Scene)
-        except (msgspec.ValidationError, tomllib.TOMLDecodeError) as error:
-            msg = f"{path}: its attribute scene is no scene: {error}"
-            raise InputError(msg) from error
         return Held(path, attributes, arrays, scene)
 
     def __len__(self) -> int:
@@ -87,7 +87,15 @@ class Held:
 
     @property
     def settings(self) -> Settings:
-        """Settings to make it again."""
+        """Settings to make it again.
+
+        Raises:
+            InputError: Its options are none.
+        """
         told = self.attributes
-        options = msgspec.json.decode(told["options"])
+        try:
+            options = msgspec.json.decode(told["options"], type=dict[str, Any])
+        except (msgspec.DecodeError, UnicodeError) as error:
+            msg = f"{self.path}: attribute options: got {told['options']!r}: {error}"
+            raise InputError(msg) from error
         return Settings(told["method"], told["step_s"], options)

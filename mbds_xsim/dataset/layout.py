@@ -7,8 +7,10 @@ trajectory, and any window of frames of it, is one run of bytes that can be mapp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 __all__ = [
+    "ATTRIBUTES",
     "CHECKS",
     "FIELDS",
     "FORMAT",
@@ -17,6 +19,7 @@ __all__ = [
     "SUFFIX",
     "VERSION",
     "Field",
+    "Kind",
     "known_names",
 ]
 
@@ -123,6 +126,39 @@ FIELDS: tuple[Field, ...] = (
     ),
     Field("valid_in_all", ("number",), "|b1", "1", "the same in all variants", ("joint",)),
 )
+
+Kind = Literal["text", "truth", "natural", "number", "positive"]
+"""Of an attribute."""
+
+ATTRIBUTES: dict[str, Kind] = {
+    "kind": "text",
+    "scene_name": "text",
+    "scene": "text",
+    "dimension": "natural",
+    "frame_s": "positive",
+    "steps": "natural",
+    "seed": "natural",
+    "noise": "truth",
+    "engine": "text",
+    "engine_version": "text",
+    "method": "text",
+    "method_family": "text",
+    "method_order": "natural",
+    "profile": "text",
+    "certification": "text",
+    "step_s": "positive",
+    "options": "text",
+    "velocity_lag_s": "number",
+    "contact_time_s": "number",
+    "audit_sample": "text",
+    "first": "natural",
+    "count": "natural",
+    "published": "natural",
+    "rejected": "natural",
+    "numpy_version": "text",
+    "mbds_xsim_version": "text",
+}
+"""Attributes of a file beside its format, layout and checksum."""
 
 SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
 """Attributes that are alike in all variants of a scene in one folder."""

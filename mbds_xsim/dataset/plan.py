@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
-from mbds_xsim.dataset.opened import opened
+from mbds_xsim.dataset.facts import attributes_of
+from mbds_xsim.dataset.layout import SHARED, SUFFIX
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.errors import InputError
 
-__all__ = ["attributes_of", "check_paired", "pending"]
+__all__ = ["check_paired", "pending"]
 
 
 def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
@@ -53,26 +51,6 @@ def check_paired(variant: Variant, out: Path) -> None:
                 raise InputError(msg)
 
 
-def attributes_of(path: Path) -> dict[str, Any]:
-    """Attributes of a data file.
-
-    Raises:
-        InputError: It is no data file, or of a newer layout.
-    """
-    with opened(path) as file:
-        found = {key: _plain(value) for key, value in file.attrs.items()}
-    if found.get("format") != FORMAT:
-        msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
-        raise InputError(msg)
-    if not isinstance(found.get("layout_version"), int) or found["layout_version"] > VERSION:
-        msg = (
-            f"{path} has layout version {found.get('layout_version')}, this program reads up to "
-            f"{VERSION}; install a newer mbds-xsim"
-        )
-        raise InputError(msg)
-    return found
-
-
 def _is_complete(variant: Variant, item: Item, folder: Path) -> bool:
     """Whether a file is this shard; a shorter one, of a smaller set, is made anew."""
     path = folder / item.file_name
@@ -102,7 +80,3 @@ def _difference(key: str, got: Any, wanted: Any) -> str:
     if isinstance(wanted, str) and "\n" in wanted:
         return f"its {key} differs from the one given"
     return f"its {key} is {got!r}, now asked for is {wanted!r}"
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value

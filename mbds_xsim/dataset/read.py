@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import mmap
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, ItemsView, Iterator, KeysView, ValuesView
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,18 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import CONTENT, check_content, values_of
+from mbds_xsim.dataset.facts import attributes_of, scene_of
+from mbds_xsim.dataset.fit import check_fit
 from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.mapped import Part
 from mbds_xsim.dataset.opened import opened
-from mbds_xsim.dataset.plan import attributes_of
+from mbds_xsim.dataset.series import Series
 from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.dataset.windows import Windows
-from mbds_xsim.errors import InputError
+from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
 
-__all__ = ["Dataset", "Series", "load_dataset"]
+__all__ = ["Dataset", "load_dataset"]
 
 _AT_ONCE = ("index", "split", "reason")
-_OPEN = 256  # files that are mapped at a time
+
+
+class UnknownDataset(UnknownName, KeyError):
+    """A name under which a data set has nothing."""
+
+    __str__ = Exception.__str__  # that of KeyError puts quotes around the line
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -33,38 +39,68 @@ def load_dataset(path: str | Path) -> Dataset:
     Nothing but the index is read. Arrays are read, or mapped, when they are asked for.
 
     Raises:
-        InputError: It is no data file, of a newer layout, or its shards are not beside it.
+        InputError: It is no data file, of a newer layout, damaged, or its shards are not beside it.
     """
     path = Path(path)
     attributes = attributes_of(path)
-    if attributes.get("kind") not in ("shard", "rejected", "joined"):
-        msg = f"{path} holds no trajectories, it is of the kind {attributes.get('kind')!r}"
+    kind = attributes["kind"]
+    if kind not in ("shard", "rejected", "joined"):
+        msg = f"{path} holds no trajectories, it is of the kind {kind!r}"
         raise InputError(msg)
+    scene = scene_of(attributes["scene"], path)
     with opened(path) as file:
-        small = {name: values_of(file[name]) for name in _small_names(file)}
-    if attributes["kind"] != "joined":
-        return Dataset(path, attributes, (path,), (len(small["index"]),), small)
+        check_fit(file, path, kind, scene)
+        found = {name: field for name, field in known_names().items() if name in file}
+        small = {
+            name: values_of(file[name])
+            for name, field in found.items()
+            if name in _AT_ONCE or not field.per_trajectory
+        }
+        like = {
+            name: np.empty((0, *file[name].shape[1:]), file[name].dtype)
+            for name in found
+            if name not in small
+        }
+    parts: tuple[Part, ...] = (Part.of(path, len(small["index"])),)
+    if kind == "joined":
+        parts = tuple(_parts(path, small))
+    return Dataset(path, attributes, scene, parts, small, like)
+
+
+def _parts(path: Path, small: dict[str, NDArray[Any]]) -> Iterator[Part]:
+    """Find the shards that a file joins."""
     files = tuple(path.parent / name for name in small["shard/file"])
     missing = [file for file in files if not file.is_file()]
     if missing:
         msg = f"{path}: {len(missing)} of its {len(files)} shards are missing, first {missing[0]}"
         raise InputError(msg)
-    return Dataset(path, attributes, files, tuple(map(int, small["shard/rows"])), small)
+    rows = small["shard/rows"].tolist()
+    if min(rows, default=0) < 0 or sum(rows) != len(small["index"]):
+        msg = f"{path}: shard/rows do not make up its {len(small['index'])} trajectories"
+        raise InputError(f"{msg}; get it again, or generate it anew")
+    yield from map(Part.of, files, rows)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
-    """Trajectories of one scene in one engine. Rows are the published ones, by their index."""
+    """Trajectories of one scene in one engine: a mapping from names of datasets to their values.
+
+    As in a frame of pandas, iterating and `in` are about names, `len` about rows: these are the
+    published trajectories, by their index. What belongs to trajectories comes as a `Series`, to be
+    indexed by row; what belongs to all, such as `time` or `graph/edge`, as an array.
+    """
 
     path: Path
     attributes: dict[str, Any]
     """How it was made: scene, engine, settings, seed, versions; see `docs/dataset-layout.md`."""
-    files: tuple[Path, ...]
-    """In which its trajectories are."""
-    rows: tuple[int, ...]
-    """How many each has."""
+    scene: Scene
+    """The scene, as the file has it."""
+    parts: tuple[Part, ...]
+    """Files in which its trajectories are, and how many each has."""
     small: dict[str, NDArray[Any]]
     """Index, split, and datasets that belong to no trajectory: time, graph, names of checks."""
+    like: dict[str, NDArray[Any]]
+    """The others: arrays of their type and shape, without a trajectory."""
 
     def __len__(self) -> int:
         return len(self.index)
@@ -76,11 +112,54 @@ class Dataset:
             f"{len(self)} trajectories of {told['steps']} steps of {told['frame_s']} s>"
         )
 
-    def __getitem__(self, name: str) -> NDArray[Any] | Series:
-        """Give a dataset by its path in the file; one of trajectories as a `Series`."""
+    def __getitem__(self, name: Any) -> NDArray[Any] | Series:
+        """Give a dataset by its path in the file; one of trajectories as a `Series`.
+
+        Raises:
+            UnknownDataset: The file has none of this name.
+        """
+        if not isinstance(name, str):
+            got = repr(name) if isinstance(name, int | slice) else "…"
+            msg = (
+                f"data[{got}]: a data set is indexed by names of its datasets; give rows of "
+                f'trajectories to one of them, as data["position"][{got}]'
+            )
+            raise UnknownDataset(msg)
         if name in self.small:
             return self.small[name]
-        return Series(self.files, self.rows, name)
+        if name not in self.like:
+            raise UnknownDataset.of("dataset", name, list(self))
+        return self._series(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.small or name in self.like
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in known_names() if name in self)
+
+    def keys(self) -> KeysView[str]:
+        """Names of the datasets, in the order of the layout."""
+        return dict.fromkeys(self).keys()
+
+    def values(self) -> ValuesView[NDArray[Any] | Series]:
+        """The datasets, in the order of their names."""
+        return {name: self[name] for name in self}.values()
+
+    def items(self) -> ItemsView[str, NDArray[Any] | Series]:
+        """Names and datasets."""
+        return {name: self[name] for name in self}.items()
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Give a dataset, or the default where the file has none of this name."""
+        try:
+            return self[name]
+        except UnknownDataset:
+            return default
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files in which its trajectories are."""
+        return tuple(part.path for part in self.parts)
 
     @property
     def lack(self) -> str:
@@ -94,23 +173,24 @@ class Dataset:
         return self.small["index"]
 
     @property
+    def time(self) -> NDArray[np.float64]:
+        """Of each frame [s], shape (frame,)."""
+        return self.small["time"]
+
+    @property
     def position(self) -> Series:
         """Positions of the particles [m], shape (trajectory, frame, point, axis), float32."""
-        return Series(self.files, self.rows, "position")
+        return self._series("position")
 
     @property
     def velocity(self) -> Series:
         """Velocities of the particles [m/s], shape (trajectory, frame, point, axis), float32."""
-        return Series(self.files, self.rows, "velocity")
+        return self._series("velocity")
 
-    @functools.cached_property
-    def scene(self) -> Scene:
-        """The scene, as the file has it."""
-        import tomllib
-
-        import msgspec
-
-        return msgspec.convert(tomllib.loads(self.attributes["scene"]), Scene)
+    def _series(self, name: str) -> Series:
+        if name not in self.like:
+            raise UnknownDataset.of("dataset of trajectories", name, list(self.like))
+        return Series(self.parts, name, self.like[name])
 
     def rows_of(self, split: str) -> NDArray[np.int64]:
         """Rows of "train", "validation" or "test".
@@ -163,85 +243,4 @@ class Dataset:
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:
             chosen = np.intersect1d(chosen, rows)
-        return Windows(tuple(Series(self.files, self.rows, name) for name in names), chosen, length)
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """A dataset of trajectories, over all shards, mapped from the files' bytes."""
-
-    files: tuple[Path, ...]
-    rows: tuple[int, ...]
-    name: str
-
-    @functools.cached_property
-    def first(self) -> NDArray[np.int64]:
-        """First row of each shard, then the number of rows."""
-        return np.concatenate([[0], np.cumsum(self.rows)])
-
-    @functools.cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Of the whole."""
-        return (int(self.first[-1]), *self.shard(0).shape[1:])
-
-    def __len__(self) -> int:
-        return int(self.first[-1])
-
-    def __getitem__(self, row: int) -> NDArray[Any]:
-        """Give one trajectory, mapped: nothing is read until it is looked at."""
-        if not -len(self) <= row < len(self):
-            msg = f"row {row} of {len(self)}"
-            raise IndexError(msg)
-        row %= len(self)
-        shard = int(np.searchsorted(self.first, row, side="right")) - 1
-        return self.shard(shard)[row - self.first[shard]]
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        for shard in range(len(self.files)):
-            yield from self.shard(shard)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Read the whole."""
-        del copy
-        whole = np.concatenate([self.shard(k) for k in range(len(self.files))])
-        return whole if dtype is None else whole.astype(dtype)
-
-    def shard(self, k: int) -> NDArray[Any]:
-        """Map one shard, shape (trajectory, frame, …); it cannot be written to."""
-        values = _mapped(self.files[k], self.name)
-        if len(values) != self.rows[k]:
-            msg = f"{self.files[k]} has {len(values)} trajectories, not the {self.rows[k]} expected"
-            raise InputError(msg)
-        return values
-
-
-def _small_names(file: Any) -> Iterator[str]:
-    """What is read at once: nothing from the shards of a joined file."""
-    for name, field in known_names().items():
-        if name in file and (name in _AT_ONCE or not field.per_trajectory):
-            yield name
-
-
-@functools.lru_cache(maxsize=2 * _OPEN)
-def _mapped(path: Path, name: str) -> NDArray[Any]:
-    offset, shape, dtype = _place(path, name)
-    if 0 in shape:
-        return np.empty(shape, dtype)
-    count = int(np.prod(shape))
-    return np.frombuffer(_bytes_of(path), dtype, count, offset).reshape(shape)
-
-
-@functools.lru_cache(maxsize=_OPEN)
-def _bytes_of(path: Path) -> mmap.mmap:
-    with path.open("rb") as file:
-        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-
-
-def _place(path: Path, name: str) -> tuple[int, tuple[int, ...], np.dtype[Any]]:
-    """Where a dataset's values are in its file."""
-    with opened(path) as file:
-        if name not in file:
-            msg = f"{path} has no dataset {name!r}"
-            raise InputError(msg)
-        dataset = file[name]
-        return dataset.id.get_offset() or 0, dataset.shape, dataset.dtype
+        return Windows(tuple(map(self._series, names)), chosen, length)

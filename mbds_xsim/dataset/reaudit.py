@@ -6,25 +6,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import check_content
+from mbds_xsim.dataset.facts import attributes_of, scene_of
+from mbds_xsim.dataset.fit import misfits
 from mbds_xsim.dataset.gate import Verdict, judge_rows
 from mbds_xsim.dataset.held import Held
-from mbds_xsim.dataset.layout import CHECKS, FIELDS, Field
+from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import EngineMissing, InputError, UnknownName
-from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
 
 __all__ = ["FileReport", "reaudit"]
 
-_OPTIONAL = ("input/known_force",)
 _SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
 _SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
 _ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
@@ -55,10 +54,10 @@ def reaudit(path: Path, resimulated: int) -> FileReport:
         wrong = check_content(path)
         if wrong is not None:
             return FileReport(str(path), "unknown", 0, (f"checksum: {wrong}",))
-        held = Held.read(path)
-        problems = tuple(_layout(held))
+        kind, problems = _layout(path)
         if problems:
-            return FileReport(str(path), held.attributes["kind"], 0, problems)
+            return FileReport(str(path), kind, 0, problems)
+        held = Held.read(path)
         problems = (*_numbers(held), *_draws(held), *_points(held), *_checks(held))
         more, notes = _again(held, resimulated)
     except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
@@ -66,52 +65,12 @@ def reaudit(path: Path, resimulated: int) -> FileReport:
     return FileReport(str(path), held.attributes["kind"], len(held), (*problems, *more), notes)
 
 
-def _layout(held: Held) -> Iterator[str]:
-    """Which datasets there must be, of which type and shape."""
-    sizes = _sizes(held)
-    with opened(held.path) as file:
-        for field in _fields(held.attributes["kind"]):
-            if field.name not in file:
-                if field.name not in _OPTIONAL:
-                    yield f"layout: dataset {field.name} is missing"
-                continue
-            dataset = file[field.name]
-            wanted = tuple(sizes.get(axis, size) for axis, size in _axes(field, dataset.shape))
-            if len(dataset.shape) != len(field.axes) or dataset.shape != wanted:
-                yield f"layout: {field.name} has the shape {dataset.shape}, not {wanted}"
-            is_text = h5py.check_string_dtype(dataset.dtype) is not None
-            if is_text != (field.dtype == "text") or not (
-                is_text or dataset.dtype == np.dtype(field.dtype)
-            ):
-                yield f"layout: {field.name} has the type {dataset.dtype}, not {field.dtype}"
-
-
-def _fields(kind: str) -> list[Field]:
-    return [field for field in FIELDS if kind in field.kinds]
-
-
-def _axes(field: Field, shape: tuple[int, ...]) -> list[tuple[str, int]]:
-    return list(zip(field.axes, shape, strict=False))
-
-
-def _sizes(held: Held) -> dict[str, int]:
-    """Lengths of the axes that the scene decides."""
-    scene = held.scene
-    points = Points.of(scene)
-    return {
-        "trajectory": len(held),
-        "frame": scene.clock.steps + 1,
-        "step": scene.clock.steps,
-        "body": len(scene.bodies),
-        "point": len(points.body),
-        "axis": len(points.axes),
-        "hinge": len(Mechanism.of(scene).hinges),
-        "edge": len(scene.edges),
-        "static": len(scene.anchors),
-        "xyz": 3,
-        "wxyz": 4,
-        "two": 2,
-    }
+def _layout(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Give the kind of a file, and what is wrong with its datasets."""
+    told = attributes_of(path)
+    scene = scene_of(told["scene"], path)
+    with opened(path) as file:
+        return told["kind"], tuple(misfits(file, told["kind"], scene))
 
 
 def _numbers(held: Held) -> Iterator[str]:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.dataset.content import CONTENT, check_content, values_of
+from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.join import JOINT, valid_numbers
 from mbds_xsim.dataset.layout import SUFFIX, known_names
 from mbds_xsim.dataset.opened import opened
-from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.reaudit import FileReport
 from mbds_xsim.dataset.split import NAMES, split_of
 from mbds_xsim.errors import InputError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -9,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Protocol
 
-import h5py
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.opened import opened
+from mbds_xsim.dataset.content import values_of
+from mbds_xsim.dataset.opened import check_sources, datasets_in, opened
 from mbds_xsim.errors import InputError
 
 __all__ = ["RANKS", "Piece", "read_hdf5", "read_npz"]
@@ -64,13 +65,7 @@ class _Source(Protocol):
 def read_hdf5(path: Path) -> Iterator[Piece]:
     """Read arrays by their paths and attributes as facts; of other datasets only the names."""
     with opened(path) as file:
-        sources: dict[str, _Source] = {}
-
-        def visit(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset):
-                sources[name] = _Dataset(item)
-
-        file.visititems(visit)
+        sources = {name: _Dataset(item) for name, item in datasets_in(file).items()}
         facts = {key: _plain(value) for key, value in file.attrs.items()}
         yield from _pieces(sources, facts, path)
 
@@ -100,7 +95,7 @@ def _pieces(sources: Mapping[str, _Source], facts: dict[str, Any], path: Path) -
     if total < 1:
         msg = f"{path}: got no trajectory, allowed is 1 or more"
         raise InputError(msg)
-    each = max((int(np.prod(sources[name].shape[1:3])) for name in many), default=1)
+    each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
     size = max(1, _AT_ONCE // max(1, each))
     kept = {
         name: one.whole() if name in RANKS or name == "time" else np.empty(0)
@@ -121,10 +116,12 @@ class _Dataset:
         self.shape: tuple[int, ...] = dataset.shape or ()
 
     def rows(self, first: int, count: int) -> NDArray[Any]:
+        if first == 0:
+            check_sources(self._dataset)
         return np.asarray(self._dataset[first : first + count])
 
     def whole(self) -> NDArray[Any]:
-        return np.asarray(self._dataset[()])
+        return values_of(self._dataset)
 
 
 class _Member:
@@ -155,7 +152,7 @@ class _Member:
         return self._take(self.shape)
 
     def _take(self, shape: tuple[int, ...]) -> NDArray[Any]:
-        wanted = int(np.prod(shape)) * self._dtype.itemsize
+        wanted = math.prod(shape) * self._dtype.itemsize
         content = self._file.read(wanted)
         if len(content) < wanted:
             msg = "an array ends too early"

@@ -10,8 +10,8 @@ from typing import Any
 
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.dataset.card import CARD, CROISSANT
+from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.layout import SUFFIX
-from mbds_xsim.dataset.plan import attributes_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metadata

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.errors import InputError
 
 if TYPE_CHECKING:
-    from mbds_xsim.dataset.read import Series
+    from mbds_xsim.dataset.series import Series
 
 __all__ = ["Windows"]
 

@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
@@ -248,7 +247,7 @@ class Motions:
 def _inputs(data: Dataset, rows: NDArray[np.int64], dtype: torch.dtype) -> Inputs:
     bodies, steps = len(data.scene.bodies), int(data.attributes["steps"])
     force = torch.zeros(1, 1, 1, 1).expand(len(rows), steps, bodies, 3)
-    if _has(data, _KNOWN_FORCE):
+    if _KNOWN_FORCE in data:
         force = _stacked(data, _KNOWN_FORCE, rows)
     torque = _stacked(data, _TORQUE, rows)
     return Inputs(force.to(dtype), torque.to(dtype))
@@ -259,10 +258,4 @@ def _bodies(data: Dataset, rows: NDArray[np.int64]) -> Tensor:
 
 
 def _stacked(data: Dataset, name: str, rows: NDArray[np.int64]) -> Tensor:
-    return torch.from_numpy(np.stack([data[name][int(row)] for row in rows]))
-
-
-def _has(data: Dataset, name: str) -> bool:
-    """Whether a file has a dataset that may be absent."""
-    with opened(data.files[0]) as file:
-        return name in file
+    return torch.from_numpy(data[name][rows])

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import mbds_xsim
 from mbds_xsim.dataset.read import Dataset
@@ -53,6 +56,73 @@ def test_nothing_can_be_overwritten(data: Dataset) -> None:
 def test_a_row_that_is_not_there(data: Dataset) -> None:
     with pytest.raises(IndexError, match="row 700 of 700"):
         data.position[TRAJECTORIES]
+
+
+def test_a_data_set_is_a_mapping(data: Dataset) -> None:
+    names = list(data)
+    assert names[:4] == ["index", "interval", "time", "position"]
+    assert list(data.keys()) == names
+    assert all(name in data for name in names)
+    assert {name: np.shape(values) for name, values in data.items()} == {
+        name: np.shape(values) for name, values in zip(names, data.values(), strict=True)
+    }
+    assert dict(data).keys() == data.keys()
+    assert "known_force" not in data
+    assert data.get("known_force") is None
+    assert np.array_equal(data.time, 0.02 * np.arange(STEPS + 1))
+    assert data.time is data["time"]
+
+
+@pytest.mark.parametrize("key", [0, slice(0, 2), [0, 1], np.array([True])])
+def test_rows_are_asked_of_a_series(key: Any, data: Dataset) -> None:
+    with pytest.raises(KeyError, match=r"^data\[.*\]: a data set is indexed by names of its data"):
+        data[key]
+
+
+def test_an_unknown_dataset(data: Dataset) -> None:
+    with pytest.raises(InputError, match=r"^no dataset is called 'positions'; there are: index, i"):
+        data["positions"]
+    with pytest.raises(KeyError):
+        data.windows(2, names=("positions",))
+
+
+KEYS = st.one_of(
+    st.integers(-720, 720),
+    st.slices(TRAJECTORIES),
+    st.lists(st.integers(-TRAJECTORIES, TRAJECTORIES - 1), max_size=5),
+    st.lists(st.booleans(), min_size=TRAJECTORIES, max_size=TRAJECTORIES).map(np.array),
+    st.lists(st.booleans(), min_size=3, max_size=3).map(np.array),
+    st.lists(st.integers(0, 299), min_size=4, max_size=4).map(lambda k: np.reshape(k, (2, 2))),
+    st.sampled_from([None, ..., (), 1.5, "position", (..., 0), (None, 3)]),
+)
+INNER = st.one_of(
+    st.integers(-2, 2), st.slices(STEPS + 1), st.just(...), st.sampled_from([[0, 2], [1, 0]])
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(key=KEYS | st.tuples(KEYS, INNER) | st.tuples(KEYS, INNER, INNER))
+def test_a_series_is_indexed_as_an_array(key: Any, data: Dataset) -> None:
+    """Whatever numpy gives, or an IndexError where it raises one."""
+    array = np.asarray(data.position)
+    try:
+        wanted = array[key]
+    except IndexError:
+        with pytest.raises(IndexError):
+            data.position[key]
+        return
+    got = data.position[key]
+    assert got.shape == wanted.shape
+    assert np.array_equal(got, wanted)
+
+
+def test_a_series_knows_what_an_array_knows(data: Dataset) -> None:
+    series, array = data["body/position"], np.asarray(data["body/position"])
+    assert (series.shape, series.ndim, series.dtype) == (array.shape, array.ndim, array.dtype)
+    assert repr(series) == "<body/position: float64 of shape (700, 11, 1, 3)>"
+    assert np.asarray(series, dtype=np.float32).dtype == np.float32
+    with pytest.raises(ValueError, match="an array of the whole is a copy"):
+        np.asarray(series, copy=False)
 
 
 def test_windows_are_the_frames_of_their_place(data: Dataset) -> None:

@@ -13,8 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import CONTENT
-from mbds_xsim.dataset.opened import opened
-from mbds_xsim.dataset.plan import attributes_of
+from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
@@ -228,13 +227,10 @@ def _batch(file: Dataset, rows: NDArray[np.int64]) -> Batch:
 
 
 def _quiet(file: Dataset, rows: NDArray[np.int64]) -> Array:
-    with opened(file.files[0]) as shard:
-        known = "input/known_force" in shard
-    if known:
+    if "input/known_force" in file:
         return _stacked(file, "input/known_force", rows)
     return np.zeros_like(_stacked(file, "input/force", rows))
 
 
 def _stacked(file: Dataset, name: str, rows: NDArray[np.int64]) -> NDArray[Any]:
-    series = file[name]
-    return np.stack([series[int(row)] for row in rows])
+    return np.asarray(file[name][rows])

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.plan import attributes_of
+from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash, Task, run_tasks
