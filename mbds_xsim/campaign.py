@@ -9,6 +9,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,7 +23,7 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import Batch, Failure, Trajectory
 
 __all__ = [
     "Outcome",
@@ -31,6 +32,7 @@ __all__ = [
     "other_steps",
     "run_campaign",
     "run_references",
+    "step_task",
 ]
 
 Array = NDArray[np.float64]
@@ -64,6 +66,16 @@ class Outcome:
     """Rows of the batch that run at other steps too, for the consistency check."""
     other_steps: dict[float, Trajectory] = field(default_factory=dict)
     """The sample at each other step [s]."""
+
+    def keep_step(self, step: float, batch: Batch, answer: Simulation | Crash) -> None:
+        """Keep the sample's run at another step [s]; NaN, with the reason, where it crashed."""
+        if isinstance(answer, Simulation):
+            self.other_steps[step] = answer.trajectory
+            return
+        count = len(self.sample)
+        empty = Trajectory.empty(np.arange(batch.steps + 1.0), count, batch.position.shape[1])
+        crashed = (Failure(0, answer.reason),) * count
+        self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
 
     @property
     def crashes(self) -> list[str]:
@@ -176,10 +188,16 @@ def _engine_work(
         work.append((label, Task(simulate, arguments, _TIMEOUT), outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
     for step in other_steps(scene, contender.settings):
-        settings = Settings(contender.settings.method, step, contender.settings.options)
-        task = Task(simulate, (scene, batch[outcome.sample], contender.engine, settings), _TIMEOUT)
-        work.append((f"{label} consistency", task, _store_step(outcome, step)))
+        task = step_task(scene, batch, outcome, step)
+        work.append((f"{label} consistency", task, partial(outcome.keep_step, step, batch)))
     return work
+
+
+def step_task(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Task:
+    """Run the sample of an engine at another step [s]."""
+    contender = outcome.contender
+    settings = Settings(contender.settings.method, step, contender.settings.options)
+    return Task(simulate, (scene, batch[outcome.sample], contender.engine, settings), _TIMEOUT)
 
 
 def other_steps(scene: Scene, settings: Settings) -> list[float]:
@@ -194,14 +212,6 @@ def other_steps(scene: Scene, settings: Settings) -> list[float]:
 
 def _chunks(count: int) -> list[list[int]]:
     return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
-
-
-def _store_step(outcome: Outcome, step: float) -> Callable[[Any], None]:
-    def store(answer: Any) -> None:
-        if isinstance(answer, Simulation):
-            outcome.other_steps[step] = answer.trajectory
-
-    return store
 
 
 def _reference(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:

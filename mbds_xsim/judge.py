@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from mbds_xsim import readback, registry
 from mbds_xsim.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.checks import Finding, agreement, audit
-from mbds_xsim.checks.consistency import LEAST_SPAN, consistency
-from mbds_xsim.engine import Method
+from mbds_xsim.convergence import convergence
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.state import Batch, Trajectory
 
 __all__ = [
     "Row",
@@ -71,7 +70,7 @@ def judge(
     findings = [
         *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),
         *error_findings(scene, batch, error, truth, reference.growth),
-        *_consistency(scene, batch, outcome, trajectory, reference, method),
+        *convergence(scene, batch, outcome, reference),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
     return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
@@ -96,39 +95,6 @@ def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) ->
 def _known(truth: Trajectory) -> Mask:
     """Frames for which there is a true solution, shape (trajectory, frame)."""
     return np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
-
-
-def _consistency(
-    scene: Scene,
-    batch: Batch,
-    outcome: Outcome,
-    trajectory: Trajectory,
-    reference: ReferenceOutcome,
-    method: Method,
-) -> list[Finding]:
-    """Extrapolate the sample that ran at several steps to a vanishing step.
-
-    Only smooth motion has an order of convergence: with contact, what comes before it.
-    """
-    ends = reference.trajectory.failures
-    smooth = [k for k, row in enumerate(outcome.sample) if not scene.contacts or _flies(ends[row])]
-    rows = [outcome.sample[k] for k in smooth]
-    runs = {step: run[smooth] for step, run in outcome.other_steps.items()}
-    runs[outcome.contender.settings.step] = trajectory[rows]
-    if len(runs) < 2 or not rows:
-        return []
-    return consistency(
-        scene,
-        batch[rows],
-        [runs[step] for step in sorted(runs, reverse=True)],
-        reference.trajectory[rows],
-        method,
-        growth=reference.growth[rows],
-    )
-
-
-def _flies(end: Failure | None) -> bool:
-    return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
 
 
 def error_findings(

@@ -13,6 +13,7 @@ from mbds_xsim import registry
 from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
 from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.choice import Choice
+from mbds_xsim.convergence import refine
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
@@ -52,9 +53,11 @@ def validate_with_evidence(
     begin = time.perf_counter()
     contenders, left_out = choice.contenders(scene)
     batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
+    progress = progress or Silent()
     outcomes, reference = run_campaign(
-        scene, batch, contenders, cache=cache, workers=workers, progress=progress or Silent()
+        scene, batch, contenders, cache=cache, workers=workers, progress=progress
     )
+    refine(scene, batch, outcomes, reference, workers=workers, progress=progress)
     rows = [judge(scene, batch, outcome, reference, native=readback) for outcome in outcomes]
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)

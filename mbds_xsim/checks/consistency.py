@@ -3,6 +3,10 @@
 An accuracy budget lets a wrong model pass as long as it is a little wrong. Here the error of the
 method itself is taken out by Richardson extrapolation, so that what is left is the model's.
 Roache, Verification and Validation in Computational Science and Engineering, 1998, chapter 5.
+
+The extrapolation holds where steps are short enough for the declared order to show. Three runs
+suffice where they are; further ones, each at half the step of the one before, are asked for by
+`unsettled`. Where even those show no order, the check says that it cannot measure.
 """
 
 from __future__ import annotations
@@ -23,7 +27,15 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["LEAST_SPAN", "Extrapolation", "consistency", "extrapolate"]
+__all__ = [
+    "LEAST_SPAN",
+    "STOPPED",
+    "UNMEASURED",
+    "Extrapolation",
+    "consistency",
+    "extrapolate",
+    "unsettled",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,6 +47,16 @@ _SHORT = 0.5
 that nowhere come within 0.25 of order 4 in energy; all 300 limits are within 0.7 uncertainties.
 """
 _OVER = 0.25
+_UNEXPLAINED = 5.0
+"""Moves of the finest run beyond which no order explains how far the reference is: at half an
+order already, all that is left to converge is 2.4 moves."""
+_HARMLESS = 1e-3
+"""Of the accuracy budget: noise of the engine's arithmetic up to here has no order to show."""
+UNMEASURED = "not measurable"
+"""What a finding's note says of trajectories that it does not judge."""
+STOPPED = "run of the check stopped"
+"""What a finding's note says of a run of its own that did not reach the end."""
+_PLACES = ("coarsest", "second coarsest", "third", "fourth", "fifth")
 LEAST_SPAN = 10
 """Frames that a stretch must have to be judged by."""
 
@@ -65,18 +87,21 @@ def consistency(
     growth: Array | None = None,
     resolution: float = 1e-9,
 ) -> list[Finding]:
-    """Compare the limit of runs at steps h, h/2 (and h/4) with the reference.
+    """Compare the limit of runs at steps h, h/2, h/4 and so on with the reference.
 
     Each finding's series is the deviation of the limit over its estimated uncertainty, which
-    may reach 3; frames outside the asymptotic range, or of growth 100 and more, are NaN. A
-    trajectory without such a range of ten frames has no figure and does not pass: it does not
-    converge as the method claims.
+    may reach 3, at each frame by the shortest steps that show the order; frames outside the
+    asymptotic range, or of growth 100 and more, are NaN. A trajectory that shows the declared
+    order over no ten frames has no figure. It does not pass where it converges at a lower order
+    or not at all. Where the order still rises, or runs of the check stopped, it is not judged,
+    and the note says why, unless it is further from the reference than any order explains.
 
     Args:
         scene: What was simulated.
         batch: Its starts and inputs.
-        runs: Two or three, each at half the step of the one before. Three are far sharper: they
-            show the order, and so how good the extrapolation is.
+        runs: Two or more, each at half the step of the one before. Three are far sharper than
+            two: they show the order, and so how good the extrapolation is. Four show whether the
+            order is steady.
         reference: The solution that the limit must meet.
         method: Whose order is extrapolated with.
         growth: Sensitivity G, shape (trajectory, frame), if known.
@@ -86,22 +111,27 @@ def consistency(
     Returns:
         Findings for positions (particles) and for energy.
     """
-    order = method.order_for(scene)
-    mechanism = Record(scene, batch, reference).mechanism
-    places = [_flat(markers_of(mechanism, run)) for run in (*runs, reference)]
-    energies = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
-    levels = [energy.by_body / energies[-1].scale[:, None, None] for energy in energies]
-    shape = places[-1].shape[:2]
-    grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
-    frame = scene.clock.frame
-    with np.errstate(over="ignore", invalid="ignore"):
-        return [
-            _compare(name, values, order, scale * resolution * grown, grown < CHAOS, frame)
-            for name, values, scale in (
-                ("consistency of positions", places, scene.length),
-                ("consistency of energy", levels, 1.0),
-            )
-        ]
+    compared = _compared(scene, batch, runs, reference, method, growth, resolution)
+    return [_finding(each, batch, runs, scene.clock.frame) for each in compared]
+
+
+def unsettled(
+    scene: Scene,
+    batch: Batch,
+    runs: Sequence[Trajectory],
+    reference: Trajectory,
+    method: Method,
+    *,
+    growth: Array | None = None,
+    resolution: float = 1e-9,
+) -> bool:
+    """Tell whether a run at half the shortest step could change what `consistency` finds.
+
+    It could where no order shows, where a run stopped early, and where the limit misses the
+    reference by no more than an order that is not steady explains.
+    """
+    compared = _compared(scene, batch, runs, reference, method, growth, resolution)
+    return any(bool(each.open.any()) for each in compared)
 
 
 def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolation:
@@ -142,21 +172,173 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
     return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
 
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """One quantity of all runs, held against the reference."""
+
+    name: str
+    declared: int
+    series: Array
+    """Deviation of the limit over its uncertainty, NaN where no order shows, (trajectory, frame).
+    """
+    orders: Array
+    """Typical order of each three runs that follow each other; NaN: none, (trajectory, three)."""
+    unexplained: Array
+    """Distance of the finest run from the reference over what any order could leave of it, the
+    largest of the frames that are predictable, shape (trajectory,)."""
+    harmless: Mask
+    """Whether the runs differ by less than matters to any budget, shape (trajectory,)."""
+    stopped: Mask
+    """Whether one of the last three runs ends while the reference goes on, (trajectory,)."""
+    brief: Mask
+    """Whether less than half of the frames that are predictable are judged, (trajectory,)."""
+
+    @property
+    def judged(self) -> Mask:
+        """Trajectories with a figure, shape (trajectory,)."""
+        return np.asarray(np.isfinite(self.series).any(axis=1))
+
+    @property
+    def open(self) -> Mask:
+        """Trajectories of which finer runs could tell more, shape (trajectory,)."""
+        passed = ~(np.nan_to_num(self.series).max(axis=1) > _FACTOR)
+        return (self.unexplained <= 1.0) & (self.brief | self.stopped | ~passed)
+
+    def refusal(self, row: int) -> str:
+        """Say what is wrong with the orders of a trajectory that is not judged; empty: nothing."""
+        seen = self.orders[row][np.isfinite(self.orders[row])]
+        if self.unexplained[row] > 1.0:
+            return f"{_told(seen)} observed, and further from the reference than any explains"
+        alone = len(seen) == 1 and self.orders.shape[1] == 1
+        rises = len(seen) > 1 and seen[-1] > seen[0] + _OVER and seen.mean() > _SHORT
+        if not len(seen) or self.harmless[row] or not (alone or len(seen) > 1) or rises:
+            return ""
+        return f"{_told(seen)} observed, nowhere as high as declared"
+
+    def excuse(self, row: int, runs: Sequence[Trajectory]) -> str:
+        """Say why a trajectory cannot be judged."""
+        seen = self.orders[row][np.isfinite(self.orders[row])]
+        if len(seen) and self.harmless[row]:
+            return "the runs differ by less than a thousandth of the accuracy budget at any step"
+        if len(seen) > 1:
+            return f"the order still rises as steps are halved, {_told(seen)}"
+        stops = _stops(runs, row)
+        return stops or "the runs agree to rounding"
+
+
+def _compared(
+    scene: Scene,
+    batch: Batch,
+    runs: Sequence[Trajectory],
+    reference: Trajectory,
+    method: Method,
+    growth: Array | None,
+    resolution: float,
+) -> list[_Comparison]:
+    order = method.order_for(scene)
+    mechanism = Record(scene, batch, reference).mechanism
+    places = [_flat(markers_of(mechanism, run)) for run in (*runs, reference)]
+    energies = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
+    levels = [energy.by_body / energies[-1].scale[:, None, None] for energy in energies]
+    shape = places[-1].shape[:2]
+    grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
+    budget = scene.budget
+    with np.errstate(over="ignore", invalid="ignore"):
+        return [
+            _compare(name, values, order, scale * resolution * grown, grown < CHAOS, small)
+            for name, values, scale, small in (
+                ("consistency of positions", places, scene.length, scene.length * budget.error_1s),
+                ("consistency of energy", levels, 1.0, budget.energy),
+            )
+        ]
+
+
 def _compare(
-    name: str, values: list[Array], order: int, floor: Array, predictable: Mask, frame: float
-) -> Finding:
+    name: str, values: list[Array], order: int, floor: Array, predictable: Mask, budget: float
+) -> _Comparison:
     frames = min(value.shape[1] for value in values)
-    floor = floor[:, :frames]
+    floor, predictable = floor[:, :frames], predictable[:, :frames]
     *runs, truth = (value[:, :frames] for value in values)
-    found = extrapolate(runs, order, floor)
-    judged = _longest(found.asymptotic & predictable[:, :frames])
-    deviation = np.sqrt(np.sum((found.limit - truth) ** 2, axis=-1))
-    series = np.where(judged, deviation / found.uncertainty, np.nan)
-    finding = Finding.of(
-        name, "1", series[..., None], budget=_FACTOR, note=f"order {order} declared"
+    found = [extrapolate(part, order, floor) for part in _threes(runs)]
+    series = np.full(floor.shape, np.nan)
+    before: Extrapolation | None = None
+    for each, finest in zip(found, runs[-len(found) :], strict=True):
+        judged = _longest(each.asymptotic & predictable)
+        deviation = np.sqrt(np.sum((each.limit - truth) ** 2, axis=-1))
+        unsure = each.uncertainty if before is None else _unsteady(before, each, finest, floor)
+        series, before = np.where(judged, deviation / unsure, series), each
+    moves = _running(runs[-1] - runs[-2])
+    left = np.sqrt(np.sum((runs[-1] - truth) ** 2, axis=-1)) / (_UNEXPLAINED * moves + floor)
+    known = predictable & np.isfinite(left)
+    there = np.isfinite(truth).all(axis=-1)
+    ended = predictable & there & ~np.isfinite(found[-1].uncertainty)
+    orders = [np.where(known & np.isfinite(each.order), each.order, np.nan) for each in found]
+    return _Comparison(
+        name=name,
+        declared=order,
+        series=series,
+        orders=np.stack([_median(each) for each in orders], axis=1),
+        unexplained=np.where(known, left, 0.0).max(axis=1),
+        harmless=np.where(known, moves, 0.0).max(axis=1) <= _HARMLESS * budget,
+        stopped=np.asarray(ended.any(axis=1)),
+        brief=2 * np.isfinite(series).sum(axis=1) < (predictable & there).sum(axis=1),
     )
-    spans = (_span(judged[k], found.order[k], frame) for k in range(len(series)))
-    return dataclasses.replace(finding, where=tuple(spans))
+
+
+def _threes(runs: list[Array]) -> list[list[Array]]:
+    """Give the runs three at a time, or the two that there are."""
+    return [runs[k : k + 3] for k in range(max(1, len(runs) - 2))]
+
+
+def _unsteady(before: Extrapolation, found: Extrapolation, finest: Array, floor: Array) -> Array:
+    """Take all that the extrapolation moves for uncertain where the order itself still moves.
+
+    An order that rises passes the declared one, and then looks as if it were confirmed.
+    """
+    moves = np.abs(found.order - before.order) > _OVER
+    whole = _running(found.limit - finest) + floor
+    return np.where(moves, np.maximum(found.uncertainty, whole), found.uncertainty)
+
+
+def _finding(
+    compared: _Comparison, batch: Batch, runs: Sequence[Trajectory], frame: float
+) -> Finding:
+    rows = range(len(compared.series))
+    refused = {row: compared.refusal(row) for row in rows if not compared.judged[row]}
+    remarks: dict[str, list[str]] = {}
+    for row in rows:
+        remark = "" if refused.get(row, "refused") else compared.excuse(row, runs)
+        remark = f"{UNMEASURED}, because {remark}" if remark else _stops(runs, row)
+        if remark:
+            remarks.setdefault(remark, []).append(str(batch.index[row]))
+    told = [f"trajectory {', '.join(indices)}: {remark}" for remark, indices in remarks.items()]
+    note = "; ".join([f"order {compared.declared} declared", *told])
+    finding = Finding.of(compared.name, "1", compared.series[..., None], budget=_FACTOR, note=note)
+    spans = (refused.get(row) or _span(compared.series[row], frame) for row in rows)
+    judged = np.array([refused.get(row, "judged") != "" for row in rows])
+    return dataclasses.replace(finding, where=tuple(spans), applies=judged)
+
+
+def _told(orders: Array) -> str:
+    """Spell out orders, coarsest steps first."""
+    return f"order {', '.join(f'{order:.2f}' for order in orders)}" if len(orders) else "no order"
+
+
+def _stops(runs: Sequence[Trajectory], row: int) -> str:
+    """Say which runs of a trajectory stopped, and why."""
+    ends = [(k, run.failures[row]) for k, run in enumerate(runs)]
+    return ", ".join(
+        f"the {_PLACES[k]} {STOPPED} at frame {end.frame} ({end.reason})"
+        for k, end in ends
+        if end is not None
+    )
+
+
+def _median(values: Array) -> Array:
+    """Median of what is known of each row, NaN where nothing is."""
+    return np.array(
+        [np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in values]
+    )
 
 
 def _flat(points: Array) -> Array:
@@ -196,10 +378,8 @@ def _longest(mask: Mask) -> Mask:
     return kept
 
 
-def _span(judged: Mask, observed: Array, frame: float) -> str:
-    frames = np.flatnonzero(judged)
+def _span(series: Array, frame: float) -> str:
+    frames = np.flatnonzero(np.isfinite(series))
     if not len(frames):
-        seen = observed[np.isfinite(observed)]
-        typical = f"order {np.median(seen):.2f}" if len(seen) else "no order"
-        return f"{typical} observed, nowhere as high as declared"
+        return ""
     return f"judged from {frames[0] * frame:.2f} to {frames[-1] * frame:.2f} s"

@@ -46,7 +46,8 @@ def _cell(column: Column, result: EngineResult, validation: Validation) -> str:
 def _reasons(validation: Validation) -> list[str]:
     failed = [f"{summary.label(r)}: {reason}" for r in validation.engines for reason in r.reasons]
     left_out = [f"{engine} left out: {reason}" for engine, reason in validation.left_out.items()]
-    return [f"- {line}" for line in (*failed, *left_out)]
+    remarks = [f"{subject}: {note}" for subject, note in summary.remarks(validation)]
+    return [f"- {line}" for line in (*failed, *remarks, *left_out)]
 
 
 def _meanings() -> str:

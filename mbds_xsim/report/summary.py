@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
 from mbds_xsim.report import quantity
 from mbds_xsim.result import EngineResult, Validation
 
@@ -18,6 +19,7 @@ __all__ = [
     "label",
     "odd_one_out",
     "reference_line",
+    "remarks",
     "sampled",
 ]
 
@@ -121,6 +123,16 @@ def conclusion(validation: Validation) -> str:
         if (count := counts[verdict])
     ]
     return f"{', '.join(parts) or 'no engine ran'} ({sampled(validation)})"
+
+
+def remarks(validation: Validation) -> list[tuple[str, str]]:
+    """List what checks could not judge though they pass: the row and check, and why not."""
+    found: dict[tuple[str, str], str] = {}
+    for result in validation.engines:
+        for finding in result.findings:
+            if finding.passed and any(word in finding.note for word in (UNMEASURED, STOPPED)):
+                found.setdefault((label(result), finding.note), finding.check)
+    return [(f"{row}, {check}", note) for (row, note), check in found.items()]
 
 
 def _over(value: float | None, budget: float) -> bool:

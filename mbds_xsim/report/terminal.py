@@ -28,6 +28,8 @@ def print_table(validation: Validation, console: Console) -> None:
     for result in validation.engines:
         if result.reasons:
             console.print(_reason(result))
+    for subject, note in summary.remarks(validation):
+        console.print(_remark(subject, note))
     for engine, reason in validation.left_out.items():
         console.print(_remark(f"{engine} left out", reason))
     console.print(_remark("reference", summary.reference_line(validation)))

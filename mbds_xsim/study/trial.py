@@ -14,6 +14,7 @@ from mbds_xsim import registry
 from mbds_xsim.campaign import Outcome, ReferenceOutcome, other_steps
 from mbds_xsim.checks import Finding
 from mbds_xsim.choice import Contender
+from mbds_xsim.convergence import further_step
 from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash
 from mbds_xsim.judge import Row, failed_lines, finding_result, judge
@@ -85,10 +86,14 @@ def run_trial(
     # Where it fails already, nothing that other steps tell can mend it.
     if sample and _passed(row, limits):
         outcome.sample = list(range(min(sample, len(batch))))
-        for step in other_steps(scene, settings):
-            other = Settings(settings.method, step, settings.options)
-            run = simulate(scene, batch[outcome.sample], engine, other)
-            outcome.other_steps[step] = run.trajectory
+        steps: list[float] = other_steps(scene, settings)
+        while steps:
+            for step in steps:
+                other = Settings(settings.method, step, settings.options)
+                run = simulate(scene, batch[outcome.sample], engine, other)
+                outcome.keep_step(step, batch, run)
+            further = further_step(scene, batch, outcome, reference)
+            steps = [] if further is None else [further]
         row, limits = _judged(scene, batch, outcome, reference)
         if row.trajectory is not None and is_unknown(reference):
             runs = outcome.other_steps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.checks.consistency import consistency, extrapolate
+from mbds_xsim.checks.consistency import consistency, extrapolate, unsettled
 from mbds_xsim.engine import Method
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.state import Failure, Trajectory
 
 METHODS = {
     "euler_reduced": (Method("Euler", "semi-implicit Euler", 1), (2, 4, 8)),
@@ -198,3 +198,102 @@ def test_short_motions_are_judged_from_their_first_frame(pendulum: Any, runs: An
     ):
         assert np.isfinite(finding.series).all()
         assert finding.passed.all()
+
+
+def _off(
+    exact: Trajectory, errors: Sequence[float] | NDArray[Any], stops: int | None = None
+) -> list[Trajectory]:
+    """Runs that are raised by so much at the end, and in proportion to time before [m]."""
+    share = np.linspace(0.0, 1.0, len(exact.time))[None, :, None, None] * np.array([0.0, 0.0, 1.0])
+    runs = [dataclasses.replace(exact, position=exact.position + e * share) for e in errors]
+    if stops is not None:
+        fields = ("position", "orientation", "velocity", "angular_velocity")
+        lost = {name: getattr(runs[0], name).copy() for name in fields}
+        for values in lost.values():
+            values[:, stops:] = np.nan
+        end = (Failure(stops, "its solver gave up"),) * len(exact)
+        runs[0] = dataclasses.replace(runs[0], **lost, failures=end)
+    return runs
+
+
+_SECOND = Method("RK4", "RK4", 2)
+# MuJoCo's errors on a slider-crank at 10, 5, 2.5 ms and so on [m]: the order passes the declared
+# one on its way from 0 to nearly 4.
+_RISING = (4.27e-4, 2.34e-4, 7.35e-5, 1.595e-5, 2.52e-6, 3.2e-7)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_an_order_that_rises_through_the_declared_one_fails_nobody(
+    pendulum: Any, first: int
+) -> None:
+    runs = _off(pendulum.exact, _RISING)
+    about = (pendulum.scene, pendulum.batch)
+
+    assert unsettled(*about, runs[first : first + 3], pendulum.exact, _SECOND)
+    for finding in consistency(*about, runs[first : first + 5], pendulum.exact, _SECOND):
+        assert finding.passed.all()
+        assert np.isfinite(finding.figure).all()
+    assert not unsettled(*about, runs[first : first + 5], pendulum.exact, _SECOND)
+
+
+def test_an_order_that_stays_below_is_not_measurable_while_it_rises(pendulum: Any) -> None:
+    runs = _off(pendulum.exact, (1.37e-3, 5.7e-4, 1.7e-4, 5e-5))
+    for finding in consistency(
+        pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
+    ):
+        assert finding.passed.all()
+        assert not finding.applies.any()
+        assert (
+            "trajectory 0, 1, 2: not measurable, because the order still rises as steps are "
+            "halved, order 1.00, 1.74"
+        ) in finding.note
+
+
+@pytest.mark.parametrize("order", [1.0, 0.0], ids=["first order", "none"])
+def test_a_lower_order_than_declared_or_none_is_told_by_four_runs(
+    pendulum: Any, order: float
+) -> None:
+    moves = np.cumsum([2e-3 * 2.0 ** (-order * k) * (-1.0) ** (k * (order == 0)) for k in range(5)])
+    runs = _off(pendulum.exact, moves[-1] - moves)
+    for finding in consistency(pendulum.scene, pendulum.batch, runs, pendulum.exact, _SECOND):
+        assert not finding.passed.any()
+        assert "nowhere as high as declared" in finding.where[0]
+
+
+def test_a_wrong_limit_shows_though_the_order_cannot_be_measured(pendulum: Any) -> None:
+    errors = 3e-2 + np.array((9e-4, 8e-4, 6.3e-4, 4e-4))
+    runs = _off(pendulum.exact, errors)
+    for finding in consistency(
+        pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
+    ):
+        assert not finding.passed.any()
+        assert "further from the reference than any explains" in finding.where[0]
+    assert not unsettled(
+        pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
+    )
+
+
+def test_a_run_of_the_check_that_stops_is_told_and_a_finer_one_asked_for(pendulum: Any) -> None:
+    errors = 1e-4 * 4.0 ** -np.arange(4)
+    runs = _off(pendulum.exact, errors, stops=6)
+    about = (pendulum.scene, pendulum.batch)
+
+    assert unsettled(*about, runs[:3], pendulum.exact, _SECOND)
+    for finding in consistency(*about, runs[:3], pendulum.exact, _SECOND):
+        assert finding.passed.all()
+        assert "not measurable, because the coarsest run" in finding.note
+    assert not unsettled(*about, runs, pendulum.exact, _SECOND)
+    for finding in consistency(*about, runs, pendulum.exact, _SECOND):
+        assert finding.passed.all()
+        assert finding.where[0] == "judged from 0.00 to 0.80 s"
+        assert "stopped at frame 6 (its solver gave up)" in finding.note
+
+
+def test_the_declared_order_over_little_of_the_motion_asks_for_finer_runs(pendulum: Any) -> None:
+    runs = _off(pendulum.exact, 1e-4 * 4.0 ** -np.arange(3))
+    late = dataclasses.replace(runs[2], position=runs[2].position.copy())
+    late.position[:, 15:] += 1e-3
+    about = (pendulum.scene, pendulum.batch)
+
+    assert not unsettled(*about, runs, pendulum.exact, _SECOND)
+    assert unsettled(*about, [*runs[:2], late], pendulum.exact, _SECOND)

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.terminal import print_table
 from mbds_xsim.result import Validation
 
@@ -90,6 +91,19 @@ def test_without_a_reference_and_without_failures(one_engine: Case) -> None:
 
     assert "reference: none" in text
     assert "odd one out: none, nothing to compare" in text
+
+
+def test_what_a_check_could_not_judge_is_told(one_engine: Case) -> None:
+    (result,) = one_engine.validation.engines
+    why = "trajectory 0: not measurable, because the coarsest run of the check stopped at frame 6"
+    first, *rest = result.findings
+    noted = msgspec.structs.replace(first, passed=True, note=why)
+    result = msgspec.structs.replace(result, findings=(noted, *rest))
+    validation = msgspec.structs.replace(one_engine.validation, engines=(result,))
+
+    assert why in " ".join(printed(validation, 120).split())
+    assert why in to_markdown(validation)
+    assert why not in to_markdown(one_engine.validation)
 
 
 def test_text_that_looks_like_markup_is_printed_as_it_is(one_engine: Case) -> None:

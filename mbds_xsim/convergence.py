@@ -1,0 +1,104 @@
+"""The runs of the consistency check: at which steps, and what they say.
+
+Three steps come first, the shortest of them no shorter than need be. Where they do not show how
+the engine converges, the shortest one is halved, twice at most.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mbds_xsim import registry
+from mbds_xsim.campaign import Outcome, ProgressSink, ReferenceOutcome, step_task
+from mbds_xsim.checks import Finding
+from mbds_xsim.checks.consistency import LEAST_SPAN, consistency, unsettled
+from mbds_xsim.isolate import run_tasks
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Failure
+
+__all__ = ["convergence", "further_step", "refine"]
+
+_RUNS = 5
+"""Steps at most, of which the shortest is 1/16 of the longest."""
+_PATIENCE = 300.0
+"""No further run is made that would take longer [s]."""
+
+
+def convergence(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> list[Finding]:
+    """Extrapolate the sample that ran at several steps to a vanishing step.
+
+    Only smooth motion has an order of convergence: with contact, what comes before it.
+    """
+    given = _given(scene, batch, outcome, reference)
+    return [] if given is None else consistency(*given[0], **given[1])
+
+
+def further_step(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> float | None:
+    """Give the step at which the sample must run too before anything can be said [s].
+
+    None where that is not so, where the engine fails anyway, or where it would take too long.
+    """
+    if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures(batch):
+        return None
+    given = _given(scene, batch, outcome, reference)
+    if given is None or not unsettled(*given[0], **given[1]):
+        return None
+    step = outcome.contender.settings.step
+    half = min(step, *outcome.other_steps) / 2.0
+    simulated = sum(len(part.trajectory) for part in outcome.simulations)
+    each = sum(part.rollout_s for part in outcome.simulations) / simulated
+    return half if each * len(outcome.sample) * step / half < _PATIENCE else None
+
+
+def refine(
+    scene: Scene,
+    batch: Batch,
+    outcomes: list[Outcome],
+    reference: ReferenceOutcome,
+    *,
+    workers: int | None,
+    progress: ProgressSink,
+) -> None:
+    """Run samples at further steps until they show how each engine converges."""
+    while True:
+        steps = [further_step(scene, batch, outcome, reference) for outcome in outcomes]
+        asked = [(o, step) for o, step in zip(outcomes, steps, strict=True) if step is not None]
+        if not asked:
+            return
+        progress.begin(len(asked))
+        labels = [f"{o.contender.engine} ({o.contender.profile}) finer" for o, _ in asked]
+        tasks = [step_task(scene, batch, outcome, step) for outcome, step in asked]
+
+        def finished(place: int, _: Any, labels: list[str] = labels) -> None:
+            progress.advance(labels[place])
+
+        answers = run_tasks(tasks, workers=workers, finished=finished)
+        for (outcome, step), answer in zip(asked, answers, strict=True):
+            outcome.keep_step(step, batch, answer)
+
+
+def _given(
+    scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
+) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
+    """Give what the check is about, as it takes it; None where nothing is to be compared."""
+    ends = reference.trajectory.failures
+    smooth = [k for k, row in enumerate(outcome.sample) if not scene.contacts or _flies(ends[row])]
+    rows = [outcome.sample[k] for k in smooth]
+    truth, contender = reference.trajectory, outcome.contender
+    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    if trajectory is None or not rows or not outcome.other_steps:
+        return None
+    runs = {step: run[smooth] for step, run in outcome.other_steps.items()}
+    runs[contender.settings.step] = trajectory[rows]
+    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
+    ordered = [runs[step] for step in sorted(runs, reverse=True)]
+    return (scene, batch[rows], ordered, truth[rows], method), {"growth": reference.growth[rows]}
+
+
+def _flies(end: Failure | None) -> bool:
+    return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN
