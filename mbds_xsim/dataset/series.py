@@ -59,10 +59,10 @@ class Series:
         rows, *rest = key if isinstance(key, tuple) and key else (key,)
         if isinstance(rows, int | np.integer) and not isinstance(rows, bool):
             one = self._one(int(rows))
-            return one[tuple(rest)] if rest else one
-        if rows is None or rows is Ellipsis or (isinstance(key, tuple) and not key):
+            return one[None][(0, *rest)] if rest else one
+        chosen = np.arange(len(self))[rows] if isinstance(rows, slice | list | np.ndarray) else None
+        if chosen is None or (rest and chosen.ndim != 1):
             return np.asarray(self)[key]
-        chosen = np.arange(len(self))[rows]
         taken = self._take(chosen)
         if not rest:
             return taken
