@@ -255,7 +255,8 @@ def test_endless_bounces_are_given_up() -> None:
     scene = ball(velocity=(0.0, 0.0, 1e-9), restitution=1.0, clock=Clock(0.02, 3))
     (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
     assert failure is not None
-    assert (failure.frame, failure.reason) == (1, "the solution cannot be continued")
+    assert failure.frame == 1
+    assert "cannot be continued between 0 and 0.02 s: more than 20000 impacts" in failure.reason
 
 
 def test_start_on_the_ground_does_not_bounce() -> None:

@@ -51,13 +51,14 @@ def march_balls(
     states[:, 0] = start
     failures: list[Failure | None] = [None] * batch
     for row in range(batch):
-        reached = [
+        found = [
             _march_one(mechanism, body, states[row, :, body], inputs.force[row, :, body])
             for body in range(mechanism.body_count)
         ]
-        if min(reached) < frames:
-            failures[row] = Failure(min(reached) + 1, "the solution cannot be continued")
-            states[row, min(reached) + 1 :] = np.nan
+        ended = [failure for failure in found if failure is not None]
+        if ended:
+            first = failures[row] = min(ended, key=lambda failure: failure.frame)
+            states[row, first.frame :] = np.nan
         if progress is not None:
             progress(frames * (row + 1), frames * batch)
     return Marched(states, failures)
@@ -82,7 +83,7 @@ def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Mo
         left -= used
         if left <= 0.0:
             return motion
-    msg = f"more than {_MOST_EVENTS} events in a frame"
+    msg = f"more than {_MOST_EVENTS} impacts in a frame"
     raise ArithmeticError(msg)
 
 
@@ -92,8 +93,8 @@ def _settled(motion: Motion, load: Load, ball: Ball) -> Motion:
     return dataclasses.replace(motion, climb=0.0) if last else motion
 
 
-def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> int:
-    """Fill in the states of one body, shape (frame, 13); gives the last frame it reached."""
+def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> Failure | None:
+    """Fill in the states of one body, shape (frame, 13), as far as they can be found."""
     radius = float(mechanism.sphere_radius[list(mechanism.sphere_body).index(body)])
     ball = _ball_of(mechanism, body, states[0], force, radius)
     motion = _motion_of(states[0], radius)
@@ -101,10 +102,11 @@ def _march_one(mechanism: Mechanism, body: int, states: Array, force: Array) -> 
     for k, (x, y, z) in enumerate((gravity + force / mechanism.mass[body]).tolist()):
         try:
             motion = through_frame(ball, motion, Load(complex(x, y), z), frame)
-        except ArithmeticError:
-            return k
+        except ArithmeticError as error:
+            when = f"between {k * frame:.6g} and {(k + 1) * frame:.6g} s"
+            return Failure(k + 1, f"the solution cannot be continued {when}: {error}")
         states[k + 1] = _state_of(motion, radius)
-    return len(force)
+    return None
 
 
 def _ball_of(mechanism: Mechanism, body: int, state: Array, force: Array, radius: float) -> Ball:

@@ -16,14 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.assembly import assemble
+from mbds_xsim.errors import SceneError
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.reference.multipliers import multipliers_of
+from mbds_xsim.reference.multipliers import POOR, Multipliers
+from mbds_xsim.reference.singular import interpolated, projected_onto_branch, typical_states
 from mbds_xsim.reference.topology import topology_of
 
 __all__ = ["Dynamics", "dynamics_of"]
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# Rows that are left out may be off by what a stage is off the constraints; else they count.
+_FOLLOWS = 1e-4
+# Of the usual share of independent rows: below it a pose may be singular.
+_FEWER = 0.1
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 _NEXT = np.array([1, 2, 0])
@@ -82,7 +91,8 @@ class Dynamics:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.topology = topology_of(mechanism)
-        self._multipliers = multipliers_of(self.topology)
+        self.length = mechanism.scene.length
+        self._multipliers = Multipliers(self.topology)
         rows = self.topology.row_count
         self._half = np.zeros((2, rows + 1, 6))
         points = self.topology.points.stop
@@ -90,6 +100,12 @@ class Dynamics:
         self._half[0, : 3 * points, :3], self._half[1, : 3 * points, :3] = -eye, eye
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
         self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
+        self._closes = bool(mechanism.loops or mechanism.distances)
+        self.near = 0.0
+        if self._closes:
+            states = typical_states(self, self.pack(_pose(mechanism)))
+            usual = self._multipliers.choose(self._rows(self._motion(states)).jacobian)
+            self.near = min(POOR, _FEWER * usual)
 
     def pack(self, bodies: BodyStates) -> Array:
         """States of body states with one leading axis."""
@@ -110,32 +126,62 @@ class Dynamics:
 
     def derivative(self, state: Array, force: Array, torque: Array) -> Array:
         """Time derivative of states under forces (batch, body, 3) and torques (batch, hinge)."""
+        rate, share = self.rate(state, force, torque)
+        for k in np.flatnonzero(share < self.near):
+            rate[k] = interpolated(self, state[k], force[k], torque[k], rate[k], float(share[k]))
+        return rate
+
+    def rate(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array]:
+        """Do so without regard to singular poses.
+
+        Returns:
+            The derivative, and the independent share of the rows, squared, shape (batch,).
+        """
         motion = self._motion(state)
         q, w = state[..., _Q], state[..., _W]
-        acceleration = self._constrained(motion, self._applied(motion, state, force, torque))
+        applied = self._applied(motion, state, force, torque)
+        acceleration, share = self._constrained(motion, applied)
         rate = np.empty_like(state)
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + _cross(w, q[..., 1:]))
         rate[..., _V] = acceleration[..., :3] * self._inverse_mass_root
         rate[..., _W] = _times(motion.turn, acceleration[..., 3:] * self._inverse_inertia_root)
-        return rate
+        return rate, share
 
     def project(self, state: Array) -> Array:
-        """Put states onto the constraints by least mass-weighted changes; unit quaternions."""
-        if self.topology.row_count:
-            state = self._closed(state)
-            motion = self._motion(state)
-            rows = self._rows(motion)
-            change = self._least(rows.jacobian, self._rates(rows.jacobian, motion, state))
-            state = state.copy()
-            state[..., _V] -= change[..., :3] * self._inverse_mass_root
-            state[..., _W] -= _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
-        return _normalised(state)
+        """Put states onto the constraints by least mass-weighted changes; unit quaternions.
+
+        Near a singular pose they are put onto the branch that their velocities are on.
+        """
+        if not self.topology.row_count:
+            return _normalised(state)
+        projected, share = self.closest(state)
+        for k in np.flatnonzero(share < self.near):
+            projected[k] = projected_onto_branch(self, state[k], projected[k], float(share[k]))
+        return _normalised(projected)
+
+    def closest(self, state: Array) -> tuple[Array, Array]:
+        """Do so without regard to singular poses.
+
+        Returns:
+            The states, and the independent share of the rows, squared, shape (batch,).
+        """
+        state, share = self._closed(state)
+        motion = self._motion(state)
+        rows = self._rows(motion)
+        change, _ = self._least(rows.jacobian, self._rates(rows.jacobian, motion, state))
+        state[..., _V] -= change[..., :3] * self._inverse_mass_root
+        state[..., _W] -= _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
+        return _normalised(state), share if self._closes else np.ones(len(state))
 
     def residual(self, state: Array) -> Array:
         """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.constraints`."""
         return self._rows(self._motion(state)).residual
+
+    def is_singular(self, state: Array) -> bool:
+        """Whether the constraints of one state have lost rank, or nearly so."""
+        return bool(self.topology.row_count and self.closest(state[None])[1][0] < self.near)
 
     def heights(self, state: Array) -> tuple[Array, Array]:
         """Gaps between contact spheres and the plane z = 0 [m] and their rates [m/s].
@@ -148,15 +194,15 @@ class Dynamics:
         height = carrier[..., 2] + arm[..., 2] - top.sphere_radius
         return height, carrier[..., 9] + _cross(carrier[..., _W], arm)[..., 2]
 
-    def _closed(self, state: Array) -> Array:
+    def _closed(self, state: Array) -> tuple[Array, Array]:
         motion = self._motion(state)
         rows = self._rows(motion)
-        change = self._least(rows.jacobian, rows.residual)
+        change, share = self._least(rows.jacobian, rows.residual)
         moved = state.copy()
         moved[..., _X] -= change[..., :3] * self._inverse_mass_root
         turn = _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
         moved[..., _Q] = rotation.multiply(rotation.from_vector(-turn), state[..., _Q])
-        return moved
+        return moved, share
 
     def _motion(self, state: Array) -> _Motion:
         top = self.topology
@@ -215,19 +261,37 @@ class Dynamics:
             push += top.spring_incidence[end] @ (sign * pull)
             twist += top.spring_incidence[end] @ _cross(arm, sign * pull)
 
-    def _constrained(self, motion: _Motion, applied: Array) -> Array:
+    def _constrained(self, motion: _Motion, applied: Array) -> tuple[Array, Array]:
         if not self.topology.row_count:
-            return applied
+            return applied, np.ones(len(applied))
         rows = self._rows(motion)
         goal = self._sum(rows.jacobian, applied)
         goal += rows.bias
-        return applied - self._least(rows.jacobian, goal)
+        change, share = self._least(rows.jacobian, goal)
+        for k in self._broken(rows.jacobian, goal, change):
+            load, share[k] = self._multipliers.solve_anew(rows.jacobian[k], goal[k])
+            change[k] = self._loaded(rows.jacobian[k], load)
+        return applied - change, share if self._closes else np.ones(len(applied))
 
-    def _least(self, jacobian: Array, goal: Array) -> Array:
-        """Scaled change of least norm with J · change = goal, shape (batch, body + world, 6)."""
-        solver = self._multipliers
-        load = solver.solve(jacobian, goal)[:, solver.slot_row]
-        return np.matmul(load[..., None, :], jacobian)[..., 0, :]
+    def _broken(self, jacobian: Array, goal: Array, change: Array) -> Indices:
+        """States at which rows that are left out do not follow from the others, as they should."""
+        left_out = self._multipliers.left_out
+        if not len(left_out):
+            return left_out
+        off = np.abs(self._sum(jacobian, change) - goal)[:, left_out].max(axis=1)
+        return np.flatnonzero(off > _FOLLOWS * np.abs(goal).max(axis=1))
+
+    def _least(self, jacobian: Array, goal: Array) -> tuple[Array, Array]:
+        """Scaled change of least norm with J · change = goal, shape (batch, body + world, 6).
+
+        Also the independent share of the rows, shape (batch,).
+        """
+        load, share = self._multipliers.solve(jacobian, goal)
+        return self._loaded(jacobian, load), share
+
+    def _loaded(self, jacobian: Array, multipliers: Array) -> Array:
+        load = multipliers[..., self._multipliers.slot_row]
+        return np.asarray(np.matmul(load[..., None, :], jacobian)[..., 0, :])
 
     def _sum(self, jacobian: Array, scaled: Array) -> Array:
         """J · scaled, shape (batch, row)."""
@@ -303,6 +367,17 @@ class Dynamics:
         half[:, 0, :, :3], half[:, 1, :, :3] = -direction, direction
         half[:, 0, :, 3:] = -_cross(first + carried, direction)
         half[:, 1, :, 3:] = _cross(second, direction)
+
+
+def _pose(mechanism: Mechanism) -> BodyStates:
+    """Give the start at rest, or the reference pose where none can be found."""
+    still = np.zeros((1, mechanism.body_count, 3))
+    turn = np.broadcast_to(rotation.IDENTITY, (1, mechanism.body_count, 4))
+    try:
+        start = assemble(mechanism)
+    except SceneError:
+        return BodyStates(mechanism.com[None], turn, still, still)
+    return BodyStates(start.position[None], start.native[None], still, still)
 
 
 def _normalised(state: Array) -> Array:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
+from mbds_xsim.reference.singular import BIFURCATION, has_branch
 from mbds_xsim.state import Failure
 
-__all__ = ["Inputs", "Marched", "march"]
+__all__ = ["MOST_STEPS", "Inputs", "Marched", "branchless", "march", "stopped"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -26,6 +27,8 @@ Progress = Callable[[int, int], None]
 
 _FIRST_STEP = 0.1  # of a frame
 _SMALLEST_STEP = 1e-9  # of a frame
+MOST_STEPS = 20_000
+"""Steps tried in one frame before a solution is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,24 @@ def march(
     return _March(dynamics, start, inputs, frame, rtol, companions).run(progress)
 
 
+def branchless(dynamics: Dynamics, start: Array, inputs: Inputs) -> NDArray[np.bool_]:
+    """Whether states start at a bifurcation without a way to go on, shape (batch,)."""
+    if not inputs.force.shape[1]:
+        return np.zeros(len(start), dtype=bool)
+    loads = zip(start, inputs.force[:, 0], inputs.torque[:, 0], strict=True)
+    return np.array([not has_branch(dynamics, *load) for load in loads], dtype=bool)
+
+
+def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str) -> Failure:
+    """Say at which time [s] in which frame a solution ended, and what the reason may be."""
+    hint = (
+        "the mechanism is in a singular pose there, and its motion does not choose a way on"
+        if dynamics.is_singular(state)
+        else "something moves too fast or is too stiff there: look at masses, inertias and springs"
+    )
+    return Failure(frame, f"the solution cannot be continued at {time:.6g} s: {why}; {hint}")
+
+
 class _March:
     def __init__(
         self,
@@ -88,10 +109,14 @@ class _March:
         self.failures: list[Failure | None] = [None] * batch
         # The states still under way, and their rows in the batch.
         self.row = np.arange(batch)
-        self.y = dynamics.project(start)
+        self.y = start
         self.at = np.zeros(batch, dtype=np.intp)
         self.left = np.full(batch, frame)
         self.step = np.full(batch, _FIRST_STEP * frame)
+        self.tries = np.zeros(batch, dtype=np.intp)
+        self.rate = np.empty_like(start)
+        self._end_together(branchless(dynamics, start, inputs), lambda _: Failure(1, BIFURCATION))
+        self.y = dynamics.project(self.y)
         self.rate = self._derivative(self.y, self._forces(slice(None)))
         self._end_at_impact(np.where(resting(*dynamics.heights(self.y)), 0.0, np.nan))
 
@@ -129,7 +154,11 @@ class _March:
         self.left[good] = np.where(h >= self.left, 0.0, self.left - h)[good]
         self.step = next_step(h, ratio)
         self._end_at_impact(impact)
-        self._end(self.step < _SMALLEST_STEP * self.frame, self._stuck)
+        self.tries += 1
+        smallest = _SMALLEST_STEP * self.frame
+        self._end(self.step < smallest, self._stuck(f"a step below {smallest:.1e} s is needed"))
+        why = f"{MOST_STEPS} steps do not reach the end of a frame"
+        self._end_together(self.tries > MOST_STEPS, self._stuck(why))
 
     def _impacts(
         self, new: Array, forces: tuple[Array, Array], h: Array, good: NDArray[np.bool_]
@@ -169,7 +198,7 @@ class _March:
             return False
         self.y[done] = self.dynamics.project(self.y[done])
         self.at[done] += 1
-        self.left[done] = self.frame
+        self.left[done], self.tries[done] = self.frame, 0
         self.states[self.row[done], self.at[done]] = self.y[done]
         under_way = self.at < self.frames
         done = done[under_way[done]]
@@ -192,9 +221,18 @@ class _March:
                 self.failures[self.row[k]] = failure(k)
             self._keep(~ended)
 
-    def _stuck(self, k: int) -> Failure:
-        return Failure(int(self.at[k]) + 1, "the solution cannot be continued")
+    def _end_together(self, ended: NDArray[np.bool_], failure: Callable[[int], Failure]) -> None:
+        """Stop some states, and their companions."""
+        together = np.any(ended.reshape(-1, self.companions), axis=1)
+        self._end(np.repeat(together, self.companions), failure)
+
+    def _stuck(self, why: str) -> Callable[[int], Failure]:
+        def failure(k: int) -> Failure:
+            time = (self.at[k] + 1) * self.frame - self.left[k]
+            return stopped(self.dynamics, self.y[k], int(self.at[k]) + 1, float(time), why)
+
+        return failure
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
-        for key in ("row", "y", "at", "left", "step", "rate"):
+        for key in ("row", "y", "at", "left", "step", "tries", "rate"):
             setattr(self, key, getattr(self, key)[kept])

@@ -1,14 +1,12 @@
 """Solve A λ = b with A = J M⁻¹ Jᵀ, using that a row meets only the rows that share a body.
 
 With rows ordered by reverse Cuthill–McKee, A is a narrow band and Cholesky's method costs
-O(rows · bandwidth²). Where rows depend on one another (over-constrained or singular mechanisms) a
-pivoted Cholesky factorisation picks an independent set and leaves the others unloaded: the
-multipliers are then not unique, but the motion is.
+O(rows · bandwidth²). Where rows depend on one another (over-constrained mechanisms) a pivoted
+Cholesky factorisation picks an independent set once, and the others stay unloaded: the multipliers
+are then not unique, but the motion is. A pose at which that set loses rank is factorised anew.
 """
 
 from __future__ import annotations
-
-import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from mbds_xsim.reference.topology import Topology
 
-__all__ = ["Multipliers", "multipliers_of"]
+__all__ = ["POOR", "Multipliers"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -28,12 +26,8 @@ Indices = NDArray[np.intp]
 # masses. Much nearer to a singular pose it is not the mechanism that decides where the motion goes,
 # but the 1e-13 by which its constraints are violated: at 1e-11 a third of the motions ended there.
 _DEPENDENT = 1e-9
-
-
-@functools.lru_cache(maxsize=64)
-def multipliers_of(topology: Topology) -> Multipliers:
-    """Find the order and the band of a topology (once each)."""
-    return Multipliers(topology)
+POOR = 2e-4
+"""Share below which independent rows are chosen anew, and a pose may be singular."""
 
 
 class Multipliers:
@@ -71,6 +65,7 @@ class Multipliers:
                 self.row_slot[end, row] = body * self.slot_count + k
         if rows:
             self._order(touching)
+            self._load(np.ones(rows, dtype=bool))
 
     def _order(self, touching: list[list[tuple[int, int]]]) -> None:
         """Find the row order and, for each element of the band, the products that make it."""
@@ -83,9 +78,9 @@ class Multipliers:
         place = np.argsort(self._row_at)
         first, second = np.nonzero(near)
         self._band = int(np.abs(place[first] - place[second]).max(initial=0))
-        empty = len(touching) * slots * slots
+        self._empty = len(touching) * slots * slots
         # Two rows share at most two bodies, so an element is a sum of at most two products.
-        self._source = np.full((2, rows, self._band + 1), empty, dtype=np.intp)
+        self._every = np.full((2, rows, self._band + 1), self._empty, dtype=np.intp)
         used = np.zeros((rows, self._band + 1), dtype=np.intp)
         for body, group in enumerate(touching):
             for a, (_, row_a) in enumerate(group):
@@ -93,40 +88,86 @@ class Multipliers:
                     column, below = int(place[row_b]), int(place[row_a] - place[row_b])
                     if below >= 0:
                         layer = int(used[column, below])
-                        self._source[layer, column, below] = (body * slots + a) * slots + b
+                        self._every[layer, column, below] = (body * slots + a) * slots + b
                         used[column, below] += 1
 
-    def solve(self, jacobian: Array, goal: Array) -> Array:
-        """Multipliers, shape (batch, row), of the right-hand sides `goal`, shape (batch, row)."""
-        products = np.matmul(jacobian, jacobian.swapaxes(-1, -2)).reshape(len(jacobian), -1)
+    def choose(self, jacobian: Array) -> float:
+        """Load from now on only independent rows, those of the state that has most of them.
+
+        Args:
+            jacobian: Of some states, shape (batch, body + world, slot, 6).
+
+        Returns:
+            How independent they are there, as in `solve`.
+        """
+        found = [self._factorised(products) for products in _products(jacobian)]
+        factor, chosen, _ = max(found, key=lambda each: (len(each[1]), each[0][-1, -1]))
+        loaded = np.zeros(self.row_count, dtype=bool)
+        loaded[chosen] = True
+        self._load(loaded)
+        return float(factor[-1, -1] ** 2)
+
+    def _load(self, loaded: NDArray[np.bool_]) -> None:
+        column = np.arange(self.row_count)[:, None]
+        row = np.minimum(column + np.arange(self._band + 1), self.row_count - 1)
+        self._loaded = loaded
+        self._source = np.where(loaded[column] & loaded[row], self._every, self._empty)
+        self.left_out = self._row_at[~loaded]
+
+    def solve(self, jacobian: Array, goal: Array) -> tuple[Array, Array]:
+        """Multipliers of right-hand sides.
+
+        Args:
+            jacobian: Scaled, slot by slot, shape (batch, body + world, slot, 6).
+            goal: Right-hand sides, shape (batch, row).
+
+        Returns:
+            Multipliers, shape (batch, row), and for each state the least part of a row that is
+            independent of the others, as a share of the row, squared, shape (batch,): 0 where
+            fewer rows are independent than elsewhere.
+        """
+        products = _products(jacobian)
         band = products[:, self._source[0]]
         band += products[:, self._source[1]]
+        band[:, ~self._loaded, 0] = 1.0
         diagonal = band[:, :, 0].copy()
-        pivot = np.empty_like(diagonal)
-        answer = goal[:, self._row_at]
-        regular = np.ones(len(goal), dtype=bool)
+        pivot = np.zeros_like(diagonal)
+        answer = np.where(self._loaded, goal[:, self._row_at], 0.0)
         for k in range(len(goal)):
             factor, x, info = lapack.dpbsv(band[k].T, answer[k], lower=1, overwrite_ab=1)
-            regular[k] = info == 0
-            pivot[k], answer[k] = factor[0], x
-        regular &= (pivot**2 > _DEPENDENT * diagonal).all(axis=1)
-        for row in np.flatnonzero(~regular):
-            answer[row] = self._solve_dependent(products[row], goal[row, self._row_at])
+            if info == 0:
+                pivot[k], answer[k] = factor[0], x
+        share = (pivot**2 / diagonal).min(axis=1)
         multipliers = np.empty_like(answer)
         multipliers[:, self._row_at] = answer
-        return multipliers
+        # Rows that are independent at most poses need not be so at all.
+        poor = POOR if len(self.left_out) else _DEPENDENT
+        for k in np.flatnonzero(~(share > poor)).tolist():
+            multipliers[k], share[k] = self.solve_anew(jacobian[k], goal[k])
+        return multipliers, share
 
-    def _solve_dependent(self, products: Array, goal: Array) -> Array:
+    def solve_anew(self, jacobian: Array, goal: Array) -> tuple[Array, float]:
+        """Solve for one state, with rows that are independent there."""
+        factor, chosen, scale = self._factorised(_products(jacobian[None])[0])
+        part, _ = lapack.dpotrs(factor, (scale * goal[self._row_at])[chosen], lower=1)
+        answer = np.zeros(self.row_count)
+        answer[self._row_at[chosen]] = part * scale[chosen]
+        lost = len(chosen) < np.count_nonzero(self._loaded)
+        return answer, 0.0 if lost else float(factor[-1, -1] ** 2)
+
+    def _factorised(self, products: Array) -> tuple[Array, Indices, Array]:
+        """Pivoted Cholesky factor of one state, the rows that it takes, and the scale of all."""
         rows = self.row_count
         lower = np.zeros((rows, rows + self._band))
         column = np.arange(rows)[:, None]
-        lower[column, column + np.arange(self._band + 1)] = products[self._source].sum(axis=0)
+        lower[column, column + np.arange(self._band + 1)] = products[self._every].sum(axis=0)
         # `lower` holds columns; each is scaled so that the pivots are shares of their rows.
         scale = 1.0 / np.sqrt(lower[np.arange(rows), np.arange(rows)])
         matrix = (lower[:, :rows] * scale * scale[:, None]).T
         factor, pivot, rank, _ = lapack.dpstrf(matrix, tol=_DEPENDENT, lower=1)
-        chosen = pivot[:rank] - 1
-        part, _ = lapack.dpotrs(factor[:rank, :rank], (scale * goal)[chosen], lower=1)
-        answer = np.zeros(rows)
-        answer[chosen] = part * scale[chosen]
-        return answer
+        return factor[:rank, :rank], pivot[:rank] - 1, scale
+
+
+def _products(jacobian: Array) -> Array:
+    """Products of the half-rows of each body, shape (batch, body · slot · slot)."""
+    return np.matmul(jacobian, jacobian.swapaxes(-1, -2)).reshape(len(jacobian), -1)

@@ -13,7 +13,8 @@ from scipy.integrate import Radau
 
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
-from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless, stopped
+from mbds_xsim.reference.singular import BIFURCATION
 from mbds_xsim.state import Failure
 
 __all__ = ["is_stiff", "march_stiff"]
@@ -31,7 +32,10 @@ def is_stiff(dynamics: Dynamics, start: Array, inputs: Inputs, frame: float) -> 
     if not np.any(dynamics.topology.damping):
         return False
     rate = _Rate(dynamics, inputs.force[:1, 0], inputs.torque[:1, 0])
-    values = np.linalg.eigvals(rate.jacobian(0.0, start[:1].reshape(-1)))
+    jacobian = rate.jacobian(0.0, start[:1].reshape(-1))
+    if not np.isfinite(jacobian).all():
+        return False
+    values = np.linalg.eigvals(jacobian)
     return float(-values.real.min()) * frame > _DECAYS
 
 
@@ -50,17 +54,21 @@ def march_stiff(
     states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
     states[:, 0] = start
     failures: list[Failure | None] = [None] * batch
+    lost = branchless(dynamics, start, inputs)
     for first in range(0, batch, companions):
         rows = slice(first, first + companions)
+        if lost[rows].any():
+            failures[rows] = [Failure(1, BIFURCATION)] * companions
+            continue
         state, step = dynamics.project(start[rows]), _FIRST_STEP * frame
         if resting(*dynamics.heights(state)).any():
             failures[rows] = [FirstImpact.at(1, 0.0)] * companions
             continue
         for k in range(frames):
             rate = _Rate(dynamics, inputs.force[rows, k], inputs.torque[rows, k])
-            ended, step = _through_frame(rate, state, min(step, frame), frame, rtol)
-            if not isinstance(ended, np.ndarray):
-                failures[rows] = [_failure(k, ended, frame)] * companions
+            ended, step = _through_frame(rate, state, min(step, frame), frame, k, rtol)
+            if isinstance(ended, Failure):
+                failures[rows] = [ended] * companions
                 break
             state = dynamics.project(ended)
             states[rows, k + 1] = state
@@ -69,19 +77,10 @@ def march_stiff(
     return Marched(states, failures)
 
 
-def _failure(k: int, impact: float | None, frame: float) -> Failure:
-    if impact is None:
-        return Failure(k + 1, "the solution cannot be continued")
-    return FirstImpact.at(k + 1, k * frame + impact)
-
-
 def _through_frame(
-    rate: _Rate, state: Array, step: float, frame: float, rtol: float
-) -> tuple[Array | float | None, float]:
-    """States at the end of a frame, and the last free step.
-
-    In place of the states the time of an impact, or None where the end is not reached.
-    """
+    rate: _Rate, state: Array, step: float, frame: float, k: int, rtol: float
+) -> tuple[Array | Failure, float]:
+    """States at the end of frame `k`, or why it is not reached, and the last free step."""
     # Radau's estimate is of order 3 only; so it is asked for less (Hairer and Wanner, Solving
     # Ordinary Differential Equations II, 1996, section IV.8: the transformation of radau5).
     loose = 0.1 * rtol ** (2.0 / 3.0)
@@ -95,14 +94,22 @@ def _through_frame(
         jac=rate.jacobian,
         first_step=step,
     )
-    while solver.status == "running":
+    why = "the implicit method fails"
+    for _ in range(MOST_STEPS):
+        if solver.status != "running":
+            break
         solver.step()
         # `h_abs` is what the error suggests next; the frame's end does not cut it short.
         step = float(solver.h_abs)
         impact = _impact(rate, solver) if solver.status != "failed" else None
         if impact is not None:
-            return impact, step
-    return (solver.y.reshape(state.shape) if solver.status == "finished" else None), step
+            return FirstImpact.at(k + 1, k * frame + impact), step
+    else:
+        why = f"{MOST_STEPS} steps do not reach the end of a frame"
+    last = solver.y.reshape(state.shape)
+    if solver.status == "finished":
+        return last, step
+    return stopped(rate.dynamics, last[0], k + 1, k * frame + solver.t, why), step
 
 
 def _impact(rate: _Rate, solver: Radau) -> float | None:
