@@ -116,6 +116,8 @@ class _March:
         self.tries = np.zeros(batch, dtype=np.intp)
         self.rate = np.empty_like(start)
         self._end_together(branchless(dynamics, start, inputs), lambda _: Failure(1, BIFURCATION))
+        if not len(self.row):
+            return
         self.y = dynamics.project(self.y)
         self.rate = self._derivative(self.y, self._forces(slice(None)))
         self._end_at_impact(np.where(resting(*dynamics.heights(self.y)), 0.0, np.nan))

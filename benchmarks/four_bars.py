@@ -1,0 +1,100 @@
+"""The N-four-bar mechanism of the IFToMM benchmark library against its closed form.
+
+N + 1 upright cranks of 1 m stand 1 m apart and carry N rods of 1 m; everything weighs 1 kg/m. The
+first pin starts at 1 m/s; in 10 s the cranks turn over several times, and every half turn all of
+them come in line with the rods, where each loop could go on in two ways. Cuadrado et al.,
+https://www.iftomm-multibody.org/benchmark/problem/N_four-bar_mechanism; the library asks for a
+mechanical energy that is kept to 0.1 J.
+
+All loops move as one parallelogram. So the crank's angle θ from upright has one equation,
+θ̈ = k sin θ, a pendulum that turns over, whose solution is Jacobi's amplitude.
+
+    python -m benchmarks.four_bars 2 10 40
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ellipj, ellipk
+
+from mbds_xsim.reference import solve
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.state import Trajectory
+
+__all__ = ["angle_and_rate", "energy", "four_bars"]
+
+Array = NDArray[np.float64]
+
+_G = 9.81
+_AXIS = (0.0, 1.0, 0.0)
+_UPRIGHT = Inertia(1.0, (1 / 12, 1 / 12, 1e-4))
+_LEVEL = Inertia(1.0, (1e-4, 1 / 12, 1 / 12))
+
+
+def four_bars(loops: int, duration: float) -> Scene:
+    """Make the mechanism; bodies are the cranks, then the rods."""
+    cranks = [Body(f"crank{k}", inertia=_UPRIGHT, position=(k, 0.0, 0.5)) for k in range(loops + 1)]
+    rods = [Body(f"rod{k}", inertia=_LEVEL, position=(k + 0.5, 0.0, 1.0)) for k in range(loops)]
+    feet = [
+        Joint(f"foot{k}", "hinge", "world", f"crank{k}", (k, 0.0, 0.0), _AXIS)
+        for k in range(loops + 1)
+    ]
+    pins = [
+        Joint(f"pin{k}{end}", "hinge", f"rod{k}", f"crank{k + end}", (k + end, 0.0, 1.0), _AXIS)
+        for k in range(loops)
+        for end in (0, 1)
+    ]
+    first = Joint("foot0", "hinge", "world", "crank0", (0.0, 0.0, 0.0), _AXIS, rate=-1.0)
+    return Scene(
+        f"{loops}fourbars",
+        (*cranks, *rods),
+        1.0,
+        dimension=2,
+        joints=(first, *feet[1:], *pins),
+        clock=Clock(0.02, round(duration / 0.02)),
+    )
+
+
+def angle_and_rate(loops: int, time: Array) -> tuple[Array, Array]:
+    """Angle of the cranks from upright [rad] and its rate [rad/s], exactly."""
+    inertia, moment = (loops + 1) / 3 + loops, ((loops + 1) / 2 + loops) * _G
+    pace = np.sqrt(0.25 + moment / inertia)
+    share = moment / inertia / pace**2
+    # From the lowest point, where a pendulum is fastest: am(u + K) turns it by half a turn.
+    _, _, delta, amplitude = ellipj(pace * time + ellipk(share), share)
+    return np.pi - 2.0 * amplitude, -2.0 * pace * delta
+
+
+def energy(motion: Trajectory) -> Array:
+    """Kinetic and potential energy of the first trajectory [J], shape (frame,)."""
+    slow = np.sum(motion.velocity[0] ** 2, axis=-1) / 2 + _G * motion.position[0, :, :, 2]
+    return np.asarray(np.sum(slow + motion.angular_velocity[0, :, :, 1] ** 2 / 24, axis=-1))
+
+
+def _row(loops: int, duration: float = 10.0) -> str:
+    scene, begin = four_bars(loops, duration), time.perf_counter()
+    motion = solve(scene, draw_batch(scene, [0]), cache=False)
+    took = time.perf_counter() - begin
+    angle, _ = angle_and_rate(loops, motion.time)
+    pin = motion.position[0, :, 0, [0, 2]] * 2.0 - np.array([np.sin(angle), np.cos(angle)])
+    drift = energy(motion)
+    figures = (np.abs(pin).max(), np.abs(drift - drift[0]).max())
+    return f"| {loops} | {figures[0]:.1e} | {figures[1]:.1e} | {took:.0f} |"
+
+
+def main() -> None:
+    """Print a table."""
+    print(
+        "| N | error of the first pin [m] | energy drift [J] | time [s] |\n" + "| ---: " * 4 + "|"
+    )
+    for loops in sys.argv[1:]:
+        print(_row(int(loops)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
