@@ -21,10 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.interruption import held_back
+from mbds_xsim.spent import Spent, memory_bytes
 
-__all__ = ["Crash", "Task", "core_count", "run_tasks"]
+__all__ = ["Crash", "Task", "begin", "core_count", "run_tasks"]
 
 _POLL = 0.01
+_START_UP = 600.0  # longest that a process may import what its task names [s]
+_SHARE = 0.8  # of the machine's memory, for all processes together
 _TAIL = 400  # characters of an engine's last words
 
 
@@ -35,7 +38,8 @@ class Task:
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
     timeout: float = 3600.0
-    """[s]"""
+    """Of its own time [s]: neither the start of its process nor what other work on the machine
+    keeps it from counts."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,24 @@ class Crash:
     """The task was refused by an `InputError`, whose text is the reason."""
     timed_out: bool = field(default=False, compare=False)
     """The task was ended at its time limit."""
+
+
+def begin(path: Path | None = None) -> None:
+    """Say that the work proper of this process's task begins now, and its time from here on.
+
+    The worker says so once what a task names is imported; a task may again, where it has loaded an
+    engine, or goes on to its next part. Elsewhere it does nothing.
+
+    Args:
+        path: Of the file by which it is said, from now on.
+    """
+    global _begun
+    _begun = path or _begun
+    if _begun is not None:
+        _begun.touch()
+
+
+_begun: Path | None = None
 
 
 def core_count() -> int:
@@ -82,11 +104,15 @@ def run_tasks(
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
         _lifeline() as line,
     ):
+        most = min(workers or core_count(), max(len(tasks), 1))
+        memory = _SHARE * memory_bytes()
         try:
             while waiting or running:
-                while waiting and len(running) < (workers or core_count()):
+                while waiting and len(running) < most:
                     place = waiting.pop()
                     running.append(_Process(place, tasks[place], Path(folder), line))
+                if sum(process.bytes for process in running) > memory:
+                    max(running, key=lambda process: process.bytes).end_for_memory()
                 for process in [process for process in running if process.ended()]:
                     running.remove(process)
                     answers[process.place] = process.answer()
@@ -125,27 +151,42 @@ class _Process:
         self.place = place
         self._task = task
         self._answer = folder / f"{place}.answer"
+        self._begun = folder / f"{place}.begun"
         self._words = folder / f"{place}.log"
         question = folder / f"{place}.task"
         question.write_bytes(pickle.dumps((task.function, task.arguments)))
-        self._deadline = time.monotonic() + task.timeout
-        self._timed_out = False
+        self._timed_out, self._took = False, 0
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         with self._words.open("wb") as words:
             self._popen = subprocess.Popen(
-                [sys.executable, "-m", "mbds_xsim.worker", str(question), str(self._answer)],
+                [sys.executable, "-m", "mbds_xsim.worker", question, self._answer, self._begun],
                 stdin=lifeline,
                 stdout=words,
                 stderr=words,
                 env=os.environ | threads,
                 cwd=folder,  # engines drop log files where they stand
             )
+        self._spent = Spent(self._popen.pid)
+        self._limit, self._since = _START_UP, 0
 
     def ended(self) -> bool:
-        if self._popen.poll() is None and time.monotonic() > self._deadline:
-            self._timed_out = True
-            self.kill()
+        if self._popen.poll() is None and self._spent.look():
+            if self._begun.exists() and (since := self._begun.stat().st_mtime_ns) != self._since:
+                self._limit, self._since = self._task.timeout, since
+                self._spent.seconds = 0.0
+            self._timed_out = self._spent.seconds > self._limit
+            if self._timed_out:
+                self.kill()
         return self._popen.poll() is not None
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it has."""
+        return self._spent.bytes
+
+    def end_for_memory(self) -> None:
+        self._took = self.bytes
+        self.kill()
 
     def kill(self) -> None:
         self._popen.kill()
@@ -159,7 +200,12 @@ class _Process:
 
     def _last_words(self) -> str:
         if self._timed_out:
-            return f"no answer within {self._task.timeout:g} s"
+            return f"no answer within {self._limit:g} s" + ("" if self._since else " of starting")
+        if self._took:
+            return (
+                f"it had taken {self._took / 2**30:.3g} GiB when the memory ran out; fewer "
+                "--workers leave more to each"
+            )
         code = self._popen.returncode
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         tail = self._words.read_text(errors="replace").strip()[-_TAIL:]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbds_xsim import isolate
 from mbds_xsim.engine import ModelSize, Readback, Run, Settings
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
@@ -41,6 +42,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
         EngineMissing: The engine is not installed.
     """
     adapter = load_adapter(engine)
+    isolate.begin()
     begin = time.perf_counter()
     with adapter.open(scene, settings) as run:
         loaded = time.perf_counter()

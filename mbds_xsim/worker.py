@@ -7,15 +7,19 @@ import pickle
 import sys
 import threading
 import traceback
+from contextlib import suppress
 from pathlib import Path
 
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import begin
 
 
-def _main(task_path: Path, answer_path: Path) -> None:
+def _main(task_path: Path, answer_path: Path, begun_path: Path) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    function, arguments = pickle.loads(task_path.read_bytes())
+    _be_first_to_go()
     try:
+        function, arguments = pickle.loads(task_path.read_bytes())
+        begin(begun_path)
         answer: tuple[str, object] = ("done", function(*arguments))
     except InputError as error:
         answer = ("input error", str(error))
@@ -26,6 +30,12 @@ def _main(task_path: Path, answer_path: Path) -> None:
     os.replace(partial, answer_path)
 
 
+def _be_first_to_go() -> None:
+    """Where memory runs out, the system is to end this process, and not the one that waits."""
+    with suppress(OSError):  # there is no such file elsewhere than on Linux
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
 def _end_with_parent() -> None:
     """Standard input ends when the parent does, be it killed: no engine goes on for nobody."""
     # Not sys.stdin, whose lock a waiting thread would hold when the interpreter shuts down.
@@ -34,7 +44,7 @@ def _end_with_parent() -> None:
 
 
 if __name__ == "__main__":
-    _main(Path(sys.argv[1]), Path(sys.argv[2]))
+    _main(*map(Path, sys.argv[1:]))
     sys.stdout.flush()
     # The answer is there: an engine that hangs while it is taken down is not waited for.
     os._exit(0)

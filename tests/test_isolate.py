@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim import registry
+from mbds_xsim import isolate, registry
 from mbds_xsim.interruption import held_back
 from mbds_xsim.isolate import Crash, Task, run_tasks
 
@@ -209,3 +209,56 @@ def _alive(process: int) -> bool:
         return False
     status = Path(f"/proc/{process}/status")  # a dead one may wait for its new parent
     return not (status.exists() and "State:\tZ" in status.read_text())
+
+
+_BURN = "import time\nwhile time.process_time() < {}: pass"
+
+
+def test_a_task_that_never_ends_ends_at_its_time_of_the_processor() -> None:
+    (crash,) = run_tasks([Task(exec, (_BURN.format(60.0),), timeout=0.5)])
+
+    assert isinstance(crash, Crash)
+    assert (crash.reason, crash.timed_out) == ("no answer within 0.5 s", True)
+
+
+def test_time_that_others_take_of_the_machine_is_not_the_task_s() -> None:
+    """Many at once on few cores: each needs less than its limit, and waits for far more."""
+    crowd = 8 * isolate.core_count()
+
+    answers = run_tasks([Task(exec, (_BURN.format(0.6),), timeout=0.9)] * crowd, workers=crowd)
+
+    assert answers == [None] * crowd
+
+
+def test_the_start_of_a_process_is_no_part_of_its_time(tmp_path: Path) -> None:
+    module = "import time\ntime.sleep(1.0)\ndef answer(): return 7"
+    (tmp_path / "slow_to_import.py").write_text(module)
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from mbds_xsim.isolate import *; "
+        "import slow_to_import; print(run_tasks([Task(slow_to_import.answer, (), timeout=0.4)]))"
+    )
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+
+    assert ended.stdout == "[7]\n"
+
+
+def test_the_time_of_a_task_begins_anew_with_each_of_its_parts() -> None:
+    code = "import time; from mbds_xsim.isolate import begin\n" + 4 * "begin(); time.sleep(0.4)\n"
+
+    assert run_tasks([Task(exec, (code,), timeout=1.0)]) == [None]
+
+
+def test_a_task_that_takes_all_memory_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(isolate, "memory_bytes", lambda: 5e8)
+    code = "kept = []\nwhile True: kept.append(bytearray(10**7))"
+
+    leaking, sound = run_tasks([Task(exec, (code,)), Task(math.factorial, (3,))], workers=2)
+
+    assert isinstance(leaking, Crash)
+    assert leaking.reason.startswith("it had taken 0.")
+    assert leaking.reason.endswith("when the memory ran out; fewer --workers leave more to each")
+    assert sound == 6

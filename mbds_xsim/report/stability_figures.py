@@ -49,7 +49,7 @@ LOOKS: dict[Outcome, Look] = {
     "gives up": Look("#5b5ea6", "N", "the engine gives up to solve a step"),
     "ends early": Look("#9c8f8f", "?", "ends early for another reason"),
     "crashed": Look("#333333", "C", "the process crashes"),
-    "timed out": Look("#77727f", "T", "no answer in time"),
+    "timed out": Look("#77727f", "T", "not measured: no answer in time"),
     "refused": Look("#e4e4e4", "–", "cannot be represented"),
 }
 LIGHT_LOOKS = {"stable", "off course", "loses energy", "comes apart", "stuck", "clamped", "refused"}

@@ -50,7 +50,7 @@ def limit(panel: Panel, row: int) -> str:
     """Write the largest stable step [ms], and in brackets the largest on course if it is less."""
     stable, on_course = panel.largest_stable(row), panel.largest_on_course(row)
     if stable is None:
-        return "refused" if _all_refused(panel.cells[row]) else quantity.NONE
+        return _alike(panel.cells[row]) or quantity.NONE
     if on_course == stable:
         return milliseconds(stable)
     less = quantity.NONE if on_course is None else milliseconds(on_course)
@@ -76,8 +76,10 @@ def breaking(sweep: Sweep) -> Iterator[tuple[str, str]]:
     for panel in sweep.panels:
         wrong = [c for row in panel.cells for c in row if c.failed or c.outcome == "off course"]
         counts = Counter(cell.outcome for cell in wrong)
+        late = sum(cell.unmeasured for row in panel.cells for cell in row)
         silent = sum(cell.silent for cell in wrong)
-        text = ", ".join(f"{what} {count}×" for what, count in counts.most_common())
+        told = [f"{what} {count}×" for what, count in counts.most_common()]
+        text = ", ".join(told + [f"not measured {late}×"] * bool(late))
         if text:
             cells = sum(len(row) for row in panel.cells)
             yield panel.name, f"{text}, of {cells} cells; {silent} without a word of the engine"
@@ -89,6 +91,8 @@ def conclusion(sweep: Sweep) -> str:
     ranked = [panel for panel in sweep.panels if not panel.learned] or sweep.panels
     failed = [cell for cell in cells if cell.failed]
     silent = [cell for cell in failed if cell.silent]
+    late = sum(cell.unmeasured for cell in cells)
+    lacking = f", {late} are not measured (out of time: give more by --limit)" if late else ""
     stable = Counter({p.name: sum(_holds(c) for row in p.cells for c in row) for p in ranked})
     most = max(stable.values())
     best = [name for name, count in stable.items() if count == most]
@@ -96,12 +100,12 @@ def conclusion(sweep: Sweep) -> str:
     of_most = f"most stable: {shown} ({most} of {sum(map(len, ranked[0].cells))})"
     return (
         f"{len(failed)} of {len(cells)} cells fail, {len(silent)} of them without a word of the "
-        f"engine; {of_most if most else 'none is stable'}"
+        f"engine{lacking}; {of_most if most else 'none is stable'}"
     )
 
 
 def _holds(cell: Cell) -> bool:
-    return not cell.failed and cell.outcome != "refused"
+    return not (cell.failed or cell.unmeasured or cell.outcome == "refused")
 
 
 def holding(sweep: Sweep) -> Iterator[tuple[str, str]]:
@@ -162,7 +166,7 @@ def told(cell: Cell, sweep: Sweep) -> Iterator[tuple[str, str]]:
 
 def what_happened(cell: Cell) -> str:
     """Say what became of a run, with when."""
-    text: str = cell.outcome
+    text: str = "not measured" if cell.unmeasured else cell.outcome
     if cell.broke_s is not None:
         text += f" from {quantity.span(cell.broke_s)} on"
     if cell.ended_s is not None and cell.ended_s < cell.duration_s - 1e-9:
@@ -199,5 +203,8 @@ def _figures(cell: Cell) -> Iterator[str]:
         yield f"{quantity.span(cell.wall_s)} of wall time"
 
 
-def _all_refused(cells: tuple[Cell, ...]) -> bool:
-    return all(cell.outcome == "refused" for cell in cells)
+def _alike(cells: tuple[Cell, ...]) -> str:
+    """Say that all cells are refused, or that none is measured; else ""."""
+    words = {"refused": "refused", "timed out": "not measured"}
+    (first, *others) = {cell.outcome for cell in cells}
+    return "" if others else words.get(first, "")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
+from mbds_xsim import isolate, registry
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.engine import Adapter, ModelSize, Run, Settings
 from mbds_xsim.mechanism import Mechanism
@@ -81,6 +81,7 @@ def measure(scene: Scene, start: Batch, engine: str, settings: Settings, truth: 
         InputError: The engine cannot do the scene or the settings are not allowed.
     """
     adapter = registry.load_adapter(engine)
+    isolate.begin()
     begin = time.perf_counter()
     with adapter.open(scene, settings) as run:
         setup = time.perf_counter() - begin

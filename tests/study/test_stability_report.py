@@ -8,7 +8,7 @@ import json
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,8 +77,29 @@ def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Sweep) -> None:
     assert said.split("; ")[1] == conclusion(sweep).split("; ")[1]
 
 
+def test_what_ran_out_of_time_is_not_measured(sweep: Sweep) -> None:
+    panel = next(panel for panel in sweep.panels if panel.name == "mujoco RK4")
+
+    def late(outcomes: Sequence[Sequence[str]]) -> Sweep:
+        cells = tuple(
+            tuple(msgspec.structs.replace(c, outcome=o) for c, o in zip(row, told, strict=True))
+            for row, told in zip(panel.cells, outcomes, strict=True)
+        )
+        return msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(panel, cells=cells),))
+
+    ends = ["timed out"] * len(panel.cells[0])
+    some = late([["stable", *ends[1:]], ends])
+    assert limit(some.panels[0], 0) == f"{1e3 * sweep.steps_s[0]:g}"
+    assert limit(some.panels[0], 1) == "not measured"
+    assert dict(breaking(some))["mujoco RK4"].startswith(f"not measured {2 * len(ends) - 1}×, of")
+    said = conclusion(late([ends, ends]))
+    assert said.startswith(f"0 of {2 * len(ends)} cells fail, ")
+    assert f"{2 * len(ends)} are not measured (out of time: give more by --limit)" in said
+    assert said.endswith("none is stable")
+
+
 def test_every_outcome_has_its_own_look() -> None:
-    assert FAILED | {"stable", "off course", "refused"} == set(LOOKS)
+    assert FAILED | {"stable", "off course", "refused", "timed out"} == set(LOOKS)
     assert len({look.colour for look in LOOKS.values()}) == len(LOOKS)
     assert len({look.letter for look in LOOKS.values()}) == len(LOOKS)
 

@@ -34,10 +34,11 @@ Outcome = Literal[
 FAILED = frozenset(
     {
         "gains energy", "loses energy", "comes apart", "sinks in", "stuck", "clamped", "blows up",
-        "gives up", "ends early", "crashed", "timed out",
+        "gives up", "ends early", "crashed",
     }
 )  # fmt: skip
-"""Outcomes that are not stable. A motion that is off course is stable, and wrong."""
+"""Outcomes that are not stable. A motion that is off course is stable, and wrong; what ran out of
+its time is neither stable nor not: it is not measured."""
 Told = Literal["engine", "adapter", "process", "nobody"]
 """Who said that something was wrong: the engine by a warning or an error; only this project's
 adapter, which watches the states; the process, which died or did not end; or nobody, so that only
@@ -66,7 +67,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float
     """That was to be simulated."""
     limit_s: float
-    """Wall time that the run was given."""
+    """Time that the run was given: the processor's, and the clock's while it slept."""
     machine: str
     outcome: Outcome
     told: Told
@@ -97,6 +98,11 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     def failed(self) -> bool:
         """Whether the run is not stable."""
         return self.outcome in FAILED
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether the run was not waited for, so that nothing is known of it."""
+        return self.outcome == "timed out"
 
     @property
     def silent(self) -> bool:
@@ -132,11 +138,11 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
         return " ".join(filter(None, words))
 
     def largest_stable(self, row: int) -> float | None:
-        """Longest step at which this and all shorter ones are stable [s]."""
+        """Longest step at which this and all shorter ones are stable, of those measured [s]."""
         return _longest(self.cells[row], frozenset({"stable", "off course"}))
 
     def largest_on_course(self, row: int) -> float | None:
-        """Longest step at which this and all shorter ones are stable and on course [s]."""
+        """Longest step at which this and all shorter ones measured are stable and on course [s]."""
         return _longest(self.cells[row], frozenset({"stable"}))
 
     def first_broken(self, row: int) -> Cell | None:
@@ -148,6 +154,8 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
 def _longest(cells: tuple[Cell, ...], good: frozenset[str]) -> float | None:
     longest = None
     for cell in reversed(cells):
+        if cell.unmeasured:
+            continue
         if cell.outcome not in good:
             break
         longest = cell.step_s
