@@ -1,21 +1,26 @@
 """The ladder of small cases with exact answers, from free fall to a closed loop.
 
 Each case says what it verifies. Answers are closed forms, or a textbook equation in one
-generalised coordinate solved to 1e-12: never the reference of this package, never an engine.
+generalised coordinate solved to 1e-12, never an engine. Spatial chains and loops have no such
+answer: theirs is this package's reference, whose own tests hold it to answers from outside.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim import reference, rotation
+from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import (
     Body,
     Clock,
+    DistanceLink,
     Force,
     Inertia,
     Joint,
@@ -24,6 +29,7 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
+from mbds_xsim.state import Trajectory
 
 __all__ = ["CASES", "Case"]
 
@@ -32,6 +38,7 @@ Vector = tuple[float, float, float]
 
 _G = 9.81
 _CLOCK = Clock(frame=0.02, steps=50)
+_SHORT = Clock(frame=0.02, steps=30)
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
 _BOX_MASS = 10.0
 
@@ -113,28 +120,37 @@ def _tumbling() -> Case:
     )
 
 
+_PUSHES = tuple((2.0 * (-1) ** k, 1.0 * k, -3.0) for k in range(10))
+_SHARES = {"first": 1.0, "second": -2.0, "third": 0.5}
+
+
 def _pushed() -> Case:
-    series = tuple((2.0 * (-1) ** k, 1.0 * k, -3.0) for k in range(10))
+    """Boxes alike, each with a force of its own; listed in another order than their forces."""
+    box = _box()
     scene = Scene(
         "pushed",
-        bodies=(_box(),),
+        bodies=tuple(msgspec.structs.replace(box, name=name) for name in _SHARES),
         length=1.0,
         gravity=(0.0, 0.0, 0.0),
         clock=_CLOCK,
-        forces=(Force("box", series, hold=5),),
+        forces=tuple(
+            Force(name, tuple((share * x, share * y, share * z) for x, y, z in _PUSHES), hold=5)
+            for name, share in reversed(_SHARES.items())
+        ),
     )
-    return Case("pushed", "forces at the centre of mass, held and switched", scene, _pushed_exact)
+    verifies = "forces at the centres of mass of several bodies, held and switched"
+    return Case("pushed", verifies, scene, _pushed_exact)
 
 
 def _pushed_exact(time: Array) -> Array:
     hold = 0.1
     x, v = np.zeros((len(time), 3)), np.zeros((len(time), 3))
-    for k in range(10):
+    for k, push in enumerate(_PUSHES):
         lasted = np.clip(time - k * hold, 0.0, hold)[:, None]
-        acceleration = np.array([2.0 * (-1) ** k, 1.0 * k, -3.0]) / _BOX_MASS
+        acceleration = np.array(push) / _BOX_MASS
         x += v * lasted + 0.5 * acceleration * lasted**2
         v += acceleration * lasted
-    return x[:, None]
+    return x[:, None] * np.array(list(_SHARES.values()))[:, None]
 
 
 def _rod() -> Case:
@@ -363,6 +379,183 @@ def _parallelogram() -> Case:
     return Case("parallelogram", "a loop closed by a hinge, redundant rows", scene, exact)
 
 
+def _wedge() -> Case:
+    """A block slides down a slope on a carriage: three sliders, two bodies, one freedom."""
+    heavy, light = 3.0, 1.0
+
+    def block(name: str, mass: float) -> Body:
+        return Body(name, inertia=Inertia(mass, (0.1, 0.2, 0.3)), position=(0.0, 0.0, 1.0))
+
+    def rail(name: str, parent: str, child: str, axis: Vector) -> Joint:
+        return Joint(name, "slider", parent, child, (0.0, 0.0, 1.0), axis)
+
+    scene = Scene(
+        "wedge",
+        bodies=(block("carriage", heavy), block("block", light)),
+        joints=(
+            rail("floor", "world", "carriage", (1.0, 0.0, 0.0)),
+            rail("mast", "carriage", "block", (0.0, 0.0, 1.0)),
+            rail("slope", "world", "block", (1.0, 0.0, -1.0)),
+        ),
+        length=1.0,
+        clock=_CLOCK,
+    )
+
+    def exact(time: Array) -> Array:
+        way = 0.5 * light * _G / (heavy + 2.0 * light) * time[:, None] ** 2
+        along = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0]])
+        return np.array([0.0, 0.0, 1.0]) + way[..., None] * along
+
+    return Case("wedge", "a loop closed by a slider", scene, exact)
+
+
+def _welded() -> Case:
+    """Three bodies welded in a triangle spin up about a hinge as one."""
+    torque, moment = 0.4, 0.02
+    places = ((0.3, 0.0, 0.0), (-0.1, 0.2, 0.0), (-0.1, -0.3, 0.0))
+    names = ("x", "y", "z")
+    scene = Scene(
+        "welded",
+        bodies=tuple(
+            Body(name, inertia=Inertia(1.0 + k, (moment,) * 3), position=place)
+            for k, (name, place) in enumerate(zip(names, places, strict=True))
+        ),
+        joints=(
+            Joint("axle", "hinge", "world", "x", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            *(Joint(f"weld {k}", "fixed", names[k - 1], names[k], places[k]) for k in range(3)),
+        ),
+        torques=(Torque("axle", (torque,)),),
+        gravity=(0.0, 0.0, 0.0),
+        length=1.0,
+        clock=_CLOCK,
+    )
+    arms = np.array(places)
+    whole = 3 * moment + np.array([1.0, 2.0, 3.0]) @ np.sum(arms**2, axis=1)
+
+    def exact(time: Array) -> Array:
+        angle = 0.5 * torque / whole * time[:, None] ** 2
+        return rotation.rotate(rotation.from_vector(angle * [0.0, 0.0, 1.0])[:, None], arms)
+
+    return Case("welded", "a loop closed by a fixed joint, under a hinge torque", scene, exact)
+
+
+def _chain_of_balls() -> Case:
+    """Unlike boxes thrown about their balls; the outer one turns by more than half a turn."""
+    scene = Scene(
+        "chain of balls",
+        bodies=(
+            _brick("inner", (0.3, 0.1, 0.0), spin=(1.0, -2.0, 0.5)),
+            _brick("middle", (0.6, 0.3, 0.2), spin=(-1.0, 1.0, 3.0)),
+            _brick("outer", (0.8, 0.2, 0.5), spin=(6.0, 5.0, -3.0)),
+        ),
+        joints=(
+            Joint("hook", "ball", "world", "inner", (0.1, 0.0, 0.0)),
+            Joint("first", "ball", "inner", "middle", (0.5, 0.2, 0.0)),
+            # Against the tree's direction.
+            Joint("second", "ball", "outer", "middle", (0.7, 0.3, 0.3)),
+        ),
+        forces=(
+            Force("inner", ((3.0, 0.0, 1.0),)),
+            Force("middle", ((0.0, -4.0, 2.0),)),
+            Force("outer", ((-2.0, 1.0, 0.0),)),
+        ),
+        length=1.0,
+        clock=_SHORT,
+    )
+    return _referenced("ball joints in space, forces on what they carry", scene)
+
+
+def _ball_loop() -> Case:
+    """Two bodies that swing about the line of their hooks, and each about its own two balls."""
+    scene = Scene(
+        "ball loop",
+        bodies=(
+            _brick("left", (0.2, 0.1, -0.3), spin=(3.2, 0.6, -1.5)),
+            _brick("right", (0.6, -0.1, -0.4)),
+        ),
+        joints=(
+            Joint("left hook", "ball", "world", "left", (0.0, 0.0, 0.0)),
+            Joint("middle", "ball", "left", "right", (0.4, 0.2, -0.5)),
+            Joint("right hook", "ball", "right", "world", (0.9, 0.0, 0.0)),
+        ),
+        length=1.0,
+        clock=_SHORT,
+    )
+    return _referenced("a loop in space closed by a ball at the world", scene)
+
+
+def _hooke() -> Case:
+    """Two shafts at an angle and a cross between them: four hinges through one point.
+
+    The last bearing closes the loop and drives it. Closed by a ball joint there the second shaft
+    would turn freely about the point.
+    """
+    bend = 0.6
+    out = (float(np.cos(bend)), 0.0, float(np.sin(bend)))
+    across = (-float(np.sin(bend)), 0.0, float(np.cos(bend)))
+    middle = (0.0, 0.0, 0.0)
+    scene = Scene(
+        "Hooke's joint",
+        bodies=(
+            _brick("driven", (-0.3, 0.1, 0.0)),
+            _brick("cross", (0.0, 0.0, 0.05)),
+            _brick("driving", (0.3 * out[0], -0.1, 0.3 * out[2])),
+        ),
+        joints=(
+            Joint("bearing", "hinge", "world", "driven", middle, (1.0, 0.0, 0.0), rate=4.0),
+            Joint("yoke", "hinge", "driven", "cross", middle, (0.0, 1.0, 0.0)),
+            Joint("other yoke", "hinge", "cross", "driving", middle, across),
+            Joint("other bearing", "hinge", "driving", "world", middle, out),
+        ),
+        torques=(Torque("other bearing", (0.5,)),),
+        length=0.6,
+        clock=_SHORT,
+    )
+    return _referenced("a loop in space closed by a hinge at the world, which is driven", scene)
+
+
+def _linked() -> Case:
+    """One body on a ball tows another that flies."""
+    scene = Scene(
+        "linked",
+        bodies=(
+            _brick("hung", (0.2, 0.0, -0.2), spin=(0.0, 3.0, 1.0)),
+            _brick("thrown", (0.7, 0.1, -0.4), velocity=(0.0, 1.5, 0.0)),
+        ),
+        joints=(Joint("hook", "ball", "world", "hung", (0.0, 0.0, 0.0)),),
+        distance_links=(
+            DistanceLink("link", ("hung", "thrown"), ((0.3, 0.1, -0.2), (0.6, 0.2, -0.3))),
+        ),
+        length=1.0,
+        clock=_SHORT,
+    )
+    return _referenced("a distance link between points off the centres of mass", scene)
+
+
+def _brick(
+    name: str, at: Vector, velocity: Vector | None = None, spin: Vector | None = None
+) -> Body:
+    """Make a body with an inertia that is along no axis of its frame."""
+    inertia = Inertia(1.0 + abs(at[0]), (0.03, 0.05, 0.04), (0.01, -0.004, 0.006))
+    return Body(name, inertia=inertia, position=at, velocity=velocity, angular_velocity=spin)
+
+
+def _referenced(verifies: str, scene: Scene) -> Case:
+    """Hold a scene against the reference, which knows it at its frames."""
+    return Case(
+        scene.name,
+        verifies,
+        scene,
+        lambda _: _reference(scene).position[0],
+        lambda _: _reference(scene).orientation[0],
+    )
+
+
+@functools.cache
+def _reference(scene: Scene) -> Trajectory:
+    return reference.solve(scene, draw_batch(scene, [0]), cache=False)
+
+
 def _swing(start: float, stiffness: float, time: Array) -> Array:
     """θ'' = −stiffness · sin θ from rest."""
     return _integrate(lambda theta: -stiffness * np.sin(theta), start, 0.0, time)
@@ -393,4 +586,10 @@ CASES: tuple[Case, ...] = (
     _flywheel(),
     _spin_up_in_flight(),
     _parallelogram(),
+    _chain_of_balls(),
+    _ball_loop(),
+    _hooke(),
+    _linked(),
+    _wedge(),
+    _welded(),
 )

@@ -16,7 +16,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Fault", "planted"]
+__all__ = ["Fault", "Faulty", "planted"]
 
 
 def _same_model(scene: Scene) -> Scene:
@@ -103,13 +103,13 @@ def _simulated(
 ) -> Simulation:
     if fault is None:
         return simulate(scene, batch, engine, settings)
-    adapter = _Faulty(load_adapter(engine), fault)
+    adapter = Faulty(load_adapter(engine), fault)
     loading = mock.patch("mbds_xsim.simulate.load_adapter", return_value=adapter)
     with fault.native(engine), loading:
         return simulate(scene, batch, engine, settings)
 
 
-class _Faulty(Adapter):
+class Faulty(Adapter):
     """An adapter with a fault."""
 
     def __init__(self, adapter: Adapter, fault: Fault) -> None:

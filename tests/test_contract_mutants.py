@@ -1,0 +1,114 @@
+"""Wrong adapters that the contract suite must not pass: a sound one with one defect each."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable
+from typing import Any
+from unittest import mock
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import Adapter
+from mbds_xsim.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.testing import CASES, AdapterContract, Case
+from tests.faults.planting import Fault, Faulty
+
+_SUITE = AdapterContract()
+_POSITIONS = _SUITE.test_every_method_converges_to_the_answer_in_its_order
+_VELOCITIES = _SUITE.test_velocities_are_those_of_the_motion
+
+
+def _mutant(engine: str, **defect: Any) -> Adapter:
+    return Faulty(load_adapter(engine), Fault("", "", (engine,), (), **defect))
+
+
+def _case(name: str) -> Case:
+    (case,) = (case for case in CASES if case.name == name)
+    return case
+
+
+def _reversed_forces(batch: Batch) -> Batch:
+    return dataclasses.replace(batch, force=batch.force[:, :, ::-1])
+
+
+def _idle_motors(batch: Batch) -> Batch:
+    return dataclasses.replace(batch, torque=np.zeros_like(batch.torque))
+
+
+def _open_loops(scene: Scene) -> Scene:
+    loops = {joint.name for joint in Mechanism.of(scene).loops}
+    joints = tuple(joint for joint in scene.joints if joint.name not in loops)
+    return msgspec.structs.replace(scene, joints=joints, distance_links=())
+
+
+def _stale_chart(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Leave angular velocities in a body's own axes once it has turned far from its start."""
+    back = rotation.conjugate(motion.orientation)
+    turned = rotation.multiply(back[:, :1], motion.orientation)
+    far = np.linalg.norm(rotation.to_vector(turned), axis=-1, keepdims=True) > 2.0
+    assert far.any()
+    local = rotation.rotate(back, motion.angular_velocity)
+    return dataclasses.replace(
+        motion, angular_velocity=np.where(far, local, motion.angular_velocity)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "defect", "test", "case"),
+    [
+        ("mujoco", {"inputs": _reversed_forces}, _POSITIONS, "pushed"),
+        ("mujoco", {"inputs": _reversed_forces}, _POSITIONS, "chain of balls"),
+        ("mujoco", {"inputs": _idle_motors}, _POSITIONS, "Hooke's joint"),
+        ("mujoco", {"inputs": _idle_motors}, _POSITIONS, "welded"),
+        ("mujoco", {"motion": _stale_chart}, _VELOCITIES, "chain of balls"),
+        ("pybullet", {"model": _open_loops}, _POSITIONS, "ball loop"),
+        ("exudyn", {"model": _open_loops}, _POSITIONS, "wedge"),
+        ("mujoco", {"model": _open_loops}, _POSITIONS, "linked"),
+    ],
+)
+def test_a_wrong_adapter_fails(
+    name: str, defect: dict[str, Any], test: Callable[[Adapter, Case], None], case: str
+) -> None:
+    test(load_adapter(name), _case(case))
+    with pytest.raises(AssertionError, match=case):
+        test(_mutant(name, **defect), _case(case))
+
+
+def test_a_velocity_lag_that_is_not_declared_fails() -> None:
+    mutant = _mutant("mujoco")
+    mutant.methods = {  # type: ignore[misc]
+        name: dataclasses.replace(method, velocity_lag=0.0)
+        for name, method in mutant.methods.items()
+    }
+
+    with pytest.raises(AssertionError, match="Euler on rod"):
+        _VELOCITIES(mutant, _case("rod"))
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "hinge"),
+    [
+        ("mujoco", "_mujoco_model.CLOSING_POINTS", (0.0,)),
+        ("dart", "_dart_listing._LOOPS", lambda _, joint: [_dart_pin(joint)]),
+    ],
+)
+def test_a_hinge_loop_made_as_a_ball_fails_in_space_alone(
+    name: str, table: str, hinge: Any
+) -> None:
+    with mock.patch.dict(f"mbds_xsim_adapters.{table}", hinge=hinge):
+        _POSITIONS(load_adapter(name), _case("parallelogram"))
+        with pytest.raises(AssertionError, match="Hooke"):
+            _POSITIONS(load_adapter(name), _case("Hooke's joint"))
+
+
+def _dart_pin(joint: PlacedJoint) -> str:
+    pin: str = importlib.import_module("mbds_xsim_adapters._dart_listing")._pin(joint, joint.anchor)
+    return pin
