@@ -79,5 +79,7 @@ def _drop_output() -> None:
 
 
 def _complain(text: str, code: int) -> int:
-    print(f"mbds-xsim: {' '.join(text.split())}", file=sys.stderr)
+    from mbds_xsim.safe_text import on_a_line
+
+    print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr)
     return code

@@ -128,7 +128,9 @@ def write_json(text: bytes, path: Path | None) -> None:
     if path is None:
         return
     if str(path) == "-":
-        print(text.decode())
+        from mbds_xsim.safe_text import in_json
+
+        print(in_json(text.decode()))
         return
     from mbds_xsim.write import write_whole
 

@@ -17,6 +17,7 @@ from mbds_xsim.dataset.layout import SUFFIX
 from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
+from mbds_xsim.safe_text import in_markdown, sentence
 
 __all__ = ["CARD", "CROISSANT", "descriptions", "write_card"]
 
@@ -49,15 +50,15 @@ def descriptions(folder: Path) -> dict[str, bytes]:
 
 
 def _card(sets: Sequence[Dataset], joint: Path) -> str:
-    told, scene = sets[0].attributes, sets[0].scene
+    told, scene = in_markdown(sets[0].attributes), sets[0].scene
     noise = "with" if told["noise"] else "without"
-    rest = f"{scene.description[0].upper()}{scene.description[1:]}. " if scene.description else ""
+    rest = sentence(in_markdown(scene.description))
     valid = _valid(joint)
-    digest = hashlib.sha256(told["scene"].encode()).hexdigest()
+    digest = hashlib.sha256(sets[0].attributes["scene"].encode()).hexdigest()
     example = sets[0].path.name
     made = "".join(_row(data) for data in sets)
     rejected = "".join(_rejections(data) for data in sets)
-    return f"""# {scene.name}: simulated trajectories
+    return f"""# {in_markdown(scene.name)}: simulated trajectories
 
 {rest}{scene.dimension}D, bodies: {len(scene.bodies)}, points: {len(sets[0]["graph/point_body"])};
 {told["steps"]} steps of {told["frame_s"]:g} s a trajectory, SI units, z up. Starts and inputs are
@@ -117,7 +118,7 @@ def _valid(joint: Path) -> NDArray[np.bool_]:
 
 
 def _row(data: Dataset) -> str:
-    told = data.attributes
+    told = in_markdown(data.attributes)
     cells = (
         f"`{data.path.name}`",
         f"{told['engine']} {told['engine_version']}",

@@ -21,6 +21,7 @@ from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
+from mbds_xsim.safe_text import in_markdown, on_a_line
 
 __all__ = ["LOST", "Exported", "Form", "export"]
 
@@ -198,7 +199,7 @@ def _csv(data: Dataset, held: Held, rows: NDArray[np.int64]) -> Iterator[tuple[s
             own["split"] = NAMES[splits[number]]
         columns = [_texts(arrays[TIME])]
         columns += [_texts(arrays[group.name][row]) for group in there]
-        lines = [f"# {key}: {value}" for key, value in own.items()]
+        lines = [f"# {key}: {on_a_line(str(value))}" for key, value in own.items()]
         lines += [",".join(names), *_lines(columns, len(arrays[TIME]))]
         yield _csv_name(number), ("\n".join(lines) + "\n").encode()
 
@@ -228,7 +229,7 @@ _WRITERS = {"npz": _npz, "csv": _csv}
 
 def _readme(data: Dataset, form: Form) -> str:
     """Say in the folder what the files are, and what they lack."""
-    told = data.attributes
+    told = in_markdown(data.attributes)
     command = f"mbds-xsim audit FILE.{form}" + (f" --scene {_SCENE}" if form == "csv" else "")
     lost = "".join(f"- {line}\n" for line in LOST[form])
     if form == "npz":

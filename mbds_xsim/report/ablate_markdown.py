@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from mbds_xsim.report import ablate_summary as summary
 from mbds_xsim.report import quantity
+from mbds_xsim.safe_text import as_code, in_markdown, sentence
 from mbds_xsim.study.ablate_result import Ablation
 
 __all__ = ["to_markdown"]
@@ -21,7 +22,8 @@ def to_markdown(ablations: Sequence[Ablation]) -> str:
         *(f"- {column.heading.strip()}: {column.meaning}" for column in summary.COLUMNS[1:]),
         "",
     ]
-    return "\n".join([*lines, *(line for ablation in ablations for line in _lines(ablation))])
+    told = (line for ablation in in_markdown(ablations) for line in _lines(ablation))
+    return "\n".join([*lines, *told])
 
 
 def _lines(ablation: Ablation) -> list[str]:
@@ -29,7 +31,7 @@ def _lines(ablation: Ablation) -> list[str]:
     return [
         f"## {ablation.scene}",
         "",
-        f"{ablation.description}. {summary.conclusion(ablation).capitalize()}.",
+        f"{sentence(ablation.description)}{summary.conclusion(ablation).capitalize()}.",
         "",
         *_effects(ablation),
         "",
@@ -41,7 +43,7 @@ def _lines(ablation: Ablation) -> list[str]:
         *_sizes(ablation),
         "",
         f"- Scene: {summary.size_line(ablation)}",
-        f"- Made by `{ablation.command}` on {ablation.machine}, in "
+        f"- Made by {as_code(ablation.command)} on {ablation.machine}, in "
         f"{quantity.span(ablation.wall_s)}, with {versions}",
         "",
     ]

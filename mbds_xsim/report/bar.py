@@ -1,24 +1,34 @@
-"""What all progress bars share: they live in a `with`, and say nothing off a terminal."""
+"""What all progress bars share: they live in a `with`; off a terminal they are a line a minute."""
 
 from __future__ import annotations
 
+import sys
+import threading
 from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+
+from mbds_xsim.safe_text import on_a_line
 
 __all__ = ["Bar"]
 
+_EVERY = 60.0  # off a terminal [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left look back over so long [s]
 
 
 class Bar:
-    """One line on a terminal, gone when the work is done."""
+    """One line on a terminal, gone when the work is done; elsewhere lines on standard error."""
 
     def __init__(
         self, console: Console, *columns: ProgressColumn, name: str = "", **fields: Any
     ) -> None:
+        for column in columns:
+            if isinstance(column, TextColumn):
+                column.markup = False
+        self._columns = [column for column in columns if not isinstance(column, BarColumn)]
+        self._seen, self._ended = console.is_terminal, threading.Event()
         self._progress = Progress(
             *columns,
             console=console,
@@ -30,6 +40,8 @@ class Bar:
 
     def __enter__(self) -> Self:
         self._progress.start()
+        if not self._seen:
+            threading.Thread(target=self._tell, daemon=True).start()
         return self
 
     def __exit__(
@@ -38,7 +50,15 @@ class Bar:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._ended.set()
         self._progress.stop()
+
+    def _tell(self) -> None:
+        """Show in a log that work goes on, and how far it is."""
+        while not self._ended.wait(_EVERY):
+            (task,) = self._progress.tasks
+            words = (str(column.render(task)) for column in self._columns)
+            print(f"mbds-xsim: {on_a_line(' '.join(words))}", file=sys.stderr, flush=True)
 
     def _show(self, **what: Any) -> None:
         self._progress.update(self._task, **what)

@@ -261,5 +261,5 @@ def print_study(study: ContactStudy, console: Console) -> None:
         console.print(table)
     for missing in study.missing:
         where = f"{missing.engine} {missing.profile}, {missing.part}"
-        console.print(f"{where}: {missing.reason}", markup=False, highlight=False)
+        console.print(f"{where}: {missing.reason}")
     console.print(JUDGED, style="dim", highlight=False)

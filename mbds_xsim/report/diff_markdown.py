@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mbds_xsim.report import diff_summary as summary
+from mbds_xsim.safe_text import as_code, in_markdown
 from mbds_xsim.study.diff import Comparison, Diff
 
 __all__ = ["to_markdown"]
@@ -12,6 +13,8 @@ __all__ = ["to_markdown"]
 
 def to_markdown(comparison: Comparison) -> str:
     """Give everything that changed, scene by scene."""
+    files = f"{as_code(comparison.old)} and {as_code(comparison.new)}"
+    comparison = in_markdown(comparison)
     lines = [line for diff in comparison.scenes for line in _scene(diff)]
     only = [
         f"- Scenes only in the {which} one: {', '.join(names)}"
@@ -21,7 +24,6 @@ def to_markdown(comparison: Comparison) -> str:
         )
         if names
     ]
-    files = f"`{comparison.old}` and `{comparison.new}`"
     return "\n".join([*lines, *only, f"- Compared {files}: {summary.thresholds(comparison)}", ""])
 
 
@@ -36,7 +38,7 @@ def _scene(diff: Diff) -> Iterator[str]:
             yield from (f"## {heading}", "", *_table(lines), "")
     yield from (f"- **Worse: {line}**" for line in diff.worse)
     yield from (f"- {subject.capitalize()}: {text}" for subject, text in summary.remarks(diff))
-    yield f"- Old: `{diff.old_command}`; new: `{diff.new_command}`"
+    yield f"- Old: {as_code(diff.old_command)}; new: {as_code(diff.new_command)}"
 
 
 def _table(lines: list[summary.Line]) -> Iterator[str]:

@@ -23,6 +23,7 @@ from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.projection import View, outline, point_of, pose_of
 from mbds_xsim.report.skeleton import Skeleton, skeleton
+from mbds_xsim.safe_text import in_figure
 from mbds_xsim.scene import Scene
 from mbds_xsim.write import write_whole
 
@@ -261,7 +262,7 @@ class _Picture:
             )
             done.append(place)
             axes.annotate(
-                body.name,
+                in_figure(body.name),
                 place,
                 xytext=(7, -3 - 13 * close),
                 textcoords="offset points",
@@ -355,9 +356,9 @@ def _title(figure: Any, scene: Scene, start: int | None) -> None:
     mass = float(Mechanism.of(scene).mass.sum())
     pose = "reference pose" if start is None else f"start of trajectory {start}"
     height = figure.get_figheight()
-    figure.text(0.04, 1 - 0.3 / height, scene.name, fontsize=13, fontweight="bold")
+    figure.text(0.04, 1 - 0.3 / height, in_figure(scene.name), fontsize=13, fontweight="bold")
     if scene.description:
-        figure.text(0.04, 1 - 0.5 / height, scene.description, fontsize=9)
+        figure.text(0.04, 1 - 0.5 / height, in_figure(scene.description), fontsize=9)
     counts = " · ".join(
         [
             _count(row.bodies, "body", "bodies"),

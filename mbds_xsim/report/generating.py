@@ -16,7 +16,7 @@ __all__ = ["GeneratingBar", "print_counts"]
 
 
 class GeneratingBar(Bar):
-    """Shows trajectories made, rate, time left, and rejected ones; quiet off a terminal."""
+    """Shows trajectories made, rate, time left, and rejected ones."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mbds_xsim.catalogue import EngineRow, SceneRow, by_reason
 from mbds_xsim.mechanism import Mechanism
@@ -18,7 +19,7 @@ def print_engines(rows: list[EngineRow], console: Console) -> None:
     """Print one block an engine: its methods, and what it and they cannot do."""
     for row in rows:
         coordinates = f", {row.coordinates} coordinates" if row.coordinates else ""
-        console.print(f"[bold]{row.engine}[/] {row.version}{coordinates}", highlight=False)
+        console.print(Text.assemble((row.engine, "bold"), f" {row.version}{coordinates}"))
         grid = Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
         grid.add_column(no_wrap=True)
         grid.add_column(overflow="fold")
@@ -64,7 +65,7 @@ def print_scene(scene: Scene, row: SceneRow, console: Console) -> None:
     mechanism = Mechanism.of(scene)
     clock = scene.clock
     lines = [
-        f"[bold]{scene.name}[/]  {scene.description}",
+        Text.assemble((scene.name, "bold"), f"  {scene.description}"),
         *([f"source: {scene.source}"] if scene.source else []),
         f"{row.bodies} bodies, {row.particles} particles, {mechanism.mass.sum():g} kg, "
         f"{row.degrees_of_freedom} degrees of freedom, {scene.dimension}D",

@@ -5,16 +5,19 @@ from __future__ import annotations
 from mbds_xsim.report import summary
 from mbds_xsim.report.summary import COLUMNS, Column
 from mbds_xsim.result import EngineResult, Validation
+from mbds_xsim.safe_text import as_code, in_markdown, sentence
 
 __all__ = ["to_markdown"]
 
 
 def to_markdown(validation: Validation) -> str:
     """Give the table, what failed and why, and how to make it again."""
+    validation = in_markdown(validation)
+    versions = ", ".join(f"{name} {what}" for name, what in validation.versions.items())
     lines = [
         f"# {validation.scene}: {validation.verdict}",
         "",
-        f"{validation.description}. {summary.conclusion(validation)}.",
+        f"{sentence(validation.description)}{summary.conclusion(validation)}.",
         "",
         *_table(validation),
         "",
@@ -22,8 +25,8 @@ def to_markdown(validation: Validation) -> str:
         f"- Reference: {summary.reference_line(validation)}",
         f"- Odd one out: {summary.odd_one_out(validation)}",
         f"- Figures over budget are bold; {_meanings()}",
-        f"- Made by `{validation.command}` on {validation.machine}, in {validation.wall_s:.0f} s, "
-        f"with {', '.join(f'{name} {what}' for name, what in validation.versions.items())}",
+        f"- Made by {as_code(validation.command)} on {validation.machine}, in "
+        f"{validation.wall_s:.0f} s, with {versions}",
     ]
     return "\n".join(lines) + "\n"
 

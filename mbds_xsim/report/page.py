@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from mbds_xsim.report import (
@@ -14,12 +13,12 @@ from mbds_xsim.report import (
     contact_table,
     figures,
     palette,
-    quantity,
     summary,
     timeline,
 )
 from mbds_xsim.report.contact import contacts_of
 from mbds_xsim.report.palette import Style
+from mbds_xsim.report.template import rendered
 from mbds_xsim.result import Evidence, Validation
 from mbds_xsim.write import write_whole
 
@@ -41,50 +40,28 @@ def write_page(validation: Validation, evidence: Evidence, path: Path) -> None:
     count = len(viewer["trajectories"])
     if contacts:
         viewer["contact"] = timeline.pack(validation, evidence, contacts, count)
-    page = (
-        _environment()
-        .get_template("page.html")
-        .render(
-            v=validation,
-            columns=summary.COLUMNS,
-            names=names,
-            styles=styles,
-            light=palette.LIGHT,
-            dark=palette.DARK,
-            conclusion=summary.conclusion(validation),
-            odd_one_out=summary.odd_one_out(validation),
-            reference=summary.reference_line(validation),
-            intervals=_intervals(evidence),
-            viewer=viewer,
-            contact_tables=contact_table.tables(contacts, count),
-            lanes=timeline.lanes(evidence) if contacts else "",
-            ends=summary.ends(validation),
-            restitution=figures.restitution(validation, evidence, styles, contacts),
-            ground=evidence.scene.ground,
-            growth=figures.error_growth(validation, evidence, styles),
-            checks=list(_check_figures(validation, evidence, styles)),
-            matrix=figures.matrix(validation, styles),
-            consistency=figures.consistency(validation, styles),
-        )
+    page = rendered(
+        "page.html",
+        v=validation,
+        columns=summary.COLUMNS,
+        names=names,
+        styles=styles,
+        conclusion=summary.conclusion(validation),
+        odd_one_out=summary.odd_one_out(validation),
+        reference=summary.reference_line(validation),
+        intervals=_intervals(evidence),
+        viewer=viewer,
+        contact_tables=contact_table.tables(contacts, count),
+        lanes=timeline.lanes(evidence) if contacts else "",
+        ends=summary.ends(validation),
+        restitution=figures.restitution(validation, evidence, styles, contacts),
+        ground=evidence.scene.ground,
+        growth=figures.error_growth(validation, evidence, styles),
+        checks=list(_check_figures(validation, evidence, styles)),
+        matrix=figures.matrix(validation, styles),
+        consistency=figures.consistency(validation, styles),
     )
     write_whole(path, page.encode())
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("mbds_xsim", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "metres": quantity.length,
-        "seconds": quantity.span,
-        "number": quantity.number,
-        "with_unit": quantity.with_unit,
-    }
-    return environment
 
 
 def _check_figures(

@@ -14,6 +14,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.projection import View
+from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.write import write_whole
 
@@ -60,7 +61,7 @@ def draw_paths(data: Dataset, path: Path) -> None:
         _name_axes(panels, data, stacked=stacked)
         told = data.attributes
         figure.suptitle(
-            f"{told['scene_name']} in {told['engine']} {told['engine_version']}, "
+            f"{in_figure(told['scene_name'])} in {told['engine']} {told['engine_version']}, "
             f"{told['method']} at {told['step_s']:.4g} s ({told['certification']})"
             + ("" if told["dimension"] == 1 else ": start grey, end black"),
             fontsize=10,

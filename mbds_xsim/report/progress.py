@@ -13,7 +13,7 @@ __all__ = ["ProgressBar"]
 
 
 class ProgressBar(Bar):
-    """Shows how many of the tasks are done, and what was done last; quiet off a terminal."""
+    """Shows how many of the tasks are done, and what was done last."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -12,23 +10,19 @@ from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board
 from mbds_xsim.learn.shift.measure import Figures
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import Studied
+from mbds_xsim.safe_text import csv_text
 
 __all__ = ["to_csv"]
 
 
 def to_csv(studies: Sequence[Studied]) -> bytes:
     """Give the rows of all studies; `inf` is a lost prediction, empty what is not known."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     frames = list(dict.fromkeys(f for studied in studies for f in studied.shift.frames))
     kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
-    writer.writerow(
-        ["scene", "model", "training", "seed", "test", "trajectory", "interval", "one_step_m2"]
-        + [f"{kind}_t{frame}" for kind in kinds for frame in frames]
-    )
-    for studied in studies:
-        writer.writerows(_rows(studied.board, frames))
-    return text.getvalue().encode()
+    head = ["scene", "model", "training", "seed", "test", "trajectory", "interval", "one_step_m2"]
+    head += [f"{kind}_t{frame}" for kind in kinds for frame in frames]
+    rows = (row for studied in studies for row in _rows(studied.board, frames))
+    return csv_text([head, *rows]).encode()
 
 
 def _rows(board: Board, frames: Sequence[int]) -> Iterator[list[object]]:

@@ -13,6 +13,7 @@ from mbds_xsim.report import themed
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.quantity import number
 from mbds_xsim.report.shift_matrix import Matrix, at, matrix_of, trained_models
+from mbds_xsim.safe_text import in_figure
 
 __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
 
@@ -141,7 +142,7 @@ def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
         axes.set_title(matrix.model, fontsize=10, loc="left")
     for axes in charts[len(maps) :]:
         axes.set_axis_off()
-    title = f"{shift.scene}: mean squared position error at t = {frame} [m²]"
+    title = f"{in_figure(shift.scene)}: mean squared position error at t = {frame} [m²]"
     figure.suptitle(
         f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
     )

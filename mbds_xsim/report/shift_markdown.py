@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.shift_tables import Table, tables
+from mbds_xsim.safe_text import as_code, in_markdown
 
 __all__ = ["in_words", "protocol", "time_told", "to_markdown"]
 
@@ -20,7 +21,7 @@ def to_markdown(studies: Sequence[Shift], picture: str = "") -> str:
         picture: Link to the heat maps.
     """
     lines = [f"![Error by training and test domain]({picture})\n"] if picture else []
-    for shift in studies:
+    for shift in in_markdown(studies):
         lines += _scene(shift)
     return "\n".join(lines) + "\n"
 
@@ -32,7 +33,7 @@ def _scene(shift: Shift) -> Iterator[str]:
         yield f"\n## {table.title}\n"
         yield f"{table.note}.\n"
         yield from _rows(table)
-    yield f"\nMade by `{shift.command}` in {time_told(shift)} on {shift.machine}."
+    yield f"\nMade by {as_code(shift.command)} in {time_told(shift)} on {shift.machine}."
 
 
 def in_words(shift: Shift) -> Iterator[str]:

@@ -12,6 +12,7 @@ from mbds_xsim.learn.shift.samples import Sample, Samples
 from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 
 __all__ = ["draw_samples", "name_of", "pack", "picture_size", "samples_png", "styles_of"]
@@ -92,7 +93,9 @@ def samples_png(studies: Sequence[Samples]) -> bytes:
         for block, samples in zip(blocks[:, 0], studies, strict=True):
             draw_samples(block, samples)
             if len(studies) > 1:
-                block.suptitle(samples.board.test.scene.name, fontsize=10, x=0.01, ha="left")
+                block.suptitle(
+                    in_figure(samples.board.test.scene.name), fontsize=10, x=0.01, ha="left"
+                )
 
     return themed.png(draw, (sizes[0][0], sum(heights)))
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.samples import Samples, samples_of
 from mbds_xsim.learn.shift.study import Studied
-from mbds_xsim.report import palette, themed
+from mbds_xsim.report import themed
 from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol, time_told
 from mbds_xsim.report.shift_matrix import at, matrix_of, trained_models
 from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, picture_size, styles_of
 from mbds_xsim.report.shift_tables import tables
+from mbds_xsim.report.template import rendered
 
 __all__ = ["to_html"]
 
@@ -25,22 +25,14 @@ _CURVES = (6.6, 3.4)
 
 def to_html(studies: Sequence[Studied]) -> str:
     """Give the page."""
-    environment = Environment(
-        loader=PackageLoader("mbds_xsim", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     samples = [samples_of(studied.board) for studied in studies]
-    return environment.get_template("shift.html").render(
+    return rendered(
+        "shift.html",
         studies=[_view(each.shift, some) for each, some in zip(studies, samples, strict=True)],
         # The page has one viewer, so only a scene of its own has one.
         viewer=pack(samples[0]) if len(studies) == 1 else None,
         styles=list(zip(map(name_of, samples[0].models), styles_of(samples[0]), strict=True)),
         names=", ".join(studied.shift.scene for studied in studies),
-        light=palette.LIGHT,
-        dark=palette.DARK,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report import stability_summary as summary
+from mbds_xsim.safe_text import as_code, in_markdown, sentence
 from mbds_xsim.study.stability.definition import text_of
 from mbds_xsim.study.stability.rows import Sweep
 
@@ -12,7 +13,7 @@ __all__ = ["to_markdown"]
 
 def to_markdown(sweeps: list[Sweep]) -> str:
     """Give the table of each study, what breaks, and how to make it again."""
-    return "\n".join(line for sweep in sweeps for line in _lines(sweep))
+    return "\n".join(line for sweep in in_markdown(sweeps) for line in _lines(sweep))
 
 
 def _lines(sweep: Sweep) -> list[str]:
@@ -20,7 +21,7 @@ def _lines(sweep: Sweep) -> list[str]:
     return [
         f"# {sweep.study}: largest stable step [ms]",
         "",
-        f"{sweep.sentence[0].upper()}{sweep.sentence[1:]}. {summary.conclusion(sweep)}.",
+        f"{sentence(sweep.sentence)}{summary.conclusion(sweep)}.",
         "",
         *_table(sweep),
         "",
@@ -31,8 +32,8 @@ def _lines(sweep: Sweep) -> list[str]:
         *([f"- Trained models: {summary.learned_told(sweep)}"] * bool(summary.learned_told(sweep))),
         *(f"- {name} left out: {reason}" for name, reason in sweep.left_out.items()),
         *(f"- No reference at {name}: {reason}" for name, reason in sweep.unknown.items()),
-        f"- Made by `{sweep.command}` on {sweep.machine}, {sweep.workers} processes at a time, "
-        f"in {quantity.span(sweep.wall_s)}, with {versions}",
+        f"- Made by {as_code(sweep.command)} on {sweep.machine}, {sweep.workers} processes at a "
+        f"time, in {quantity.span(sweep.wall_s)}, with {versions}",
         "",
     ]
 

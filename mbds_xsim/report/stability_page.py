@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbds_xsim.report import palette, quantity, themed
 from mbds_xsim.report import stability_summary as summary
+from mbds_xsim.report import themed
 from mbds_xsim.report.stability_figures import (
     LIGHT_LOOKS,
     LOOKS,
@@ -19,8 +18,8 @@ from mbds_xsim.report.stability_figures import (
     size_of,
     tips,
 )
+from mbds_xsim.report.template import rendered
 from mbds_xsim.report.themed import INK
-from mbds_xsim.study.stability.definition import text_of
 from mbds_xsim.study.stability.rows import Sweep
 
 __all__ = ["to_html", "to_png"]
@@ -37,21 +36,12 @@ _HEAD = 0.9
 
 def to_html(sweeps: list[Sweep]) -> str:
     """Give the page."""
-    environment = Environment(
-        loader=PackageLoader("mbds_xsim", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"seconds": quantity.span, "value": text_of}
-    return environment.get_template("stability.html").render(
+    return rendered(
+        "stability.html",
         sweeps=[_view(sweep) for sweep in sweeps],
         names=", ".join(sweep.study for sweep in sweeps),
         looks=LOOKS,
         dark_looks=set(LOOKS) - LIGHT_LOOKS,
-        light=palette.LIGHT,
-        dark=palette.DARK,
     )
 
 

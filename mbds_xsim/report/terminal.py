@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -78,7 +77,7 @@ def _reason(result: EngineResult) -> Table:
     more = f" (and {len(rest)} more)" if rest else ""
     line = Table.grid(padding=(0, 1))
     mark = Text(_MARKS.get(result.verdict, "?"), style=_STYLES.get(result.verdict, ""))
-    line.add_row(mark, f"[bold]{escape(summary.label(result))}[/]: {escape(first)}[dim]{more}[/]")
+    line.add_row(mark, Text.assemble((summary.label(result), "bold"), f": {first}", (more, "dim")))
     return line
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 
-import msgspec
-
+from mbds_xsim.safe_text import csv_text
 from mbds_xsim.study.rows import Row
 
 __all__ = ["to_csv"]
@@ -18,13 +15,8 @@ _LEFT_OUT = {"key"}
 def to_csv(rows: list[Row]) -> bytes:
     """Give a header and a line a row; lists of repeats are separated by blanks."""
     fields = [name for name in Row.__struct_fields__ if name not in _LEFT_OUT]
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(fields)
-    for row in rows:
-        plain = msgspec.structs.asdict(row)
-        writer.writerow([_cell(plain[name]) for name in fields])
-    return stream.getvalue().encode()
+    cells = ([_cell(getattr(row, name)) for name in fields] for row in rows)
+    return csv_text([fields, *cells]).encode()
 
 
 def _cell(value: object) -> object:
@@ -33,4 +25,4 @@ def _cell(value: object) -> object:
     if isinstance(value, tuple):
         separator = " " if all(isinstance(item, float) for item in value) else "; "
         return separator.join(str(item) for item in value)
-    return "" if value is None else value
+    return value

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mbds_xsim.report import quantity
 from mbds_xsim.report import tradeoff_summary as summary
 from mbds_xsim.report.learned_summary import model_columns, models_short, models_told
+from mbds_xsim.safe_text import as_code, in_markdown, sentence
 from mbds_xsim.study.rows import Tradeoff
 
 __all__ = ["to_markdown"]
@@ -17,6 +18,7 @@ def to_markdown(studies: list[Tradeoff], picture: str = "") -> str:
         studies: A chapter each.
         picture: Where the charts of them stand, from the page; left out where there are none.
     """
+    studies = in_markdown(studies)
     lines = [line for study in studies for line in _lines(study)]
     scenes = " and ".join(study.scene for study in studies)
     shown = [f"![Speed against accuracy of {scenes}: charts]({picture})", ""] if picture else []
@@ -29,8 +31,7 @@ def _lines(study: Tradeoff) -> list[str]:
     return [
         f"# {study.scene}: speed against accuracy",
         "",
-        f"{models_short(study)}{study.description[0].upper()}{study.description[1:]}. "
-        f"{conclusion[0].upper()}{conclusion[1:]}.",
+        f"{models_short(study)}{sentence(study.description)}{sentence(conclusion).rstrip()}",
         "",
         *_table(study),
         "",
@@ -40,7 +41,7 @@ def _lines(study: Tradeoff) -> list[str]:
         *(f"- Option that pays: {line}" for line in summary.options_that_pay(study)),
         *(f"- {name}: {steps}: {what}" for name, steps, what in summary.failures(study)),
         *(f"- Left out: {reason}" for reason in study.left_out.values()),
-        f"- Made by `{study.command}` in {quantity.span(study.wall_s)} on "
+        f"- Made by {as_code(study.command)} in {quantity.span(study.wall_s)} on "
         f"{summary.machine_told(study)}; {versions}",
         "",
     ]

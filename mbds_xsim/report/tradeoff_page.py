@@ -5,12 +5,12 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbds_xsim.report import palette, quantity, themed
+from mbds_xsim.report import themed
 from mbds_xsim.report import tradeoff_summary as summary
 from mbds_xsim.report.learned_summary import model_columns, models_told
+from mbds_xsim.report.template import rendered
 from mbds_xsim.report.themed import INK, PAPER
 from mbds_xsim.report.tradeoff_figures import (
     PANELS,
@@ -20,6 +20,7 @@ from mbds_xsim.report.tradeoff_figures import (
     legend_entries,
     tips,
 )
+from mbds_xsim.safe_text import in_figure
 from mbds_xsim.study.rows import Tradeoff
 
 __all__ = ["to_html", "to_png"]
@@ -32,23 +33,10 @@ _LONGEST = 165
 
 def to_html(studies: list[Tradeoff]) -> str:
     """Give the page."""
-    environment = Environment(
-        loader=PackageLoader("mbds_xsim", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "metres": quantity.length,
-        "seconds": quantity.span,
-        "number": quantity.number,
-    }
-    return environment.get_template("tradeoff.html").render(
+    return rendered(
+        "tradeoff.html",
         studies=[_view(study) for study in studies],
         names=", ".join(study.scene for study in studies),
-        light=palette.LIGHT,
-        dark=palette.DARK,
     )
 
 
@@ -79,7 +67,9 @@ def _draw_row(figure: Any, study: Tradeoff) -> None:
     star = {"color": PAPER, "markeredgecolor": INK, "ms": 9, "label": "native settings"}
     handles += charts[0].plot([], [], "*", **star)
     figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=8)
-    figure.suptitle(f"{study.scene}: speed against accuracy", fontsize=12, x=0.01, ha="left")
+    figure.suptitle(
+        f"{in_figure(study.scene)}: speed against accuracy", fontsize=12, x=0.01, ha="left"
+    )
     figure.supxlabel("\n".join(_footnotes(study)), fontsize=7.5, x=0.01, ha="left", color=INK)
 
 

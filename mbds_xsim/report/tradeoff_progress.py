@@ -14,7 +14,7 @@ __all__ = ["StudyBar"]
 
 
 class StudyBar(Bar):
-    """Takes forecasts of the work left, and counts them down by the clock; quiet off a terminal."""
+    """Takes forecasts of the work left, and counts them down by the clock."""
 
     def __init__(self, console: Console, workers: int, subject: str) -> None:
         self._workers = workers

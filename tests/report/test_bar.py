@@ -1,0 +1,43 @@
+"""Long work tells how far it is, on a terminal and in a log."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import pytest
+from rich.console import Console
+
+from mbds_xsim.report import bar
+from mbds_xsim.report.progress import ProgressBar
+
+
+def test_a_log_gets_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bar, "_EVERY", 0.02)
+    with ProgressBar(Console(file=io.StringIO())) as progress:
+        progress.begin(4)
+        progress.advance("dart [/x] \x1b[31m matched")
+        time.sleep(0.2)
+    time.sleep(0.05)
+    lines = capsys.readouterr().err.splitlines()
+
+    assert len(lines) > 1
+    assert lines[-1].startswith("mbds-xsim: dart [/x] �[31m matched 1/4 0:00:00 left")
+
+
+def test_short_work_is_silent_in_a_log(capsys: pytest.CaptureFixture[str]) -> None:
+    with ProgressBar(Console(file=io.StringIO())) as progress:
+        progress.begin(1)
+
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_shows_what_is_done_as_it_is_called() -> None:
+    shown = io.StringIO()
+    with ProgressBar(Console(file=shown, force_terminal=True, width=120)) as progress:
+        progress.begin(2)
+        progress.advance("[/x] matched")
+
+    assert "[/x] matched" in shown.getvalue()
