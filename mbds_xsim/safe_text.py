@@ -32,7 +32,7 @@ T = TypeVar("T")
 # Control characters, C1 among them, and what reorders or hides text, but for line feed and tab.
 _UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
-    r"\ud800-\udfff\U000e0000-\U000e007f]"
+    r"\U000e0000-\U000e007f]"
 )
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGNORECASE)
 _ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*[$|"} | {ord("<"): "&lt;"}
@@ -43,7 +43,8 @@ _COMMANDS = re.compile(r"(\w+_)?command")
 
 def printable(text: str) -> str:
     """Replace what a terminal would obey or hide by `�`."""
-    return _UNPRINTABLE.sub("�", text)
+    whole = text.encode("utf-8", "backslashreplace").decode()  # names of files may be no UTF-8
+    return _UNPRINTABLE.sub("�", whole)
 
 
 def on_a_line(text: str) -> str:
