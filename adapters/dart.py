@@ -31,6 +31,7 @@ from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.stiffness import spring_step
 
 from ._dart_contact import (
     CONTACT_LAW,
@@ -57,6 +58,8 @@ _BLOW_UP = 1e5
 _NATIVE_STEP = 1e-3
 # Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.5, 0.5
 # Keeps the ball scenes' budgets; what follows on an impact of several spheres knows none.
 _CONTACT_STEP = 1e-4
 # The gap falls up to 1, where an error that is put right too late would be put right twice.
@@ -133,6 +136,7 @@ class Dart(Adapter):
         if scene.contacts:
             options |= {_DETECTOR: "ode", _FRICTION: "nsgs"}
         longest = _CONTACT_STEP if scene.contacts else _CAREFUL_STEP
+        longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
         return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
 
     def load(self, scene: Scene, settings: Settings) -> Run:

@@ -7,9 +7,6 @@ from functools import partial
 from importlib.metadata import version
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mbds_xsim.engine import (
     LOOPS,
     Adapter,
@@ -23,11 +20,12 @@ from mbds_xsim.engine import (
     Sweep,
 )
 from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
 from mbds_xsim.spin import idle_axes
 from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.stiffness import spring_step
 
 from ._mujoco_contact import CONTACT_LAW, Impact
 from ._mujoco_model import Stepping
@@ -35,8 +33,6 @@ from ._mujoco_run import ModelRun
 from ._mujoco_spinless import SpinlessRun
 
 __all__ = ["MuJoCo"]
-
-Array = NDArray[np.float64]
 
 _NATIVE_OPTIONS = {"loop_time_constant": 0.0, "link_time_constant": 0.0, "contact_substeps": 0}
 _SOLVERS = ("Newton", "CG", "PGS")
@@ -50,8 +46,10 @@ _CAREFUL_COUNT = 4
 _DEFAULT_IMPACT = 0.02
 # With fewer steps an impact's restitution depends on how it lies between them.
 _SHORTEST_IMPACT = 4
-# Of the reciprocal of a spring's rate: forty steps a period.
-_SPRING_FRACTION = 0.15
+# That a spring's oscillation turns by in a step: forty steps a period [rad].
+_SPRING_ANGLE = 0.15
+# Of a damper's decay in a step; RK4 is unstable from 2.8.
+_DECAY = 0.5
 
 
 class MuJoCo(Adapter):
@@ -123,7 +121,7 @@ class MuJoCo(Adapter):
         if profile == "native":
             return Settings("Euler", nearest_step(frame, _DEFAULT_STEP), _NATIVE_OPTIONS)
         longest = _CAREFUL_STEP if not scene.distance_links else _CAREFUL_LINK_STEP
-        longest = min(longest, _SPRING_FRACTION / max(_spring_rates(scene), default=1e-9))
+        longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
         mechanism, options = Mechanism.of(scene), {}
         if has_only_balls(mechanism):
             options["impact_steps"] = 1
@@ -199,18 +197,3 @@ class MuJoCo(Adapter):
             msg = f"{name}: got {value!r}, allowed is 0 or more"
             raise InputError(msg)
         return value
-
-
-def _spring_rates(scene: Scene) -> list[float]:
-    """Give the fastest rate [rad/s] of each spring–damper, its ends as light as they can be."""
-    mechanism = Mechanism.of(scene)
-    rates = []
-    for spring in mechanism.springs:
-        yielding = sum(
-            1.0 / mechanism.mass[body]
-            + point @ point / np.linalg.eigvalsh(mechanism.inertia[body])[0]
-            for body, point in zip(spring.bodies, spring.in_body, strict=True)
-            if body != WORLD_INDEX
-        )
-        rates.append(float(np.sqrt(spring.stiffness * yielding) + spring.damping * yielding))
-    return [rate for rate in rates if rate > 0]

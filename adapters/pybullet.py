@@ -30,6 +30,7 @@ from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.stiffness import spring_step
 
 from ._pybullet_client import Client
 from ._pybullet_contact import CONTACT_LAW, Contact, Law
@@ -43,6 +44,8 @@ Array = NDArray[np.float64]
 _USUAL_STEP = 1 / 240
 # Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.5, 0.5
 # Ten leave a body on four corners with 1e-6 m/s, and turn it where it comes down flat.
 _CAREFUL_CONTACT = {"solver_iterations": 50}
 # What the engine takes without a word is more than what means something.
@@ -127,7 +130,8 @@ class PyBullet(Adapter):
             if scene.contacts:
                 usual |= {**_USUAL_CONTACT, "contact_recovery": step / _USUAL_CONTACT_ERP}
             return Settings(method, step, usual)
-        step = careful_step(scene.clock.frame, _CAREFUL_STEP, _CAREFUL_COUNT)
+        longest = min(_CAREFUL_STEP, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
+        step = careful_step(scene.clock.frame, longest, _CAREFUL_COUNT)
         return Settings(method, step, _CAREFUL_CONTACT if scene.contacts else {})
 
     def load(self, scene: Scene, settings: Settings) -> Run:

@@ -7,6 +7,8 @@ import math
 __all__ = ["careful_step", "nearest_step"]
 
 _REFINABLE = 4
+# What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
+_SHORTEST = 1e-6
 
 
 def nearest_step(frame: float, usual: float) -> float:
@@ -17,8 +19,9 @@ def nearest_step(frame: float, usual: float) -> float:
 def careful_step(frame: float, longest: float, fewest: int) -> float:
     """Divide a frame [s] into `fewest` steps or more, none above the longest [s].
 
-    A frame resolves the motion, so mechanisms faster than the longest step foresees get finer
-    steps. There are a multiple of four, which the consistency check can make coarser.
+    A longest step below 1 µs counts as 1 µs. A frame resolves the motion, so mechanisms faster
+    than the longest step foresees get finer steps. There are a multiple of four, which the
+    consistency check can make coarser.
     """
-    count = max(fewest, math.ceil(frame / longest - 1e-9))
+    count = max(fewest, math.ceil(frame / max(longest, _SHORTEST) - 1e-9))
     return frame / (_REFINABLE * math.ceil(count / _REFINABLE))

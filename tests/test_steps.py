@@ -24,6 +24,10 @@ def test_careful_steps_keep_both_bounds(frame: float, longest: float, fewest: in
     assert coarser < fewest or frame / coarser > longest
 
 
+def test_no_preset_goes_below_a_microsecond() -> None:
+    assert careful_step(0.02, 8.4e-11, 4) == pytest.approx(1e-6)
+
+
 @pytest.mark.parametrize(("usual", "count"), [(1 / 240, 5), (0.002, 10), (0.001, 20), (1.0, 1)])
 def test_usual_steps_are_moved_to_the_nearest_divisor(usual: float, count: int) -> None:
     assert nearest_step(0.02, usual) == pytest.approx(0.02 / count)
