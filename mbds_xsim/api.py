@@ -192,8 +192,13 @@ def audit(
     return audit_file(Path(file), None if scene is None else load_scene(scene), told)
 
 
-def verify(path: str | Path, *, workers: int | None = None) -> Verified:
+def verify(path: str | Path, *, seed: int | None = None, workers: int | None = None) -> Verified:
     """Check a data file, or a folder of them, again from its own contents alone.
+
+    Args:
+        path: Of the file or folder.
+        seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
+        workers: Processes at a time; all cores when left out.
 
     Raises:
         InputError: There is nothing to check.
@@ -201,7 +206,9 @@ def verify(path: str | Path, *, workers: int | None = None) -> Verified:
     from mbds_xsim.dataset.verify import verify as run
 
     _check_workers(workers)
-    return run(Path(path), workers=workers)
+    if seed is not None:
+        _check_whole("seed", seed, 0)
+    return run(Path(path), seed=seed, workers=workers)
 
 
 def _tuple(index: int | Iterable[int] | None) -> tuple[int, ...] | None:

@@ -115,6 +115,20 @@ def to_vector(q: Array) -> Array:
     return np.asarray(q[..., 1:] * np.where(small, 2.0, angle / np.where(small, 1.0, sine)))
 
 
+def continuous(q: Array, first: Array) -> Array:
+    """Choose between q and −q, the same rotation, so that frames follow each other closely.
+
+    What is learned from orientations, or differences them, would take a change of sign for a jump.
+
+    Args:
+        q: Unit quaternions, shape (trajectory, frame, …, 4); NaN where there is none.
+        first: Those that frame 0 must be near, shape (trajectory, …, 4).
+    """
+    before = np.concatenate([first[:, None], q[:, :-1]], axis=1)
+    turned = np.sum(before * q, axis=-1, keepdims=True) < 0
+    return np.where(np.cumsum(turned, axis=1) % 2, -q, q) if turned.any() else q
+
+
 def between(a: Array, b: Array) -> Array:
     """Give the smallest rotation that takes direction a to direction b (not opposite to a)."""
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbds_xsim import isolate
+from mbds_xsim import isolate, rotation
 from mbds_xsim.engine import ModelSize, Readback, Run, Settings
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
@@ -66,7 +67,8 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
 def recorded(run: Run, batch: Batch) -> Trajectory:
     """Run a batch, and hold what comes back against what a `Run` promises.
 
-    Frames from a failure on are NaN, whatever an adapter left in them.
+    Frames from a failure on are NaN, whatever an adapter left in them; signs of quaternions go on
+    from the start's, whichever an engine gives.
 
     Raises:
         ValueError: An array has another shape or type than it must, or failures are not told.
@@ -90,4 +92,6 @@ def recorded(run: Run, batch: Batch) -> Trajectory:
     if len(told) != len(batch) or not all(one is None or isinstance(one, Failure) for one in told):
         msg = f"the adapter gave failures {told!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
-    return trajectory.cut_at_failures()
+    whole = trajectory.cut_at_failures()
+    turned = rotation.continuous(whole.orientation, batch.orientation)
+    return dataclasses.replace(whole, orientation=turned)

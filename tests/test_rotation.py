@@ -91,6 +91,20 @@ def test_rotation_vectors_are_the_short_way_and_agree_with_scipy() -> None:
     np.testing.assert_array_equal(rotation.to_vector(-q), v)
 
 
+def test_frames_follow_each_other_whatever_signs_an_engine_gives() -> None:
+    rng = np.random.default_rng(4)
+    steps = rotation.from_vector(0.1 * rng.normal(size=(2, 30, 3, 3)))
+    smooth = np.empty((2, 30, 3, 4))
+    smooth[:, 0] = steps[:, 0]
+    for k in range(1, 30):
+        smooth[:, k] = rotation.multiply(steps[:, k], smooth[:, k - 1])
+    smooth[1, 20:] = np.nan
+    signs = rng.choice([-1.0, 1.0], size=(2, 30, 3, 1))
+
+    np.testing.assert_array_equal(rotation.continuous(signs * smooth, smooth[:, 0]), smooth)
+    assert rotation.continuous(smooth, smooth[:, 0]) is smooth
+
+
 def test_between_turns_one_direction_into_the_other_the_short_way() -> None:
     a, b = RNG.standard_normal((2, 100, 3))
 

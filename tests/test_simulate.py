@@ -9,10 +9,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mbds_xsim.engine import Run
+from mbds_xsim.engine import Adapter, Run
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import recorded
+from mbds_xsim.simulate import recorded, simulate
 from mbds_xsim.state import Batch, Failure, Trajectory
 
 
@@ -64,3 +64,14 @@ def test_nothing_is_no_trajectory() -> None:
     batch, _ = _sound()
     with pytest.raises(ValueError, match="the adapter gave time as <class 'NoneType'>"):
         _given(None, batch)
+
+
+def test_quaternions_keep_their_sign_in_every_engine(adapter: Adapter) -> None:
+    """PyBullet's change it 18 times in these frames, where flywheels turn half around."""
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, [2, 5]).truncated(60)
+
+    turn = simulate(scene, batch, adapter.name, adapter.settings(scene, "native")).trajectory
+
+    frames = np.concatenate([batch.orientation[:, None], turn.orientation], axis=1)
+    assert not (np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0).any()

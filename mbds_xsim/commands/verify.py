@@ -28,6 +28,10 @@ def verify(
     path: Annotated[
         Path, typer.Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
     ],
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Chooses what is simulated again; left out, at random.", min=0),
+    ] = None,
     workers: WorkerCount = None,
     json: JsonFile = None,
 ) -> None:
@@ -38,7 +42,7 @@ def verify(
     console = console_for(json)
     check_targets(json=json)
     with progress_on(console) as progress:
-        verified = run(path, workers=workers, progress=progress)
+        verified = run(path, seed=seed, workers=workers, progress=progress)
     print_verified(verified, console)
     write_json(encoded(verified), json)
     raise typer.Exit(0 if verified.sound else 1)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.dataset.card import CARD, CROISSANT
 from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.layout import SUFFIX
+from mbds_xsim.dataset.opened import refuse_other
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metadata
@@ -38,6 +42,8 @@ class Verified:
     about: tuple[dict[str, Any], ...]
     """What is to be known of each variant."""
     wall_s: float
+    seed: int
+    """Chose which trajectories were simulated again."""
 
     def to_frame(self) -> Any:
         """Give a `pandas.DataFrame` with a row for each file."""
@@ -50,9 +56,19 @@ class Verified:
 
 
 def verify(
-    path: Path, *, workers: int | None = None, progress: ProgressSink | None = None
+    path: Path,
+    *,
+    seed: int | None = None,
+    workers: int | None = None,
+    progress: ProgressSink | None = None,
 ) -> Verified:
     """Check everything again that a file, with its shards, or a folder holds.
+
+    Args:
+        path: A data file, or a folder of them.
+        seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
+        workers: Processes at a time; all cores when left out.
+        progress: Where it is told.
 
     Raises:
         InputError: There is nothing to check.
@@ -61,8 +77,9 @@ def verify(
     files = _files(path)
     kinds = {file: _kind(file) for file in files}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
-    again = _resimulated(shards)
-    tasks = [_task(file, kinds[file], again) for file in files]
+    seed = secrets.randbits(32) if seed is None else seed
+    again = _resimulated(shards, seed)
+    tasks = [_task(file, kinds[file], again, seed) for file in files]
     progress.begin(len(tasks))
     answers = run_tasks(
         tasks, workers=workers, finished=lambda place, _: progress.advance(files[place].name)
@@ -77,7 +94,7 @@ def verify(
     loose = _loose(shards, joined) if path.is_dir() else set()
     reports = [_with_loose(report, loose) for report in reports]
     about = tuple(_about(file) for file in joined or shards[:1])
-    return Verified(str(path), tuple(reports), about, time.perf_counter() - begin)
+    return Verified(str(path), tuple(reports), about, time.perf_counter() - begin, seed)
 
 
 def _files(path: Path) -> list[Path]:
@@ -89,9 +106,7 @@ def _files(path: Path) -> list[Path]:
             raise InputError(msg)
         joined = [file for file in found if _kind(file) == "joined"]
         return [*found, *described(joined)]
-    if not path.exists():
-        msg = f"{path}: there is no such file"
-        raise InputError(msg)
+    refuse_other(path)
     if _kind(path) != "joined":
         return [path]
     try:
@@ -109,16 +124,17 @@ def _kind(path: Path) -> str:
         return "unknown"
 
 
-def _resimulated(shards: list[Path]) -> set[Path]:
-    """Of each variant the first shard, the last, and one between."""
-    found = set()
-    for folder in {shard.parent for shard in shards}:
+def _resimulated(shards: list[Path], seed: int) -> set[Path]:
+    """Of each variant some shards, drawn at random."""
+    rng, found = np.random.default_rng(seed), set[Path]()
+    for folder in dict.fromkeys(shard.parent for shard in shards):
         own = [shard for shard in shards if shard.parent == folder]
-        found |= {own[k * (len(own) - 1) // (_SHARDS_AGAIN - 1)] for k in range(_SHARDS_AGAIN)}
+        chosen = rng.choice(len(own), min(_SHARDS_AGAIN, len(own)), replace=False)
+        found |= {own[k] for k in chosen}
     return found
 
 
-def _task(file: Path, kind: str, again: set[Path]) -> Task:
+def _task(file: Path, kind: str, again: set[Path], seed: int) -> Task:
     others: dict[str, Callable[[Path], FileReport]] = {
         "joined": recheck_joined,
         "joint": recheck_joint,
@@ -128,7 +144,7 @@ def _task(file: Path, kind: str, again: set[Path]) -> Task:
     path = file.resolve()
     if kind in others:
         return Task(others[kind], (path,), _TIMEOUT)
-    return Task(reaudit, (path, _AGAIN if file in again else 0), _TIMEOUT)
+    return Task(reaudit, (path, _AGAIN if file in again else 0, seed), _TIMEOUT)
 
 
 def _loose(shards: list[Path], joined: list[Path]) -> set[str]:

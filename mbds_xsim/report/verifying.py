@@ -26,6 +26,8 @@ def print_verified(verified: Verified, console: Console) -> None:
     for note, count in Counter(n for r in verified.files for n in r.notes).items():
         where = f" ({count} files)" if count > 1 else ""
         console.print(f"  {note}{where}", highlight=False)
+    if any("simulated again: " in note for report in verified.files for note in report.notes):
+        console.print(f"  simulated again: chosen by --seed {verified.seed}", highlight=False)
     checked = sum(r.trajectories for r in verified.files if r.kind in ("shard", "rejected"))
     style = "bold green" if verified.sound else "bold red"
     verdict = "everything holds what it says" if verified.sound else f"{len(problems)} problems"

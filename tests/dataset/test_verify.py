@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -14,16 +15,23 @@ import numpy as np
 import pytest
 
 from mbds_xsim.dataset.content import CONTENT, encode
+from mbds_xsim.dataset.gate import judge_rows
 from mbds_xsim.dataset.held import Held
 from mbds_xsim.dataset.layout import CHECKS
+from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.reaudit import reaudit
 from mbds_xsim.dataset.redescribe import recheck_card, recheck_metadata
 from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.dataset.verify import Verified, verify
+from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import Batch
 
 from .conftest import Make
 
+STATES = ("position", "orientation", "velocity", "angular_velocity")
 TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
 FILE = "1pendulum/mujoco-matched.h5"
@@ -162,7 +170,7 @@ def _shorten(name: str) -> Change:
         (_tell("published", 7), "counts: published is 7 with 8 trajectories of 8 here"),
         (_tell("seed", 1), "pairing: position is not what seed 1 and index give"),
         (_tell("steps", 11), "clock: steps and frame_s are not the scene's"),
-        (_tell("method", "Euler"), "simulated again: trajectories differ by up to"),
+        (_tell("method", "Euler"), r"simulated again: \w+ of trajectory \d differs by"),
         (_tell("scene", "name = 1"), "cannot be read: .*its attribute scene is no scene"),
         (_drop("start/velocity"), "layout: dataset start/velocity is missing"),
         (_shorten("velocity"), r"layout: velocity has the shape \(8, 10, 1, 3\), not \(8, 11, 1"),
@@ -174,6 +182,85 @@ def test_a_change_with_fitting_checksums_is_found(change: Change, says: str, cop
     _rewrite(copy / SHARD, change)
     found = reaudit(copy / SHARD, 3).problems
     assert any(re.match(says, problem) for problem in found), found
+
+
+def _to_float32(arrays: dict[str, Any], first: int = 0) -> None:
+    for key in STATES:
+        values = arrays[f"body/{key}"]
+        values[:, first:] = values[:, first:].astype(np.float32)
+        if key == "orientation":
+            values /= np.linalg.norm(values, axis=-1, keepdims=True)
+
+
+def _faster(arrays: dict[str, Any]) -> None:
+    arrays["body/angular_velocity"][2:, 1:] *= 1.0 + 1e-9
+
+
+def _turned(arrays: dict[str, Any]) -> None:
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(8, 10, 1, 1))
+    arrays["body/orientation"][:, 1:] *= signs
+
+
+def _forge(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change states, and make points, figures and checksums fit."""
+    held = Held.read(path)
+    arrays = {name: values.copy() for name, values in held.arrays.items()}
+    change(arrays)
+    forged = dataclasses.replace(held, arrays=arrays)
+    points = Points.of(held.scene).motion(forged.trajectory)
+    arrays["position"], arrays["velocity"] = points
+    verdict = judge_rows(held.scene, forged.batch, forged.trajectory, held.making)
+    arrays["check/figure"], arrays["check/allowed"] = verdict.figure, verdict.allowed
+    told = {key: value for key, value in held.attributes.items() if key != CONTENT}
+    path.write_bytes(encode(arrays, told))
+
+
+@pytest.mark.parametrize(
+    ("change", "alone", "again"),
+    [
+        (_to_float32, "body/position: that of trajectory 0 is rounded to float32", "differs by"),
+        (lambda arrays: _to_float32(arrays, 3), "", r"differs by .* at frame 3$"),
+        (_faster, "", r"simulated again: angular_velocity of trajectory \d differs by .*frame 1$"),
+        (_turned, r"body/orientation: changes its sign at frame \d of trajectory 0", "orientation"),
+    ],
+)
+def test_forged_states_with_fitting_figures_are_found(
+    change: Callable[[dict[str, Any]], None], alone: str, again: str, copy: Path
+) -> None:
+    """From the numbers alone where they tell, and where the engine is here in any case."""
+    import re
+
+    _forge(copy / SHARD, change)
+    found = reaudit(copy / SHARD, 0).problems
+    assert any(re.match(alone, problem) for problem in found) if alone else not found, found
+    more = [each for each in reaudit(copy / SHARD, 3).problems if each not in found]
+    assert any(re.search(again, problem) for problem in more), more
+
+
+def test_nobody_can_foresee_what_is_simulated_again(
+    few: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[list[int]] = []
+
+    def told(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
+        chosen.append(batch.index.tolist())
+        return simulate(scene, batch, engine, settings)
+
+    monkeypatch.setattr("mbds_xsim.dataset.reaudit.simulate", told)
+    verified = [_verify(few / SHARD) for _ in range(8)]
+    assert len({tuple(rows) for rows in chosen}) > 1
+    assert all(len(set(rows)) == 3 for rows in chosen)
+
+    verify(few / SHARD, seed=verified[0].seed, workers=0, progress=Quiet())
+    assert chosen[-1] == chosen[0]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(InputError, match=r"pipe\.h5: this is no file but a folder, a pipe or"):
+        _verify(tmp_path / "pipe.h5")
+    assert _problems(_verify(tmp_path))[0].endswith("name a file")
 
 
 def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
