@@ -41,6 +41,11 @@ FACTS = {
 }
 """What a file may say beside its numbers: of its start, and of how it was made."""
 
+_DAMAGE = (
+    OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError, csv.Error,
+    NotImplementedError, RuntimeError,
+)  # fmt: skip
+"""What reading a file raises that is damaged, encrypted, or something else."""
 _SAME_FRAME = 1e-4  # relative; what rounding to float32 makes of frames
 _COMMENT = "#"
 
@@ -107,7 +112,7 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     try:
         for raw in readers[path.suffix](path, scene):
             yield _checked(raw, scene or _own_scene(raw, path), str(path))
-    except (OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError) as error:
+    except _DAMAGE as error:
         msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
         raise InputError(msg) from error
 

@@ -15,7 +15,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import values_of
-from mbds_xsim.dataset.opened import check_sources, datasets_in, opened
+from mbds_xsim.dataset.opened import check_sources, datasets_in, opened, refuse_bomb
 from mbds_xsim.errors import InputError
 
 __all__ = ["RANKS", "Piece", "read_hdf5", "read_npz"]
@@ -74,6 +74,7 @@ def read_npz(path: Path) -> Iterator[Piece]:
     """Read arrays by their names; what has no axes is a fact."""
     with ExitStack() as stack:
         archive = stack.enter_context(zipfile.ZipFile(path))
+        refuse_bomb(path, sum(member.file_size for member in archive.infolist()))
         found = {
             name.removesuffix(".npy"): _Member(stack.enter_context(archive.open(name)), path)
             for name in archive.namelist()
@@ -130,7 +131,11 @@ class _Member:
     def __init__(self, file: IO[bytes], path: Path) -> None:
         self._file = file
         readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-        version = npy.read_magic(file)
+        try:
+            version = npy.read_magic(file)
+        except ValueError as error:
+            msg = f"{path}: holds {file.name}, which is no array; allowed are arrays of numbers"
+            raise InputError(msg) from error
         if version not in readers:
             msg = f"{path}: holds an array in version {version} of npy, allowed are 1.0 and 2.0"
             raise InputError(msg)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -359,3 +360,20 @@ def test_a_bad_trajectory_is_found_in_any_piece(
     np.savez(tmp_path / "it.npz", **arrays)
     with pytest.raises(InputError, match="in trajectory 58, frame 4"):
         audit_file(tmp_path / "it.npz", rod, told)
+
+
+def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
+    """A packed file that declares gigabytes is refused before it is unpacked."""
+    with zipfile.ZipFile(tmp_path / "foreign.npz", "w") as archive:
+        archive.writestr("notes.txt", "a text")
+    with pytest.raises(InputError, match=r"holds notes\.txt, which is no array"):
+        audit_file(tmp_path / "foreign.npz", None, Told())
+
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("position.npy", bytes(2**27))
+    with pytest.raises(InputError, match="MB say that they unpack to 134 MB, allowed is 100"):
+        audit_file(tmp_path / "bomb.npz", None, Told())
+
+    (tmp_path / "wide.csv").write_text("time\n" + "1" * 200_000 + "\n0\n0\n")
+    with pytest.raises(InputError, match=r"wide\.csv cannot be read as csv \(field larger"):
+        audit_file(tmp_path / "wide.csv", load_scene("1pendulum"), Told())
