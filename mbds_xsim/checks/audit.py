@@ -7,13 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from mbds_xsim.checks.balance import balance, balance_drift
+from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.friction import friction, rolling
 from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, start
-from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.momentum import momentum
@@ -34,7 +35,10 @@ CHECKS: tuple[Check, ...] = (
     start,
     gap,
     angle_gap,
+    gap_rate,
+    angle_gap_rate,
     planarity,
+    displacement,
     kinematics,
     velocity_lag,
     energy_balance,

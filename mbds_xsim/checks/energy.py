@@ -10,7 +10,7 @@ from mbds_xsim import rotation
 from mbds_xsim.assembly import joint_coordinate
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.flight import flying, summed
-from mbds_xsim.checks.joints import pair_distance, with_world
+from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
 
 __all__ = [
     "Energy",
@@ -136,27 +136,9 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
     damping = np.array([spring.damping for spring in record.mechanism.springs])
     if not damping.any():
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
-    power = _stretch_rates(record) ** 2 @ damping
+    power = pair_rate(with_world(record.bodies), record.mechanism.springs) ** 2 @ damping
     loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
     if record.steps < 4:
         return loss, np.nanmax(np.abs(loss), axis=1, initial=0.0)
     coarse = cumulative_simpson(power[:, ::2], dx=2 * record.frame, axis=1, initial=0.0)
     return loss, np.nanmax(np.abs(coarse - loss[:, ::2]), axis=1, initial=0.0)
-
-
-def _stretch_rates(record: Record) -> Array:
-    """Rates of the springs' lengths [m/s], shape (trajectory, frame, spring)."""
-    states = with_world(record.bodies)
-    rates = []
-    for spring in record.mechanism.springs:
-        points, speeds = [], []
-        for body, offset in zip(spring.bodies, spring.in_body, strict=True):
-            arm = rotation.rotate(states.native[..., body, :], offset)
-            points.append(states.position[..., body, :] + arm)
-            speeds.append(
-                states.velocity[..., body, :] + np.cross(states.angular_velocity[..., body, :], arm)
-            )
-        apart = points[1] - points[0]
-        along = apart / np.linalg.norm(apart, axis=-1, keepdims=True)
-        rates.append(np.sum((speeds[1] - speeds[0]) * along, axis=-1))
-    return np.stack(rates, axis=-1)

@@ -1,4 +1,4 @@
-"""Do the joints hold: the gap between anchor points, the angle between axes."""
+"""Do the joints hold: gaps between anchor points, angles between axes, and the rates of both."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import PlacedJoint, PointPair
 
-__all__ = ["angle_gap", "gap", "pair_distance", "with_world"]
+__all__ = [
+    "angle_gap",
+    "angle_gap_rate",
+    "gap",
+    "gap_rate",
+    "pair_distance",
+    "pair_rate",
+    "with_world",
+]
 
 Array = NDArray[np.float64]
 
@@ -36,6 +44,64 @@ def gap(record: Record) -> Finding | None:
     names += [f"distance link {link.name}" for link in mechanism.distances]
     return Finding.of(
         "gap", "m", np.concatenate(parts, axis=-1), budget=scene.budget.gap, names=tuple(names)
+    )
+
+
+def gap_rate(record: Record) -> Finding | None:
+    """Measure the speed at which the gap of each joint opens [m/s]; None without joints.
+
+    It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
+    joints as they were a step before; what places that turn make of that is left out.
+    """
+    mechanism = record.mechanism
+    if not mechanism.joints and not mechanism.distances:
+        return None
+    states = with_world(record.bodies)
+    joints = [j for j in mechanism.joints if j.kind != "slider"]
+    sliders = [j for j in mechanism.joints if j.kind == "slider"]
+    shift = _parting(states, sliders)
+    parent, _ = _ends(sliders)
+    axes = rotation.rotate(states.native[..., parent, :], _axes(sliders))
+    shift = shift - rotation.cross(states.angular_velocity[..., parent, :], _apart(states, sliders))
+    parts = [
+        rotation.norm(_parting(states, joints)),
+        rotation.norm(rotation.cross(axes, shift)),
+        np.abs(pair_rate(states, mechanism.distances)),
+    ]
+    late = _turned(record, rotation.norm(record.bodies.velocity))
+    names = [f"joint {j.name}" for j in [*joints, *sliders]]
+    names += [f"distance link {link.name}" for link in mechanism.distances]
+    return Finding.of(
+        "gap rate",
+        "m/s",
+        np.maximum(np.concatenate(parts, axis=-1) - late, 0.0),
+        budget=record.scene.budget.gap / record.frame,
+        names=tuple(names),
+    )
+
+
+def angle_gap_rate(record: Record) -> Finding | None:
+    """Measure the rate at which hinges tilt, and sliders and fixed joints turn [rad/s]; else None.
+
+    As `gap_rate`, of angles.
+    """
+    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
+    if not joints:
+        return None
+    states = with_world(record.bodies)
+    parent, child = _ends(joints)
+    spins = [states.angular_velocity[..., ends, :] for ends in (parent, child)]
+    turning = spins[1] - spins[0]
+    free = np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+    free = rotation.rotate(states.native[..., parent, :], free)
+    across = turning - rotation.dot(turning, free)[..., None] * free
+    late = _turned(record, rotation.norm(record.bodies.angular_velocity))
+    return Finding.of(
+        "angle gap rate",
+        "rad/s",
+        np.maximum(rotation.norm(across) - late, 0.0),
+        budget=record.scene.budget.angle_gap / record.frame,
+        names=tuple(f"joint {j.name}" for j in joints),
     )
 
 
@@ -82,6 +148,39 @@ def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
     return np.linalg.norm(ends[1] - ends[0], axis=-1)
 
 
+def pair_rate(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
+    """Rates of the distances of attachment points [m/s], (…, pair), of states with the world."""
+    ends = [
+        ([pair.bodies[k] for pair in pairs], [pair.in_body[k] for pair in pairs]) for k in (0, 1)
+    ]
+    apart = _points(states, *ends[1]) - _points(states, *ends[0])
+    parting = _speeds(states, *ends[1]) - _speeds(states, *ends[0])
+    return np.asarray(rotation.dot(parting, apart / rotation.norm(apart)[..., None]))
+
+
+def _turned(record: Record, speeds: Array) -> Array:
+    """By how much a turn during the step by which velocities lag may change them, (…, frame, 1).
+
+    Methods lag by half a step where they keep joints closed at its beginning, so it is twice the
+    lag, at the fastest rate of the mechanism.
+    """
+    fastest = rotation.norm(record.bodies.angular_velocity).max(axis=-1, keepdims=True)
+    return np.asarray(2.0 * abs(record.lag) * fastest * speeds.max(axis=-1, keepdims=True))
+
+
+def _parting(states: BodyStates, joints: list[PlacedJoint]) -> Array:
+    """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
+    parent, child = _ends(joints)
+    return _speeds(states, child, [j.in_child for j in joints]) - _speeds(
+        states, parent, [j.in_parent for j in joints]
+    )
+
+
+def _speeds(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
+    spin = states.angular_velocity[..., bodies, :]
+    return states.velocity[..., bodies, :] + rotation.cross(spin, _arms(states, bodies, offsets))
+
+
 def _apart(states: BodyStates, joints: list[PlacedJoint]) -> Array:
     parent, child = _ends(joints)
     return _points(states, child, [j.in_child for j in joints]) - _points(
@@ -91,16 +190,20 @@ def _apart(states: BodyStates, joints: list[PlacedJoint]) -> Array:
 
 def _off_axis(states: BodyStates, sliders: list[PlacedJoint]) -> Array:
     parent, _ = _ends(sliders)
-    axes = np.array([j.axis for j in sliders]).reshape(-1, 3)
-    return np.linalg.norm(
-        np.cross(rotation.rotate(states.native[..., parent, :], axes), _apart(states, sliders)),
-        axis=-1,
-    )
+    axes = rotation.rotate(states.native[..., parent, :], _axes(sliders))
+    return rotation.norm(rotation.cross(axes, _apart(states, sliders)))
 
 
 def _points(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
-    arms = np.array(offsets).reshape(-1, 3)
-    return states.position[..., bodies, :] + rotation.rotate(states.native[..., bodies, :], arms)
+    return states.position[..., bodies, :] + _arms(states, bodies, offsets)
+
+
+def _arms(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
+    return rotation.rotate(states.native[..., bodies, :], np.array(offsets).reshape(-1, 3))
+
+
+def _axes(joints: list[PlacedJoint]) -> Array:
+    return np.array([j.axis for j in joints]).reshape(-1, 3)
 
 
 def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:

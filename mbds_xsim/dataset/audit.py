@@ -35,6 +35,7 @@ __all__ = ["Audited", "Told", "audit_file"]
 Array = NDArray[np.float64]
 
 _OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
+_MOVING = ("gap rate", "angle gap rate", "displacement")
 _SMOOTH = ("kinematics", "velocity lag", "energy", "momentum")
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
@@ -246,7 +247,7 @@ class _Case:
 
     def _leave_out(self, reason: str, *more: str) -> None:
         touching = tuple(name for name in _CONTACT_CHECKS if self.foreign.scene.contacts)
-        for name in (*more, *_SMOOTH, *touching):
+        for name in (*more, *_MOVING, *_SMOOTH, *touching):
             self.not_checked[name] = reason
 
     def _method(self) -> tuple[Method | None, float | None]:

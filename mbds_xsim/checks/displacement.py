@@ -1,0 +1,240 @@
+"""Displacements and turns of every frame, in flight and in contact, within what velocities allow.
+
+Over a frame H the mean velocity is the mean of the velocities at its ends but for what the velocity
+does between them. In smooth motion that is H²/12 of its second derivative, which the second
+differences of recorded velocities show. In contact it is what impulses do that come early or late:
+a velocity that starts and ends where it is recorded, and whose changes in between add up to V, has
+a mean within V/2 of the mean of its ends. The ground only pushes, and friction is within its cone,
+so that V follows from the vertical impulse of the frame, which the momentum shows exactly. None of
+this asks how often, or when, a contact was hit.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.response import responses
+
+__all__ = ["displacement"]
+
+Array = NDArray[np.float64]
+
+_BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
+_PATH = 0.5  # of the changes of a velocity, by which its mean is off that of its ends
+_POSE = 1.5  # times the responses at the reference pose, of bodies that joints move
+_LASTING = 0.5  # of the same, where the ground carries the weight steadily (0.02 is needed)
+_FLOOR = 1e-3  # of the largest speed of the trajectory: solvers' tolerances
+_LAG = 3.0  # turning bodies' places do not lag, and accelerations of both kinds may cancel
+_LATE = 0.5  # of a frame; what is late by a whole one must show
+_SYSTEMATIC = 0.5  # of the allowance for bending, in the mean over a trajectory
+_STEADY = 0.1  # of the floor, in the same
+_ERRORS = 4.0  # standard errors
+
+
+def displacement(record: Record) -> Finding | None:
+    """Measure how far a frame's places are off what its velocities allow; 1 is all they allow.
+
+    Looked at are, in every frame, each body's place and turn, and the centre of mass of each group
+    that the ground alone supports; over the trajectory, the mean of what is left of each body, in W
+    and in its own frame, and its slope over the accelerations, which is a delay. A body whose pose
+    repeats exactly must be at rest.
+    """
+    if record.steps < 1:
+        return None
+    parts, names = [np.empty((*record.finite.shape, 0))], []
+    bodies = tuple(body.name for body in record.scene.bodies)
+    place, turn = _Residual.of_places(record), _Residual.of_turns(record)
+    for kind, residual in (("place", place), ("turn", turn)):
+        parts += [residual.by_frame, residual.drift]
+        names += [f"{kind} of {name}" for name in bodies]
+        names += [f"mean {kind} of {name}" for name in bodies]
+    own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
+    parts.append(turn.with_left(own).drift)
+    names += [f"mean turn of {name} about its own axes" for name in bodies]
+    parts.append(_delay(record, place, turn))
+    names.append("delay of places")
+    for push in pushes_of(record):
+        parts.append(_of_group(record, push, place.left))
+        names.append(f"centre of mass, {push.name}")
+    found = np.concatenate(parts, axis=-1)
+    found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
+    allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
+    note = f"turns are known to {allowed:.2g} rad/s in half of the frames"
+    return Finding.of("displacement", "1", found, budget=1.0, names=tuple(names), note=note)
+
+
+@dataclass(frozen=True, eq=False)
+class _Residual:
+    """Mean velocities of the frames less those of the recorded velocities, body by body."""
+
+    left: Array
+    """[m/s] or [rad/s], shape (trajectory, step, body, 3)."""
+    gained: Array
+    """Change of the velocity over the step, shape as left."""
+    bend: Array
+    """What velocities may do between frames without contact, shape (trajectory, step, body)."""
+    hidden: Array
+    """What contact may do besides, shape as bend."""
+    floor: Array
+    """Resolution, shape (trajectory, 1, 1)."""
+
+    @staticmethod
+    def of_places(record: Record) -> _Residual:
+        velocity = record.bodies.velocity
+        mean = np.diff(record.bodies.position, axis=1) / record.frame
+        left = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
+        return _residual(record, left, velocity, 1.0, _hidden(record, angular=False))
+
+    @staticmethod
+    def of_turns(record: Record) -> _Residual:
+        """Take the turn that velocities give, to third order (Magnus), back from the recorded."""
+        spin, facing, frame = record.bodies.angular_velocity, record.bodies.native, record.frame
+        begin, end = spin[:, :-1], spin[:, 1:]
+        given = frame / 2 * (begin + end) - frame**2 / 12 * rotation.cross(begin, end)
+        turned = rotation.multiply(facing[:, 1:], rotation.conjugate(facing[:, :-1]))
+        back = rotation.multiply(rotation.from_vector(-given), turned)
+        left = rotation.to_vector(back) / frame
+        hidden = _hidden(record, angular=True)
+        return _residual(record, left, spin, 1.0 / record.scene.length, hidden)
+
+    def with_left(self, left: Array) -> _Residual:
+        return _Residual(left, self.gained, self.bend, self.hidden, self.floor)
+
+    @functools.cached_property
+    def allowed(self) -> Array:
+        return self.bend + self.hidden + self.floor
+
+    @functools.cached_property
+    def by_frame(self) -> Array:
+        """Left over allowed, shape (trajectory, frame, body)."""
+        return _framed(rotation.norm(self.left) / self.allowed)
+
+    @functools.cached_property
+    def drift(self) -> Array:
+        """Weighted mean of the trajectory over what it may be, at its last frame."""
+        known = np.isfinite(self.left[..., 0])
+        weight = np.where(known, 1.0 / self.allowed**2, 0.0)
+        total = np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        share = (weight / total)[..., None]
+        left = np.nan_to_num(self.left)
+        mean = (share * left).sum(axis=1, keepdims=True)
+        error = np.sqrt((share**2 * rotation.norm(left - mean)[..., None] ** 2).sum(axis=(1, 3)))
+        bend = (share[..., 0] * np.nan_to_num(self.bend)).sum(axis=1)
+        limit = _SYSTEMATIC * bend + _ERRORS * error + _STEADY * self.floor[:, 0]
+        return _at_end(np.asarray(known.any(axis=2)), rotation.norm(mean[:, 0]) / limit)
+
+
+def _residual(
+    record: Record, left: Array, velocity: Array, per_length: float, hidden: Array
+) -> _Residual:
+    gained = np.diff(velocity, axis=1)
+    left = left + record.lag / record.frame * gained
+    change = rotation.norm(np.diff(np.pad(gained, _ENDS, mode="edge"), axis=1))
+    bend = _BEND * _window(np.maximum(change[:, 1:], change[:, :-1]))
+    fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
+    bend = bend + _LAG * abs(record.lag) / record.frame * fastest
+    repeats = (np.diff(record.bodies.position, axis=1) == 0.0).all(axis=-1)
+    repeats &= (np.diff(record.bodies.native, axis=1) == 0.0).all(axis=-1)
+    speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
+    least = record.frame * _pull(record) * per_length
+    floor = _FLOOR * np.maximum(speed, least)[:, None, None]
+    return _Residual(
+        left,
+        gained,
+        np.where(repeats, 0.0, bend),
+        np.where(repeats, 0.0, hidden),
+        np.maximum(floor, np.finfo(float).tiny),
+    )
+
+
+_ENDS = ((0, 0), (1, 1), (0, 0), (0, 0))
+
+
+def _window(values: Array) -> Array:
+    """Largest of each step and its two neighbours, shape (trajectory, step, body)."""
+    padded = np.pad(values, _ENDS[:3], mode="edge")
+    return np.asarray(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), padded[:, 1:-1]))
+
+
+def _hidden(record: Record, angular: bool) -> Array:
+    """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
+    ground, mechanism = record.scene.ground, record.mechanism
+    found = np.zeros((len(record.finite), record.steps, mechanism.body_count))
+    if ground is None or not len(mechanism.sphere_body):
+        return found
+    moved = responses(mechanism)[angular]
+    for push in pushes_of(record):
+        group = list(push.bodies)
+        path = np.full(push.steady.shape, _PATH * np.hypot(1.0, ground.friction))
+        if len(group) > 1:  # a single body's responses are exact
+            path *= _POSE * np.where(push.steady, _LASTING, 1.0)
+        most = moved[push.spheres][:, group].max(axis=0)
+        found[:, :, group] = (path * _upward(push))[..., None] * most
+    return found
+
+
+def _upward(push: Push) -> Array:
+    """Vertical impulse of the ground [N·s], where a sphere may touch, shape (trajectory, step)."""
+    reached = push.reach.any(axis=2) & (push.impulse[..., 2] > 0.0)
+    return np.where(reached, push.impulse[..., 2], 0.0)
+
+
+def _of_group(record: Record, push: Push, left: Array) -> Array:
+    """Residual of a group's centre of mass over its bound, shape (trajectory, frame, 2).
+
+    Vertically the impulse only grows, horizontally its changes add up to μ times as much: exact but
+    for a lag, by which impulses of neighbouring steps belong to this.
+    """
+    ground = record.scene.ground
+    assert ground is not None
+    mass = record.mechanism.mass[list(push.bodies)]
+    centre = np.einsum("b,tsbi->tsi", mass / push.mass, left[:, :, list(push.bodies)])
+    gain = _upward(push)[..., None] / push.mass
+    late = abs(record.lag) / record.frame * (_window(gain) + push.blur[..., None] / push.mass)
+    speed = np.nanmax(rotation.norm(record.bodies.velocity), axis=(1, 2), initial=0.0)
+    floor = _FLOOR * np.maximum(speed, record.frame * _pull(record))[:, None, None]
+    sizes = np.stack([np.hypot(centre[..., 0], centre[..., 1]), np.abs(centre[..., 2])], axis=-1)
+    limit = _PATH * gain * np.array([ground.friction, 1.0]) + late + floor
+    return _framed((sizes / limit).max(axis=-1, keepdims=True))
+
+
+def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
+    """Slope of the residuals over the accelerations, over what it may be, at the last frame."""
+    square, product, spread = 0.0, 0.0, 0.0
+    known = record.finite[:, 1:] & record.finite[:, :-1]
+    terms = []
+    for residual in (place, turn):
+        pull = np.nan_to_num(residual.gained / residual.allowed[..., None])
+        left = np.nan_to_num(residual.left / residual.allowed[..., None])
+        terms.append((pull, left))
+        square = square + np.einsum("tsbi,tsbi->t", pull, pull)
+        product = product + np.einsum("tsbi,tsbi->t", pull, left)
+    slope = product / np.maximum(square, np.finfo(float).tiny)
+    for pull, left in terms:
+        rest = np.einsum("tsbi,tsbi->ts", pull, left - slope[:, None, None, None] * pull)
+        spread = spread + np.sum(rest**2, axis=1)
+    error = np.sqrt(spread) / np.maximum(square, np.finfo(float).tiny)
+    return _at_end(known, (np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
+
+
+def _framed(values: Array) -> Array:
+    """Put a figure of each step at the frame at its end."""
+    return np.pad(values, ((0, 0), (1, 0), (0, 0)), constant_values=np.nan)
+
+
+def _at_end(known: NDArray[np.bool_], values: Array) -> Array:
+    """Put figures of trajectories at their last frames, (trajectory, frame, part)."""
+    placed = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
+    placed[np.arange(len(known)), known.sum(axis=1)] = values
+    return placed
+
+
+def _pull(record: Record) -> float:
+    return float(np.linalg.norm(record.scene.gravity)) or 9.81

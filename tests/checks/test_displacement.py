@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks.displacement import displacement
+from mbds_xsim.engine import Adapter, Method, Settings
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.simulate import simulate as run
+from mbds_xsim.state import Trajectory
+from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.cases import Case as Exact
+
+Array = NDArray[np.float64]
+
+RK4 = Method("RK4", "RK4", 4)
+LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
+MASS, RADIUS, MU, FRAME = 2.0, 0.1, 0.43, 0.02
+MOMENT = 0.4 * MASS * RADIUS**2
+
+
+def found(record: Record) -> Finding:
+    finding = displacement(record)
+    assert finding is not None
+    return finding
+
+
+def of_case(case: Any, motion: Trajectory) -> Finding:
+    return found(Record(case.scene, case.batch, motion, RK4, 1e-3))
+
+
+def ball(frames: int) -> Scene:
+    return Scene(
+        name="ball",
+        bodies=(Body("ball", inertia=Inertia(MASS, (MOMENT,) * 3), position=(0.0, 0.0, RADIUS)),),
+        contacts=(ContactSphere("ball", (0.0, 0.0, RADIUS), RADIUS),),
+        ground=Ground(friction=MU, restitution=0.5),
+        length=1.0,
+        clock=Clock(FRAME, frames),
+    )
+
+
+def rolled(impulses: Array, times: Array, speed: float, rate: float) -> tuple[Scene, Trajectory]:
+    """A ball that the ground pushes at given times of each frame, by (along x, up) [N·s].
+
+    Shapes (frame, push, 2) and (frame, push), times as shares of the frame, ascending.
+    """
+    x, z, v, w, u, turn = 0.0, RADIUS, speed, rate, 0.0, 0.0
+    rows = [(x, z, v, u, turn, w)]
+    for pushes, moments in zip(impulses, times, strict=True):
+        last = 0.0
+        for (along, up), moment in [*zip(pushes, moments, strict=True), ((0.0, 0.0), 1.0)]:
+            span = FRAME * (moment - last)
+            x, turn = x + span * v, turn + span * w
+            z, u, last = z + span * u - 0.5 * 9.81 * span**2, u - 9.81 * span, moment
+            v, u, w = v + along / MASS, u + up / MASS, w - RADIUS * along / MOMENT
+        rows.append((x, z, v, u, turn, w))
+    x, z, v, u, turn, w = np.array(rows).T
+    zero = np.zeros_like(x)
+    scene = ball(len(impulses))
+    motion = Trajectory(
+        FRAME * np.arange(len(rows)),
+        np.stack([x, zero, z], axis=-1)[None, :, None],
+        rotation.from_vector(np.stack([zero, turn, zero], axis=-1))[None, :, None],
+        np.stack([v, zero, u], axis=-1)[None, :, None],
+        np.stack([zero, w, zero], axis=-1)[None, :, None],
+        (None,),
+    )
+    return scene, motion
+
+
+def judged(scene: Scene, motion: Trajectory) -> Finding:
+    return found(Record(scene, draw_batch(scene, [0]), motion, RK4, 1e-3))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), pushes=st.integers(1, 5), rough=st.floats(0.0, 2.0))
+def test_no_course_of_contact_within_the_cone_is_blamed(
+    seed: int, pushes: int, rough: float
+) -> None:
+    """Whenever and however often the ground pushes between two frames, as long as it is near."""
+    draw, frames = np.random.default_rng(seed), 12
+    height, climb, totals = 0.0, 0.0, []
+    for kick in rough * draw.uniform(0.0, 9.81 * FRAME, frames):
+        gain = max(0.0, 9.81 * FRAME - climb - height / FRAME) + kick * (height < 0.002)
+        totals.append(MASS * gain)
+        height += FRAME * (climb + 0.5 * gain) - 0.5 * 9.81 * FRAME**2
+        climb += gain - 9.81 * FRAME
+    up = draw.dirichlet(np.ones(pushes), frames) * np.array(totals)[:, None]
+    along = up * draw.uniform(-MU, MU, up.shape)
+    times = np.sort(draw.uniform(0.0, 1.0, up.shape), axis=1)
+    scene, motion = rolled(np.stack([along, up], axis=-1), times, draw.normal(), draw.normal())
+
+    assert judged(scene, motion).passed.all()
+
+
+@pytest.fixture(scope="module")
+def slides() -> tuple[Scene, Trajectory]:
+    """A ball that slides until it rolls: two thirds of a second of it."""
+    frames, parts = 30, 200
+    up = np.full((frames, parts), MASS * 9.81 * FRAME / parts)
+    times = (np.arange(parts) + 0.5) / parts * np.ones((frames, 1))
+    stops = 2.0 / 7.0 * 3.0 / (MU * 9.81)
+    slips = FRAME * (np.arange(frames)[:, None] + times) < stops
+    return rolled(np.stack([-MU * up * slips, up], axis=-1), times, 3.0, 0.0)
+
+
+def drifting(motion: Trajectory) -> Trajectory:
+    position = motion.position + 0.5 * motion.time[:, None, None] * np.array([1.0, 0.0, 0.0])
+    return dataclasses.replace(motion, position=position)
+
+
+def shaken(motion: Trajectory) -> Trajectory:
+    position = motion.position.copy()
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, (*position.shape[:2], 1, 2))
+    position[:, 1:, :, :2] += noise[:, 1:]
+    return dataclasses.replace(motion, position=position)
+
+
+def late(motion: Trajectory) -> Trajectory:
+    before = np.maximum(np.arange(len(motion.time)) - 1, 0)
+    return dataclasses.replace(
+        motion, position=motion.position[:, before], orientation=motion.orientation[:, before]
+    )
+
+
+def repeated(motion: Trajectory, frame: int, until: int | None = None) -> Trajectory:
+    """From a frame on everything is a frame late, or stands still."""
+    frames = np.arange(len(motion.time))
+    taken = np.where(frames > frame, frames - 1 if until is None else frame, frames)
+    names = ("position", "orientation", "velocity", "angular_velocity")
+    return dataclasses.replace(motion, **{name: getattr(motion, name)[:, taken] for name in names})
+
+
+def twisting(motion: Trajectory, rate: float = 0.1) -> Trajectory:
+    """The last body turns about its own axis beside what its rate says."""
+    turn = rotation.from_vector(np.array([0.0, 0.0, rate]) * motion.time[:, None])
+    facing = motion.orientation.copy()
+    facing[:, :, -1] = rotation.multiply(facing[:, :, -1], turn)
+    return dataclasses.replace(motion, orientation=facing)
+
+
+def told_to_twist(motion: Trajectory, rate: float = 0.1) -> Trajectory:
+    spin = motion.angular_velocity.copy()
+    spin[:, :, -1] += rotation.rotate(motion.orientation[:, :, -1], np.array([0.0, 0.0, rate]))
+    return dataclasses.replace(motion, angular_velocity=spin)
+
+
+FAULTS = {
+    "drift": drifting,
+    "noise": shaken,
+    "late": late,
+    "last frame twice": lambda motion: repeated(motion, len(motion.time) - 2),
+    "a frame twice, the rest late": lambda motion: repeated(motion, 8),
+    "frozen": lambda motion: repeated(motion, 8, until=8),
+    "twist": twisting,
+    "rate without twist": told_to_twist,
+}
+
+
+def test_a_ball_that_slides_is_not_blamed(slides: tuple[Scene, Trajectory]) -> None:
+    finding = judged(*slides)
+
+    assert finding.passed.all()
+    # The frame in which it stops slipping is the worst.
+    assert 0.01 < finding.figure[0] < 0.5
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_lasting_contact_shows(slides: tuple[Scene, Trajectory], fault: str) -> None:
+    scene, motion = slides
+
+    assert not judged(scene, FAULTS[fault](motion)).passed.any()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_smooth_motion_shows(
+    pendulum: Any, tumbling: Any, linkage: Any, fault: str
+) -> None:
+    for case in (pendulum, tumbling, linkage):
+        sound, broken = (
+            of_case(case, motion) for motion in (case.exact, FAULTS[fault](case.exact))
+        )
+
+        assert sound.passed.all()
+        assert (sound.figure < 0.7).all()
+        assert not broken.passed.any(), (case.scene.name, broken.figure)
+
+
+def test_a_method_that_lags_as_it_declares_passes(pendulum: Any, simulate: Any) -> None:
+    motion = simulate(pendulum.scene, pendulum.batch, 8, "euler_reduced")
+    finding = found(Record(pendulum.scene, pendulum.batch, motion, LEAPFROG, FRAME / 8))
+
+    assert finding.passed.all()
+
+
+def test_what_is_at_rest_may_repeat() -> None:
+    scene = ball(10)
+    facing = np.broadcast_to(rotation.IDENTITY, (1, 11, 1, 4))
+    zero = np.zeros((1, 11, 1, 3))
+    place = zero + np.array([0.0, 0.0, RADIUS])
+    motion = Trajectory(FRAME * np.arange(11), place, facing, zero, zero, (None,))
+
+    assert judged(scene, motion).figure.tolist() == [0.0]
+    spinning = dataclasses.replace(motion, angular_velocity=zero + np.array([0.0, 0.0, 0.2]))
+    finding = judged(scene, spinning)
+    assert not finding.passed.any()
+    assert finding.where[0].endswith("turn of ball")
+
+
+def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
+    velocity = pendulum.exact.velocity.copy()
+    velocity[0, 9:] = np.nan
+    velocity[1, 1:] = np.nan
+    velocity[2] = np.nan
+    with np.errstate(all="raise"):
+        finding = of_case(pendulum, dataclasses.replace(pendulum.exact, velocity=velocity))
+
+    assert np.isnan(finding.series[0, 9:]).all()
+    assert finding.passed.tolist() == [True, True, False]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
+    batch = draw_batch(case.scene, [0])
+    for name, method in adapter.methods.items():
+        for step in (5e-3, 1e-3):
+            if not adapter.refusals(case.scene, name):
+                motion = run(case.scene, batch, adapter.name, Settings(name, step)).trajectory
+                finding = found(Record(case.scene, batch, motion, method, step))
+                assert finding.passed.all(), (name, step, finding.figure, finding.where)
