@@ -15,6 +15,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 
 Array = NDArray[np.float64]
@@ -213,3 +214,17 @@ def test_projection_reaches_the_constraints(scene: Scene) -> None:
     assert np.abs(residual).max() < 1e-10
     assert np.abs(rate).max() < 1e-12
     np.testing.assert_allclose(np.linalg.norm(closed.native, axis=-1), 1.0, rtol=0, atol=1e-15)
+
+
+def test_a_state_that_is_none_has_no_accelerations_and_ends_nothing() -> None:
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, [0, 1])
+    dynamics = dynamics_of(Mechanism.of(scene))
+    facing = Mechanism.of(scene).native_rotation(batch.orientation)
+    bodies = BodyStates(batch.position, facing, batch.velocity, batch.angular_velocity)
+    state = dynamics.pack(bodies)
+    state[0, 1, 3:7] = np.nan
+    rate = dynamics.derivative(state, batch.force[:, 0], batch.torque[:, 0])
+
+    assert np.isnan(rate[0]).any()
+    assert np.isfinite(rate[1]).all()

@@ -158,6 +158,8 @@ class Multipliers:
     def _factorised(self, products: Array) -> tuple[Array, Indices, Array]:
         """Pivoted Cholesky factor of one state, the rows that it takes, and the scale of all."""
         rows = self.row_count
+        if not (np.isfinite(products).all() and np.isfinite(goal).all()):
+            return np.full(rows, np.nan)  # of a state that is none; LAPACK finds no rank in it
         lower = np.zeros((rows, rows + self._band))
         column = np.arange(rows)[:, None]
         lower[column, column + np.arange(self._band + 1)] = products[self._every].sum(axis=0)

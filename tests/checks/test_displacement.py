@@ -1,17 +1,19 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.displacement import displacement
+from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.engine import Adapter, Method, Settings
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
@@ -68,7 +70,7 @@ def rolled(impulses: Array, times: Array, speed: float, rate: float) -> tuple[Sc
     zero = np.zeros_like(x)
     scene = ball(len(impulses))
     motion = Trajectory(
-        FRAME * np.arange(len(rows)),
+        np.arange(len(rows)) * np.float64(FRAME),
         np.stack([x, zero, z], axis=-1)[None, :, None],
         rotation.from_vector(np.stack([zero, turn, zero], axis=-1))[None, :, None],
         np.stack([v, zero, u], axis=-1)[None, :, None],
@@ -83,7 +85,7 @@ def judged(scene: Scene, motion: Trajectory) -> Finding:
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), pushes=st.integers(1, 5), rough=st.floats(0.0, 2.0))
+@given(seed=st.integers(0, 2**32 - 1), pushes=st.integers(1, 5), rough=st.floats(0.0, 1.0))
 def test_no_course_of_contact_within_the_cone_is_blamed(
     seed: int, pushes: int, rough: float
 ) -> None:
@@ -100,7 +102,11 @@ def test_no_course_of_contact_within_the_cone_is_blamed(
     times = np.sort(draw.uniform(0.0, 1.0, up.shape), axis=1)
     scene, motion = rolled(np.stack([along, up], axis=-1), times, draw.normal(), draw.normal())
 
-    assert judged(scene, motion).passed.all()
+    record = Record(scene, draw_batch(scene, [0]), motion, RK4, 1e-3)
+    (push,) = pushes_of(record)
+    assume(push.reach.all())
+
+    assert found(record).passed.all()
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +161,7 @@ def told_to_twist(motion: Trajectory, rate: float = 0.1) -> Trajectory:
     return dataclasses.replace(motion, angular_velocity=spin)
 
 
-FAULTS = {
+FAULTS: dict[str, Callable[[Trajectory], Trajectory]] = {
     "drift": drifting,
     "noise": shaken,
     "late": late,
@@ -208,7 +214,7 @@ def test_what_is_at_rest_may_repeat() -> None:
     facing = np.broadcast_to(rotation.IDENTITY, (1, 11, 1, 4))
     zero = np.zeros((1, 11, 1, 3))
     place = zero + np.array([0.0, 0.0, RADIUS])
-    motion = Trajectory(FRAME * np.arange(11), place, facing, zero, zero, (None,))
+    motion = Trajectory(np.arange(11) * np.float64(FRAME), place, facing, zero, zero, (None,))
 
     assert judged(scene, motion).figure.tolist() == [0.0]
     spinning = dataclasses.replace(motion, angular_velocity=zero + np.array([0.0, 0.0, 0.2]))

@@ -420,3 +420,17 @@ def test_a_publisher_may_add_to_the_texts(copy: Path) -> None:
 
 def test_the_table_knows_what_it_is_about(few: Path) -> None:
     assert Held.read(few / SHARD).arrays["check/name"].tolist() == list(CHECKS)
+
+
+def test_a_file_from_before_a_check_was_added_is_sound(copy: Path) -> None:
+    def forget(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del attributes
+        kept = [name not in ("displacement", "gap rate") for name in arrays["check/name"]]
+        for name in ("check/name", "check/unit"):
+            arrays[name] = arrays[name][kept]
+        for name in ("check/figure", "check/allowed", "check/frame"):
+            arrays[name] = arrays[name][:, kept]
+
+    _rewrite(copy / SHARD, forget)
+
+    assert _problems(_verify(copy / SHARD)) == []
