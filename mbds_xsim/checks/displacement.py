@@ -32,6 +32,9 @@ _POSE = 1.5  # times the responses at the reference pose, of bodies that joints 
 _LASTING = 0.5  # of the same, where the ground carries the weight steadily (0.02 is needed)
 _FLOOR = 1e-3  # of the largest speed of the trajectory: solvers' tolerances
 _LAG = 3.0  # turning bodies' places do not lag, and accelerations of both kinds may cancel
+_METHOD = (
+    5.0  # of second differences, times (step/frame)²: a method's own error, as in `kinematics`
+)
 _LATE = 0.5  # of a frame; what is late by a whole one must show
 _SYSTEMATIC = 0.5  # of the allowance for bending, in the mean over a trajectory
 _STEADY = 0.1  # of the floor, in the same
@@ -84,6 +87,8 @@ class _Residual:
     """What contact may do besides, shape as bend."""
     floor: Array
     """Resolution, shape (trajectory, 1, 1)."""
+    share: float
+    """Of a frame that a step takes: what a method leaves does not average out."""
 
     @staticmethod
     def of_places(record: Record) -> _Residual:
@@ -105,7 +110,7 @@ class _Residual:
         return _residual(record, left, spin, 1.0 / record.scene.length, hidden)
 
     def with_left(self, left: Array) -> _Residual:
-        return _Residual(left, self.gained, self.bend, self.hidden, self.floor)
+        return _Residual(left, self.gained, self.bend, self.hidden, self.floor, self.share)
 
     @functools.cached_property
     def allowed(self) -> Array:
@@ -127,7 +132,11 @@ class _Residual:
         mean = (share * left).sum(axis=1, keepdims=True)
         error = np.sqrt((share**2 * rotation.norm(left - mean)[..., None] ** 2).sum(axis=(1, 3)))
         bend = (share[..., 0] * np.nan_to_num(self.bend)).sum(axis=1)
-        limit = _SYSTEMATIC * bend + _ERRORS * error + _STEADY * self.floor[:, 0]
+        limit = (
+            (_SYSTEMATIC + self.share / 2) * bend
+            + _ERRORS * error
+            + (_STEADY + self.share) * self.floor[:, 0]
+        )
         return _at_end(np.asarray(known.any(axis=2)), rotation.norm(mean[:, 0]) / limit)
 
 
@@ -137,7 +146,9 @@ def _residual(
     gained = np.diff(velocity, axis=1)
     left = left + record.lag / record.frame * gained
     change = rotation.norm(np.diff(np.pad(gained, _ENDS, mode="edge"), axis=1))
-    bend = _BEND * _window(np.maximum(change[:, 1:], change[:, :-1]))
+    share = (record.step or 0.0) / record.frame
+    own = min(_METHOD * share**2, _BEND)
+    bend = (_BEND + own) * _window(np.maximum(change[:, 1:], change[:, :-1]))
     fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
     bend = bend + _LAG * abs(record.lag) / record.frame * fastest
     repeats = (np.diff(record.bodies.position, axis=1) == 0.0).all(axis=-1)
@@ -151,6 +162,7 @@ def _residual(
         np.where(repeats, 0.0, bend),
         np.where(repeats, 0.0, hidden),
         np.maximum(floor, np.finfo(float).tiny),
+        share,
     )
 
 

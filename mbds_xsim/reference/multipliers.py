@@ -148,6 +148,8 @@ class Multipliers:
 
     def solve_anew(self, jacobian: Array, goal: Array) -> tuple[Array, float]:
         """Solve for one state, with rows that are independent there."""
+        if not (np.isfinite(jacobian).all() and np.isfinite(goal).all()):
+            return np.full(self.row_count, np.nan), 0.0  # no state; LAPACK would find no rank
         factor, chosen, scale = self._factorised(_products(jacobian[None])[0])
         part, _ = lapack.dpotrs(factor, (scale * goal[self._row_at])[chosen], lower=1)
         answer = np.zeros(self.row_count)
@@ -158,8 +160,6 @@ class Multipliers:
     def _factorised(self, products: Array) -> tuple[Array, Indices, Array]:
         """Pivoted Cholesky factor of one state, the rows that it takes, and the scale of all."""
         rows = self.row_count
-        if not (np.isfinite(products).all() and np.isfinite(goal).all()):
-            return np.full(rows, np.nan)  # of a state that is none; LAPACK finds no rank in it
         lower = np.zeros((rows, rows + self._band))
         column = np.arange(rows)[:, None]
         lower[column, column + np.arange(self._band + 1)] = products[self._every].sum(axis=0)
