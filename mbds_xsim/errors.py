@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+
 
 class InputError(Exception):
     """What was given cannot be used. The command line prints the one line and exits with 2."""
@@ -17,7 +19,9 @@ class UnknownName(InputError):
     @classmethod
     def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
         """Say what was asked for and what there is."""
-        return cls(f"no {what} is called {got!r}; there are: {', '.join(allowed) or 'none'}")
+        near = difflib.get_close_matches(got, allowed, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        return cls(f"no {what} is called {got!r}{hint}; there are: {', '.join(allowed) or 'none'}")
 
 
 class EngineMissing(InputError):

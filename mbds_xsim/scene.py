@@ -16,7 +16,7 @@ from collections import Counter
 from typing import Literal
 
 from mbds_xsim import bounds
-from mbds_xsim.errors import SceneError
+from mbds_xsim.errors import SceneError, UnknownName
 from mbds_xsim.neutral import Neutral
 from mbds_xsim.sampling_terms import Draw, Roll, Throw
 
@@ -418,8 +418,8 @@ class Scene(Neutral):
 
 def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> None:
     if got not in allowed:
-        listed = ", ".join(sorted(allowed)[:12]) + (", …" if len(allowed) > 12 else "")
-        msg = f"{where}: no {what} is called {got!r}; there are: {listed or 'none'}"
+        listed = sorted(allowed)[:12] + ["…"] * (len(allowed) > 12)
+        msg = f"{where}: {UnknownName.of(what, got, listed)}"
         raise SceneError(msg)
 
 

@@ -14,6 +14,7 @@ from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
 from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.choice import Choice
 from mbds_xsim.convergence import refine
+from mbds_xsim.counted import counted
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
@@ -90,7 +91,7 @@ def validate_with_evidence(
         matrix_m=matrix,
         odd_one_out=odd,
         versions=_versions(results),
-        machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         ensembles=_ensembles(scene, batch, rows, reference),
         fingerprint=fingerprint(scene),
     )

@@ -14,8 +14,8 @@ from mbds_xsim.commands.shared import (
     SceneNames,
     Seed,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     encoded,
@@ -27,9 +27,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["ablate"]
 
 
-@app.command(
+@command(
+    "study",
     epilog="Examples:  mbds-xsim ablate 3ladder  ·  "
-    "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md"
+    "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md",
 )
 def ablate(
     scenes: SceneNames,

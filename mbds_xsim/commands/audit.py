@@ -9,8 +9,8 @@ import typer
 
 from mbds_xsim.commands.shared import (
     JsonFile,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     scene_named,
@@ -20,9 +20,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["audit"]
 
 
-@app.command(
+@command(
+    "data",
     epilog="Examples:  mbds-xsim audit lab.csv --scene 6pendulum  ·  "
-    "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0"
+    "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0",
 )
 def audit(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],

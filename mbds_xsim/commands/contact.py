@@ -11,8 +11,8 @@ from mbds_xsim.commands.shared import (
     EngineNames,
     JsonFile,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     encoded,
@@ -23,9 +23,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["contact"]
 
 
-@app.command(
+@command(
+    "study",
     epilog="Examples:  mbds-xsim contact --engines dart  ·  "
-    "mbds-xsim contact --markdown docs/contact.md --figures docs/images"
+    "mbds-xsim contact --markdown docs/contact.md --figures docs/images",
 )
 def contact(
     engines: EngineNames = None,

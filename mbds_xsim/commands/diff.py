@@ -9,8 +9,8 @@ import typer
 
 from mbds_xsim.commands.shared import (
     JsonFile,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     write_json,
@@ -19,9 +19,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["diff"]
 
 
-@app.command(
+@command(
+    "check",
     epilog="Examples:  mbds-xsim diff reports/3ladder.json new.json  ·  "
-    "mbds-xsim diff before.json after.json --markdown changes.md"
+    "mbds-xsim diff before.json after.json --markdown changes.md",
 )
 def diff(
     old: Annotated[Path, typer.Argument(metavar="OLD", help="JSON of the earlier result.")],

@@ -9,8 +9,8 @@ import typer
 
 from mbds_xsim.commands.shared import (
     JsonFile,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     progress_on,
@@ -20,9 +20,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["export"]
 
 
-@app.command(
+@command(
+    "data",
     epilog="Examples:  mbds-xsim export data --out npz --format npz  ·  "
-    "mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9"
+    "mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9",
 )
 def export(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="A data file or folder.")],
@@ -37,6 +38,7 @@ def export(
     json: JsonFile = None,
 ) -> None:
     """Write data sets in a form that any program reads, and say what it does not carry."""
+    from mbds_xsim.counted import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.numbers import parse_numbers
 
@@ -46,7 +48,8 @@ def export(
     with progress_on(console) as progress:
         done = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
     console.print(
-        f"{done.trajectories} trajectories in {done.files} files, {done.bytes / 1e6:.4g} MB, "
+        f"{counted(done.trajectories, 'trajectory')} in "
+        f"{counted(done.files, 'file')}, {done.bytes / 1e6:.4g} MB, "
         f"written to {done.out}",
         highlight=False,
         soft_wrap=True,

@@ -14,8 +14,8 @@ from mbds_xsim.commands.shared import (
     SceneNames,
     Seed,
     WorkerCount,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     scene_named,
@@ -26,9 +26,10 @@ from mbds_xsim.errors import InputError
 __all__ = ["generate"]
 
 
-@app.command(
+@command(
+    "data",
     epilog="Examples:  mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data"
-    "  ·  run it again after any interruption, and it goes on"
+    "  ·  run it again after any interruption, and it goes on",
 )
 def generate(
     scenes: SceneNames,

@@ -9,8 +9,8 @@ import typer
 
 from mbds_xsim.commands.shared import (
     JsonFile,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     write_json,
@@ -20,9 +20,10 @@ from mbds_xsim.errors import InputError
 __all__ = ["inspect"]
 
 
-@app.command(
+@command(
+    "data",
     epilog="Examples:  mbds-xsim inspect data  ·  "
-    "mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png"
+    "mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png",
 )
 def inspect(
     path: Annotated[Path, typer.Argument(metavar="FILE|DIR", help="A data file or a folder.")],

@@ -10,8 +10,8 @@ import typer
 from mbds_xsim.commands.shared import (
     JsonFile,
     SceneName,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     scene_named,
@@ -22,7 +22,7 @@ from mbds_xsim.errors import InputError
 __all__ = ["engines", "scenes", "show"]
 
 
-@app.command()
+@command("check")
 def engines(
     json: JsonFile = None,
     markdown: Annotated[
@@ -46,7 +46,7 @@ def engines(
     write_json(encoded(rows), json)
 
 
-@app.command()
+@command("check")
 def scenes(json: JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
     from mbds_xsim.catalogue import scene_rows
@@ -58,9 +58,10 @@ def scenes(json: JsonFile = None) -> None:
     write_json(encoded(rows), json)
 
 
-@app.command(
+@command(
+    "check",
     epilog="Examples:  mbds-xsim show 3ladder --png ladder.png  ·  "
-    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml"
+    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml",
 )
 def show(
     scene: SceneName,

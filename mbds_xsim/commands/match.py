@@ -13,8 +13,8 @@ from mbds_xsim.commands.shared import (
     JsonFile,
     SceneNames,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     encoded,
@@ -26,9 +26,10 @@ from mbds_xsim.errors import InputError
 __all__ = ["match"]
 
 
-@app.command(
+@command(
+    "study",
     epilog="Examples:  mbds-xsim match 3ladder  ·  "
-    "mbds-xsim match my.toml --out my-settings.toml --engines mujoco"
+    "mbds-xsim match my.toml --out my-settings.toml --engines mujoco",
 )
 def match(
     scenes: SceneNames,

@@ -10,8 +10,8 @@ from mbds_xsim.commands.shared import (
     EngineNames,
     JsonFile,
     SceneName,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     progress_on,
@@ -22,9 +22,10 @@ from mbds_xsim.commands.shared import (
 __all__ = ["plan"]
 
 
-@app.command(
+@command(
+    "data",
     epilog="Examples:  mbds-xsim plan 6pendulum --trajectories 1000000000  ·  "
-    "mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64"
+    "mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64",
 )
 def plan(
     scene: SceneName,

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from mbds_xsim.commands.help import Chapter, Command, Commands
 from mbds_xsim.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ __all__ = [
     "WorkerCount",
     "app",
     "check_targets",
+    "command",
     "command_line",
     "console_for",
     "encoded",
@@ -40,26 +43,63 @@ __all__ = [
     "write_json",
 ]
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 _WRITES = ("--json", "--html", "--markdown", "--png", "--rollouts", "--csv", "--figures", "--out")
 
 app = typer.Typer(
     name="mbds-xsim",
     help="Multibody simulation data you can trust: one scene, four engines, cross-checked.",
-    add_completion=False,
+    cls=Commands,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+def command(chapter: Chapter, epilog: str | None = None) -> Callable[[F], F]:
+    """Add a function to the command line."""
+    return app.command(cls=Command, rich_help_panel=chapter, epilog=epilog)
+
+
+def _complete_scene(incomplete: str) -> list[str]:
+    from mbds_xsim.registry import scene_names
+
+    return [name for name in scene_names() if name.startswith(incomplete)]
+
+
+def _complete_engines(incomplete: str) -> list[str]:
+    """Go on with the last of some names between commas."""
+    from mbds_xsim.registry import engine_names
+
+    before, comma, last = incomplete.rpartition(",")
+    names = [name for name in engine_names() if name not in before.split(",")]
+    return [f"{before}{comma}{name}" for name in names if name.startswith(last)]
+
+
 SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A built-in name, a family with a size, or a file.")
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A built-in name, a family with a size, or a file.",
+        autocompletion=_complete_scene,
+    ),
 ]
 SceneNames = Annotated[
     list[str],
-    typer.Argument(metavar="SCENE…", help="Built-in names, families with a size, or files."),
+    typer.Argument(
+        metavar="SCENE…",
+        help="Built-in names, families with a size, or files.",
+        autocompletion=_complete_scene,
+    ),
 ]
 EngineNames = Annotated[
-    str | None, typer.Option(help="Comma-separated; all installed when left out.")
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="Comma-separated; all installed when left out.",
+        autocompletion=_complete_engines,
+    ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of starts and inputs.", min=0)]
 CacheUse = Annotated[bool, typer.Option(help="Use stored reference solutions.")]

@@ -12,8 +12,8 @@ from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,
     JsonFile,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     encoded,
@@ -27,9 +27,10 @@ _MODELS = typer.Argument(metavar="MODELS", help="Folder that train has written."
 _DATA = typer.Argument(metavar="DATA", help="Folder that generate has written.")
 
 
-@app.command(
+@command(
+    "learn",
     epilog="Examples:  mbds-xsim shift models data --html shift.html  ·  "
-    "mbds-xsim shift models data --scene 6pendulum --json - --workers 2"
+    "mbds-xsim shift models data --scene 6pendulum --json - --workers 2",
 )
 def shift(
     models: Annotated[Path, _MODELS],

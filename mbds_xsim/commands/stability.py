@@ -12,8 +12,8 @@ from mbds_xsim.commands.shared import (
     CacheUse,
     JsonFile,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     write_json,
@@ -28,10 +28,11 @@ __all__ = ["stability"]
 T = TypeVar("T")
 
 
-@app.command(
+@command(
+    "study",
     epilog="Examples:  mbds-xsim stability --list  ·  mbds-xsim stability stiffness --png map.png"
     "  ·  mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01"
-    "  ·  mbds-xsim stability pace links --models models/6pendulum --engines none"
+    "  ·  mbds-xsim stability pace links --models models/6pendulum --engines none",
 )
 def stability(
     studies: Annotated[

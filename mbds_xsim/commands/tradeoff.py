@@ -15,8 +15,8 @@ from mbds_xsim.commands.shared import (
     SceneNames,
     Seed,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     scene_named,
@@ -31,10 +31,11 @@ if TYPE_CHECKING:
 __all__ = ["tradeoff"]
 
 
-@app.command(
+@command(
+    "study",
     epilog="Examples:  mbds-xsim tradeoff 3ladder --html ladder.html  ·  "
     "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv  ·  "
-    "mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png"
+    "mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png",
 )
 def tradeoff(
     scenes: SceneNames,

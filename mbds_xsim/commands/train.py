@@ -14,8 +14,8 @@ from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,
     JsonFile,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     write_json,
@@ -70,10 +70,11 @@ _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what Te
 _Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")]
 
 
-@app.command(
+@command(
+    "learn",
     epilog="Examples:  mbds-xsim train data --models gns,sgnn --on each,all --plan  ·  "
     "mbds-xsim train data/6pendulum --on each,leave-one-out,all --out models  ·  "
-    "run it again after any interruption, and it goes on"
+    "run it again after any interruption, and it goes on",
 )
 def train(
     data: _Data,

@@ -14,8 +14,8 @@ from mbds_xsim.commands.shared import (
     SceneName,
     Seed,
     WorkerCount,
-    app,
     check_targets,
+    command,
     command_line,
     console_for,
     progress_on,
@@ -26,8 +26,9 @@ from mbds_xsim.commands.shared import (
 __all__ = ["validate"]
 
 
-@app.command(
-    epilog="Examples:  mbds-xsim validate 3ladder  ·  mbds-xsim validate my.toml --engines mujoco"
+@command(
+    "check",
+    epilog="Examples:  mbds-xsim validate 3ladder  ·  mbds-xsim validate my.toml --engines mujoco",
 )
 def validate(
     scene: SceneName,

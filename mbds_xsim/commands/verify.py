@@ -10,8 +10,8 @@ import typer
 from mbds_xsim.commands.shared import (
     JsonFile,
     WorkerCount,
-    app,
     check_targets,
+    command,
     console_for,
     encoded,
     progress_on,
@@ -21,8 +21,9 @@ from mbds_xsim.commands.shared import (
 __all__ = ["verify"]
 
 
-@app.command(
-    epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5"
+@command(
+    "data",
+    epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5",
 )
 def verify(
     path: Annotated[

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.study.ablate_result import Ablation, Row, Size
 
@@ -91,7 +92,7 @@ def judge_line(ablation: Ablation) -> str:
     """Say what simulated the scene with and without each effect, and for how long."""
     low, high = (quantity.span(value) for value in ablation.judged_s)
     span = high if low == high else f"{low} to {high}"
-    text = f"{ablation.judge}, {len(ablation.trajectories)} starts compared over {span}"
+    text = f"{ablation.judge}, {counted(len(ablation.trajectories), 'start')} compared over {span}"
     return f"{text}; then {ablation.ends}" if ablation.ends else text
 
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mbds_xsim.counted import counted
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.report import quantity
 from mbds_xsim.result import FindingResult
@@ -18,10 +19,11 @@ __all__ = ["print_audited"]
 
 def print_audited(audited: Audited, console: Console) -> None:
     """Print the checks that ran, what was taken for granted, what failed, what did not run."""
-    many = "trajectory" if audited.trajectories == 1 else "trajectories"
     console.print(
-        f"{audited.file}: {audited.scene}, {audited.trajectories} {many} of {audited.steps} steps "
-        f"of {audited.frame_s:g} s; given: {', '.join(audited.given)}",
+        f"{audited.file}: {audited.scene}, "
+        f"{counted(audited.trajectories, 'trajectory')} of "
+        f"{counted(audited.steps, 'step')} of {audited.frame_s:g} s; "
+        f"given: {', '.join(audited.given)}",
         highlight=False,
         soft_wrap=True,
     )
@@ -38,7 +40,11 @@ def print_audited(audited: Audited, console: Console) -> None:
             soft_wrap=True,
         )
     passed = audited.verdict == "pass"
-    verdict = "every check that ran holds" if passed else f"{len(audited.reasons)} checks fail"
+    verdict = (
+        "every check that ran holds"
+        if passed
+        else f"{counted(len(audited.reasons), 'check')} out of budget"
+    )
     console.print(Text(verdict, style="bold green" if passed else "bold red"))
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.assembly import Start
 from mbds_xsim.catalogue import scene_row
+from mbds_xsim.counted import counted
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.projection import View, outline, point_of, pose_of
@@ -361,17 +362,13 @@ def _title(figure: Any, scene: Scene, start: int | None) -> None:
         figure.text(0.04, 1 - 0.5 / height, in_figure(scene.description), fontsize=9)
     counts = " · ".join(
         [
-            _count(row.bodies, "body", "bodies"),
-            _count(row.particles, "particle"),
+            counted(row.bodies, "body"),
+            counted(row.particles, "particle"),
             f"{mass:.4g} kg",
-            _count(row.joints, "joint"),
-            _count(row.loops, "loop"),
-            _count(row.degrees_of_freedom, "degree of freedom", "degrees of freedom"),
+            counted(row.joints, "joint"),
+            counted(row.loops, "loop"),
+            counted(row.degrees_of_freedom, "degree of freedom", "degrees of freedom"),
             pose,
         ]
     )
     figure.text(0.04, 1 - 0.7 / height, counts, fontsize=8, color=_GREY)
-
-
-def _count(number: int, one: str, several: str = "") -> str:
-    return f"{number} {one if number == 1 else several or one + 's'}"

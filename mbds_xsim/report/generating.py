@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mbds_xsim.counted import counted
 from mbds_xsim.dataset.generate import Generated
 from mbds_xsim.report.bar import Bar
 
@@ -60,6 +61,6 @@ def print_counts(generated: Generated, console: Console) -> None:
         console.print(f"{pair} left out: {reason}", highlight=False)
     rate = generated.made / generated.wall_s
     console.print(
-        f"{generated.made} trajectories made in {generated.wall_s:.1f} s ({rate:.3g}/s)",
+        f"{counted(generated.made, 'trajectory')} made in {generated.wall_s:.1f} s ({rate:.3g}/s)",
         highlight=False,
     )

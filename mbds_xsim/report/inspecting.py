@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mbds_xsim.counted import counted
 from mbds_xsim.dataset.summary import Range, Summary
 from mbds_xsim.report import quantity
 
@@ -33,7 +34,8 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
         (
             "scene",
             f"{summary.scene}: {summary.description or 'no description'}; {summary.dimension}D, "
-            f"{summary.bodies} bodies, {summary.points} points, {summary.steps} steps of "
+            f"{counted(summary.bodies, 'body')}, {counted(summary.points, 'point')}, "
+            f"{counted(summary.steps, 'step')} of "
             f"{summary.frame_s:g} s",
         ),
         (
@@ -47,7 +49,7 @@ def _lines(summary: Summary) -> list[tuple[str, str]]:
             f"{summary.published} published and {summary.rejected} rejected of {summary.drawn}"
             + (f": {causes}" if causes else ""),
         ),
-        ("on disk", f"{summary.bytes / 1e6:.4g} MB in {summary.shards} shards"),
+        ("on disk", f"{summary.bytes / 1e6:.4g} MB in {counted(summary.shards, 'shard')}"),
     ]
 
 

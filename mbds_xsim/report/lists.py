@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mbds_xsim.catalogue import EngineRow, SceneRow, by_reason
+from mbds_xsim.counted import counted
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling_terms import INTERVALS, Levels
 from mbds_xsim.scene import Scene
@@ -67,11 +68,13 @@ def print_scene(scene: Scene, row: SceneRow, console: Console) -> None:
     lines = [
         Text.assemble((scene.name, "bold"), f"  {scene.description}"),
         *([f"source: {scene.source}"] if scene.source else []),
-        f"{row.bodies} bodies, {row.particles} particles, {mechanism.mass.sum():g} kg, "
-        f"{row.degrees_of_freedom} degrees of freedom, {scene.dimension}D",
-        f"{row.joints} joints; loops closed by: "
+        f"{counted(row.bodies, 'body')}, {counted(row.particles, 'particle')}, "
+        f"{mechanism.mass.sum():g} kg, "
+        f"{counted(row.degrees_of_freedom, 'degree of freedom', 'degrees of freedom')}, "
+        f"{scene.dimension}D",
+        f"{counted(row.joints, 'joint')}; loops closed by: "
         + (", ".join(joint.name for joint in mechanism.loops) or "none"),
-        f"{clock.steps} steps of {clock.frame:g} s ({clock.duration:g} s); length "
+        f"{counted(clock.steps, 'step')} of {clock.frame:g} s ({clock.duration:g} s); length "
         f"{scene.length:g} m; noise {scene.noise:g} N",
         f"needs: {', '.join(row.needs) or 'nothing'}",
         *(f"draws {_term(term)}" for term in scene.sampling),

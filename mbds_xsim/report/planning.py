@@ -6,6 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from mbds_xsim.counted import counted
 from mbds_xsim.dataset.estimate import Estimate, Plan
 from mbds_xsim.report import quantity
 
@@ -19,9 +20,8 @@ _NUMBERS = ("each", "simulate", "check", "core-h", "wall", "size")
 def print_plan(plan: Plan, console: Console) -> None:
     """Print one line an engine."""
     console.print(
-        f"{plan.scene}: {plan.trajectories:,} trajectories on {plan.workers} cores".replace(
-            ",", " "
-        ),
+        f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on "
+        f"{counted(plan.workers, 'core')}",
         highlight=False,
     )
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold")

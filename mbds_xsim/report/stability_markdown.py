@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report import stability_summary as summary
 from mbds_xsim.safe_text import as_code, in_markdown, sentence
@@ -32,8 +33,9 @@ def _lines(sweep: Sweep) -> list[str]:
         *([f"- Trained models: {summary.learned_told(sweep)}"] * bool(summary.learned_told(sweep))),
         *(f"- {name} left out: {reason}" for name, reason in sweep.left_out.items()),
         *(f"- No reference at {name}: {reason}" for name, reason in sweep.unknown.items()),
-        f"- Made by {as_code(sweep.command)} on {sweep.machine}, {sweep.workers} processes at a "
-        f"time, in {quantity.span(sweep.wall_s)}, with {versions}",
+        f"- Made by {as_code(sweep.command)} on {sweep.machine}, "
+        f"{counted(sweep.workers, 'process')} at a time, "
+        f"in {quantity.span(sweep.wall_s)}, with {versions}",
         "",
     ]
 

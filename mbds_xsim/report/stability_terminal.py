@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report import stability_summary as summary
 from mbds_xsim.study.stability.definition import Study, text_of
@@ -55,7 +56,7 @@ def print_sweep(sweep: Sweep, console: Console) -> None:
         _remark(console, f"{name} left out", reason)
     for name, reason in sweep.unknown.items():
         _remark(console, f"no reference at {name}", reason)
-    made = f"{sweep.measured} cells measured, {sweep.kept} kept from earlier"
+    made = f"{counted(sweep.measured, 'cell')} measured, {sweep.kept} kept from earlier"
     _remark(console, "made", f"{made}, {quantity.span(sweep.wall_s)} on {sweep.machine}")
     console.print()
     console.print(Text.assemble((sweep.study, "bold"), f": {summary.conclusion(sweep)}"))

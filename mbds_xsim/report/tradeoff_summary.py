@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.study.rows import CurveResult, Point, Ratio, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
@@ -153,7 +154,7 @@ def options_that_pay(study: Tradeoff) -> list[str]:
 
 def machine_told(study: Tradeoff) -> str:
     """Say where times were taken, and whether anything else ran there."""
-    told = f"{study.machine}, {study.workers} processes at a time"
+    told = f"{study.machine}, {counted(study.workers, 'process')} at a time"
     if study.busy < BUSY:
         return told
     return (

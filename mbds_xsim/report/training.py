@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mbds_xsim.counted import counted
 from mbds_xsim.report.bar import Bar
 
 if TYPE_CHECKING:
@@ -88,8 +89,9 @@ def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console
         table.add_row(cost.group, cost.model, *map(str, numbers))
     console.print(table)
     console.print(
-        f"{len(campaign.runs)} runs, at most {total:.3g} h of one process, {total / workers:.3g} h "
-        f"with {workers}; measured on a few steps, runs that are level end before",
+        f"{counted(len(campaign.runs), 'run')}, at most {total:.3g} h of one process, "
+        f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
+        "that are level end before",
         highlight=False,
         soft_wrap=True,
     )
@@ -126,8 +128,8 @@ def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> Non
         f"{sum(fact.get('ended') == way for fact in facts)} {words}" for way, words in ways.items()
     ]
     console.print(
-        f"{len(facts)} runs done, {len(campaign.found)} of them before, {len(outcome.failed)} "
-        f"failed; {', '.join(counts)}",
+        f"{counted(len(facts), 'run')} done, {len(campaign.found)} of them before, "
+        f"{len(outcome.failed)} failed; {', '.join(counts)}",
         highlight=False,
         soft_wrap=True,
     )

@@ -7,6 +7,7 @@ from collections import Counter
 from rich.console import Console
 from rich.text import Text
 
+from mbds_xsim.counted import counted
 from mbds_xsim.dataset.verify import Verified
 
 __all__ = ["print_verified"]
@@ -30,9 +31,15 @@ def print_verified(verified: Verified, console: Console) -> None:
         console.print(f"  simulated again: chosen by --seed {verified.seed}", highlight=False)
     checked = sum(r.trajectories for r in verified.files if r.kind in ("shard", "rejected"))
     style = "bold green" if verified.sound else "bold red"
-    verdict = "everything holds what it says" if verified.sound else f"{len(problems)} problems"
+    verdict = (
+        "everything holds what it says" if verified.sound else counted(len(problems), "problem")
+    )
     console.print(
-        Text(f"{len(verified.files)} files, {checked} trajectories checked: {verdict}", style=style)
+        Text(
+            f"{counted(len(verified.files), 'file')}, "
+            f"{counted(checked, 'trajectory')} checked: {verdict}",
+            style=style,
+        )
     )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.choice import Choice, Contender
+from mbds_xsim.counted import counted
 from mbds_xsim.engine import ModelSize
 from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.result import Validation
@@ -113,7 +114,7 @@ def _result(
         trajectories=validation.trajectories,
         seed=validation.seed,
         versions=validation.versions,
-        machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         command=command,
         wall_s=wall_s,
     )

@@ -12,6 +12,7 @@ import msgspec
 from mbds_xsim import registry
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.choice import Choice
+from mbds_xsim.counted import counted
 from mbds_xsim.engine import ContactLaw, Profile
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.study.contact_bench import Measured
@@ -102,6 +103,6 @@ def study_contact(
         figures=tuple(m for _, part in told if not isinstance(part, Crash) for m in part),
         missing=tuple(Missing(*w, part.reason) for w, part in told if isinstance(part, Crash)),
         command=command,
-        machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         wall_s=time.perf_counter() - begin,
     )

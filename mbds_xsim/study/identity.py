@@ -13,6 +13,7 @@ import msgspec
 
 import mbds_xsim
 from mbds_xsim import registry
+from mbds_xsim.counted import counted
 from mbds_xsim.engine import Settings
 from mbds_xsim.reference.cache import key_of
 from mbds_xsim.scene import Scene
@@ -50,7 +51,8 @@ def row_key(scene: Scene, start: Batch, engine: str, settings: Settings) -> str:
 @functools.cache
 def machine() -> str:
     """Processor, cores and system."""
-    return f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}"
+    cores = counted(os.cpu_count(), "core")
+    return f"{_processor()}, {cores}, {platform.system()} {platform.machine()}"
 
 
 def _processor() -> str:
