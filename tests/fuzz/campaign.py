@@ -28,13 +28,10 @@ from mbds_xsim.errors import InputError
 __all__ = ["CASES", "Ended", "cases_of", "fuzz", "refused", "run_command"]
 
 CASES = {
-    "hdf5": 110,
-    "npz": 50,
-    "csv": 50,
-    "scene": 90,
+    "hdf5": 150,
+    "npz": 60,
+    "csv": 60,
     "model": 30,
-    "plugin": 8,
-    "dask": 2,
 }
 """Cases of each campaign by default: how quick a case is decides how many there are."""
 

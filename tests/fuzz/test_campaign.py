@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from tests.fuzz.campaign import CASES, TooLong, cases_of, fuzz, run_command
 
 
 def test_there_are_as_many_cases_as_promised() -> None:
+    tests = [path.read_text("utf-8") for path in Path(__file__).parent.glob("test_*_files.py")]
+    assert set(re.findall(r'@fuzz\(\s*"(\w+)"', "".join(tests))) == CASES.keys()
     assert sum(CASES.values()) >= 300
     assert sum(map(cases_of, CASES)) >= campaign._ALL
 
