@@ -493,13 +493,19 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
     [
         (["nothing"], "nothing: there is no such file or folder"),
         (["empty"], "empty holds no data set; name a folder that mbds-xsim generate has finished"),
-        (["DATA", "--models", "gsn"], "is called 'gsn', did you mean 'gns'?; there are: gns, sgnn,"),
+        (
+            ["DATA", "--models", "gsn"],
+            "is called 'gsn', did you mean 'gns'?; there are: gns, sgnn,",
+        ),
         (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),
         (["ONE", "--on", "all"], "--on: all needs data of at least 2 engines"),
         (["ONE", "COPY"], "are both 2pendulum of mujoco native; give one of them"),
         (["ONE", "OTHER"], "the seed of pybullet is not that of mujoco, so their trajectories"),
-        (["DATA", "--profile", "light"], "is called 'light', did you mean 'lite'?; there are: smoke, lite,"),
+        (
+            ["DATA", "--profile", "light"],
+            "is called 'light', did you mean 'lite'?; there are: smoke, lite,",
+        ),
         (["DATA", "--track", "fast"], "--track: got 'fast', allowed is paper, native, lite"),
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
         (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
