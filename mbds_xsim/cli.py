@@ -1,4 +1,7 @@
-"""The command line: how a run of it ends, and what it says then."""
+"""The command line: how a run of it ends, and what it says then.
+
+What takes time to import is imported by `main`, when an interruption is already answered.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +9,26 @@ import io
 import os
 import signal
 import sys
-from importlib.metadata import version
-from typing import Annotated
+from importlib import import_module
+from types import FrameType
 
-import typer
-
-from mbds_xsim import commands
-from mbds_xsim.commands.shared import app
 from mbds_xsim.errors import InputError
 
-__all__ = ["app", "commands", "main"]
+__all__ = ["main"]
 
 _INTERRUPTED = 130
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
-        print(f"mbds-xsim {version('mbds-xsim')}")
-        raise typer.Exit
-
-
-_Version = Annotated[
-    bool,
-    typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version."),
-]
-
-
-@app.callback()
-def _of_all_commands(_version: _Version = False) -> None: ...
-
-
 def main() -> None:
     """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # started in the background
     # A request to end is as good as Ctrl-C: no process and no partial file may be left.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    ends = (signal.SIGTERM,) if ignored else (signal.SIGTERM, signal.SIGINT)
+    for number in ends:
+        signal.signal(number, _end_at_once)
+    import_module("mbds_xsim.commands")
+    for number in ends:
+        signal.signal(number, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -48,6 +37,10 @@ def main() -> None:
 
 def _run(words: list[str]) -> int:
     """Carry out one command line; what goes wrong is told in one line."""
+    import typer
+
+    from mbds_xsim.commands import app
+
     try:
         code = app(words, standalone_mode=False) or 0
         print(end="", flush=True)
@@ -65,7 +58,13 @@ def _run(words: list[str]) -> int:
     return _complain("interrupted", code) if code == _INTERRUPTED else int(code)
 
 
-def _usage(error: typer.TyperException) -> str:
+def _end_at_once(_number: int, _frame: FrameType | None) -> None:
+    """Nothing is begun: an exception in the midst of an import would only leave a traceback."""
+    os.write(sys.stderr.fileno(), b"mbds-xsim: interrupted\n")
+    os._exit(_INTERRUPTED)
+
+
+def _usage(error: Exception) -> str:
     """Say what is wrong with the words of a command line, and where to read on."""
     text = getattr(error, "format_message", error.__str__)()
     context = getattr(error, "ctx", None)

@@ -17,10 +17,13 @@ from mbds_xsim.commands import (
     train,
     validate,
     verify,
+    version,
 )
+from mbds_xsim.commands.shared import app
 
 __all__ = [
     "ablate",
+    "app",
     "audit",
     "contact",
     "diff",
@@ -36,4 +39,5 @@ __all__ = [
     "train",
     "validate",
     "verify",
+    "version",
 ]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +46,27 @@ def test_studies_of_engines_do_without_torch() -> None:
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 
     assert "torch" not in _loaded(f"import {modules}")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_of_the_imports_is_told_in_a_line(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    halt = f"import os, time\nos.kill(os.getpid(), {int(number)})\ntime.sleep(10)"
+    (tmp_path / "typer.py").write_text(halt)
+    program = [sys.executable, "-m", "mbds_xsim", "engines"]
+
+    ended = subprocess.run(
+        program,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+    told = (ended.returncode, ended.stdout, ended.stderr)
+    assert told == (130, "", "mbds-xsim: interrupted\n")
 
 
 _RUN = """

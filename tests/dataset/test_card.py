@@ -78,7 +78,7 @@ def test_what_a_publisher_added_stays(make: Make, tmp_path: Path) -> None:
 
 
 def test_the_commands_of_the_card_exist(two: Path) -> None:
-    from mbds_xsim.cli import app
+    from mbds_xsim.commands import app
 
     there = {command.callback.__name__ for command in app.registered_commands if command.callback}
     named = re.findall(r"`mbds-xsim (\w+)", (two / CARD).read_text("utf-8"))

@@ -20,7 +20,7 @@ import pytest
 import torch
 
 from mbds_xsim.choice import Choice
-from mbds_xsim.cli import app
+from mbds_xsim.commands import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError

@@ -14,7 +14,8 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from mbds_xsim import reference, registry
-from mbds_xsim.cli import app, main
+from mbds_xsim.cli import main
+from mbds_xsim.commands import app
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.graph import Graph
