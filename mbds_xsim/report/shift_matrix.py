@@ -59,12 +59,14 @@ def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]
 def best_formula(shift: Shift, pick: Pick, interval: str = INTERVALS[0]) -> dict[str, float]:
     """Give the least figure of the models that learn nothing, by domain, where all have one."""
     matrices = [matrix_of(shift, name, pick, interval) for name in TRIVIAL]
-    figures = zip(*(matrix.values[0] for matrix in matrices), strict=True)
-    return {
-        domain: min(x for x in row if x is not None)
-        for domain, row in zip(matrices[0].columns, figures, strict=True)
-        if None not in row
-    }
+    found: dict[str, float] = {}
+    for domain in matrices[0].columns:
+        # Where no trajectory is of the interval there is no row.
+        row = [matrix.entry(name, domain) for matrix in matrices for name in matrix.rows[:1]]
+        known = [figure for figure in row if figure is not None]
+        if len(known) == len(TRIVIAL):
+            found[domain] = min(known)
+    return found
 
 
 def at(shift: Shift, frame: int) -> Pick:

@@ -277,7 +277,7 @@ def _by_interval(shift: Shift, frame: int) -> Table:
     rows = []
     for model in trained_models(shift):
         by_interval = [matrix_of(shift, model, pick, name) for name in INTERVALS[1:]]
-        for training in by_interval[0].homes:
+        for training in matrix_of(shift, model, pick).homes:
             errors = [matrix.at_home(training) for matrix in by_interval]
             parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
             rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))

@@ -574,3 +574,21 @@ def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
     assert sorted(part.index % 3) == [0, 1, 2]
     assert [len(domain.rows) for domain in part.domains] == [3, 3]
     assert len(part.batch) == 3
+
+
+@pytest.mark.slow
+def test_fewer_test_trajectories_than_intervals_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
+    choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
+    generate(Request((scene,), choice, 10, tmp_path / "data"), workers=0, progress=Silence())
+    for training, engines in TRAININGS.items():
+        _train(tmp_path, training, engines, 0)
+    writes = [f"--{name}={tmp_path / name}" for name in ("html", "rollouts", "png", "csv")]
+
+    app(["shift", str(tmp_path / "models"), str(tmp_path / "data"), *writes], standalone_mode=False)
+
+    assert '<script type="application/json" id="data">' in (tmp_path / "html").read_text()
+    assert (tmp_path / "rollouts").read_bytes().startswith(b"\x89PNG")
