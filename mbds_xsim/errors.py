@@ -20,8 +20,8 @@ class UnknownName(InputError):
     def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
         """Say what was asked for and what there is."""
         near = difflib.get_close_matches(got, allowed, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        return cls(f"no {what} is called {got!r}{hint}; there are: {', '.join(allowed) or 'none'}")
+        hint = f"; did you mean {near[0]!r}? There are: " if near else "; there are: "
+        return cls(f"no {what} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
 
 
 class EngineMissing(InputError):

@@ -60,8 +60,8 @@ def _explain_key(unknown: bool, key: str, path: _Path, data: Mapping[str, Any]) 
     keys = _keys(kind)
     if unknown:
         near = difflib.get_close_matches(key, keys, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        return f"{where}unknown key {key!r}{hint}; allowed are {', '.join(keys)}"
+        hint = f"; did you mean {near[0]!r}? Allowed are " if near else "; allowed are "
+        return f"{where}unknown key {key!r}{hint}{', '.join(keys)}"
     given = ", ".join(map(str, table)) or "none"
     return f"{where}the key {key!r} is missing, it is {_allowed(keys[key])}; got {given}"
 

@@ -258,8 +258,8 @@ def _drop(*path: str | int) -> Edit:
 _MISTAKES: dict[str, tuple[Edit, str]] = {
     "unknown key": (
         _set("bodies", 1, "particles", 0, "masss", to=1.0),
-        "bodies[1].particles[0] (in 'knob'): unknown key 'masss', did you mean 'mass'?; "
-        "allowed are position, mass, inertia",
+        "bodies[1].particles[0] (in 'knob'): unknown key 'masss'; did you mean 'mass'? "
+        "Allowed are position, mass, inertia",
     ),
     "unknown table": (_set("walls", to=[]), "unknown key 'walls'; allowed are name, bodies, "),
     "wrong type": (

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import shutil
 from pathlib import Path
 
+import h5py
 import msgspec
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from mbds_xsim.report.inspecting import print_summary
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.paths import draw_paths
 from tests.dataset.conftest import Make
+from tests.fuzz.campaign import run_command
 
 SET = "1pendulum/mujoco-matched"
 
@@ -94,3 +97,19 @@ def test_the_picture_shows_the_paths(whole: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.png"
     draw_paths(load_dataset(whole / f"{SET}.h5"), again)
     assert again.read_bytes() == target.read_bytes()
+
+
+@pytest.mark.parametrize("text", ["name = [", 'name = "rod"', "\x1b[31m = 1"])
+def test_a_scene_text_that_cannot_be_read_is_one_line(
+    whole: Path, tmp_path: Path, text: str
+) -> None:
+    damaged = tmp_path / "damaged.h5"
+    shutil.copy(whole / f"{SET}/0000000600.h5", damaged)
+    with h5py.File(damaged, "a") as file:
+        file.attrs["scene"] = text
+
+    ended = run_command("inspect", damaged)
+
+    assert ended.code == 2
+    assert ended.err.startswith(f"mbds-xsim: {damaged}: ")
+    assert "scene" in ended.err

@@ -495,7 +495,7 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (["empty"], "empty holds no data set; name a folder that mbds-xsim generate has finished"),
         (
             ["DATA", "--models", "gsn"],
-            "is called 'gsn', did you mean 'gns'?; there are: gns, sgnn,",
+            "is called 'gsn'; did you mean 'gns'? There are: gns, sgnn,",
         ),
         (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),
@@ -504,7 +504,7 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (["ONE", "OTHER"], "the seed of pybullet is not that of mujoco, so their trajectories"),
         (
             ["DATA", "--profile", "light"],
-            "is called 'light', did you mean 'lite'?; there are: smoke, lite,",
+            "is called 'light'; did you mean 'lite'? There are: smoke, lite,",
         ),
         (["DATA", "--track", "fast"], "--track: got 'fast', allowed is paper, native, lite"),
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
