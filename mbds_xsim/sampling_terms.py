@@ -201,3 +201,4 @@ def _ordered(key: str, span: Span) -> None:
     if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
         msg = f"{key}: got {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
         raise SceneError(msg)
+    bounds.finite(key, span)

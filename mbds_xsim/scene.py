@@ -43,6 +43,10 @@ Quaternion = tuple[float, float, float, float]
 
 WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
+MOST_PARTS = 20_000
+"""Bodies, and so on: reading them takes up to a minute."""
+MOST_STATES = 10_000_000
+"""Bodies times steps: a trajectory of this many states takes 1 GB."""
 PARTICLE_MASS = 1.0
 PARTICLE_INERTIA = 6.17e-4
 PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
@@ -60,7 +64,7 @@ class Particle(Neutral):
     """About any axis through its centre [kg·m²]."""
 
     def __post_init__(self) -> None:
-        bounds.finite("position", self.position)
+        bounds.place("position", self.position)
         bounds.positive("mass", self.mass)
         bounds.at_least_zero("inertia", self.inertia)
 
@@ -79,7 +83,7 @@ class Inertia(Neutral):
 
     def __post_init__(self) -> None:
         bounds.positive("mass", self.mass)
-        bounds.finite("com", self.com)
+        bounds.place("com", self.com)
         bounds.finite("moments", self.moments)
         bounds.finite("products", self.products)
         bounds.physical_inertia(self.moments, self.products)
@@ -101,6 +105,7 @@ class Body(Neutral):
     """Initial angular velocity in W [rad/s]; left out, it follows from the joints."""
 
     def __post_init__(self) -> None:
+        bounds.name(self.name)
         if not self.name or self.name == WORLD:
             msg = f"name: got {self.name!r}, allowed is any text but '' and {WORLD!r}"
             raise SceneError(msg)
@@ -109,7 +114,7 @@ class Body(Neutral):
                 "both" if self.particles else "neither"
             )
             raise SceneError(msg)
-        bounds.finite("position", self.position)
+        bounds.place("position", self.position)
         bounds.unit("orientation", self.orientation)
         for key in ("velocity", "angular_velocity"):
             value = getattr(self, key)
@@ -138,7 +143,8 @@ class Joint(Neutral):
     """Initial rate of a hinge [rad/s] or slider [m/s]; left out, it follows from the others."""
 
     def __post_init__(self) -> None:
-        bounds.finite("anchor", self.anchor)
+        bounds.name(self.name)
+        bounds.place("anchor", self.anchor)
         has_axis = self.kind in ("hinge", "slider")
         if has_axis and self.axis is None:
             msg = f"a {self.kind} joint needs an axis, got none"
@@ -172,9 +178,10 @@ class DistanceLink(Neutral):
     """[m]; left out, the distance at the reference pose."""
 
     def __post_init__(self) -> None:
+        bounds.name(self.name)
         _two_points(self.name, self.bodies, self.points)
         if self.length is not None:
-            bounds.positive("length", self.length)
+            bounds.size("length", self.length)
 
 
 class SpringDamper(Neutral):
@@ -193,11 +200,13 @@ class SpringDamper(Neutral):
     """[m]; left out, the distance at the reference pose."""
 
     def __post_init__(self) -> None:
+        bounds.name(self.name)
         _two_points(self.name, self.bodies, self.points)
         bounds.at_least_zero("stiffness", self.stiffness)
         bounds.at_least_zero("damping", self.damping)
         if self.rest_length is not None:
             bounds.at_least_zero("rest_length", self.rest_length)
+            bounds.place("rest_length", (self.rest_length,))
 
 
 class Force(Neutral):
@@ -239,8 +248,8 @@ class ContactSphere(Neutral):
     """[m]"""
 
     def __post_init__(self) -> None:
-        bounds.finite("center", self.center)
-        bounds.positive("radius", self.radius)
+        bounds.place("center", self.center)
+        bounds.size("radius", self.radius)
 
 
 class Ground(Neutral):
@@ -267,7 +276,7 @@ class Clock(Neutral):
     """Number of intervals."""
 
     def __post_init__(self) -> None:
-        bounds.positive("frame", self.frame)
+        bounds.positive("frame", self.frame, least=1e-9)
         bounds.at_least_one("steps", self.steps)
 
     @property
@@ -355,8 +364,15 @@ class Scene(Neutral):
         if not self.bodies:
             msg = "bodies: got none, a scene needs at least one"
             raise SceneError(msg)
+        bounds.name(self.name)
+        for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
+            bounds.count(key, len(getattr(self, key)), MOST_PARTS, "to read more takes minutes")
+        frames = self.clock.steps * len(self.bodies)
+        bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more fills 1 GB")
+        for anchor in self.anchors:
+            bounds.place("anchors", anchor)
         bounds.finite("gravity", self.gravity)
-        bounds.positive("length", self.length)
+        bounds.size("length", self.length)
         bounds.at_least_zero("noise", self.noise)
         self._check_names()
         self._check_references()
@@ -424,7 +440,7 @@ def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> No
 
 def _two_points(name: str, bodies: tuple[str, str], points: tuple[Vector, Vector]) -> None:
     for point in points:
-        bounds.finite("points", point)
+        bounds.place("points", point)
     if bodies[0] == bodies[1]:
         msg = f"{name!r} joins {bodies[0]!r} to itself"
         raise SceneError(msg)

@@ -6,6 +6,7 @@ that was read can be simulated. `docs/scene-file.md` lists every key.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,12 +19,16 @@ import tomli_w
 from mbds_xsim.errors import SceneError
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene import MOST_PARTS, Scene
 from mbds_xsim.scene_file_errors import explain
 
 __all__ = ["read_scene", "save_scene", "write_scene"]
 
 _LINE = 100
+_LARGEST_FILE = 16 * 10**6
+_DEPTH = 100
+# The parser needs time and memory with the square of a key's parts.
+_DEEP = re.compile(rf"(?:[^\s.=\[\]{{}},#]{{1,100}}[ \t]*\.[ \t]*){{{_DEPTH - 1}}}")
 
 
 def read_scene(path: Path) -> Scene:
@@ -72,7 +77,7 @@ def _check_starts(scene: Scene) -> None:
 
 def _load(path: Path) -> Mapping[str, Any]:
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        return tomllib.loads(_text(path))
     except OSError as error:
         msg = (
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
@@ -88,6 +93,23 @@ def _load(path: Path) -> Mapping[str, Any]:
         raise SceneError(f"{path}: this is not TOML: brackets without end") from error
     except ValueError as error:  # also from a number of too many digits
         raise SceneError(f"{path}: this is not TOML: {error}") from error
+
+
+def _text(path: Path) -> str:
+    """Read the text of a file, if the time to parse it is bounded."""
+    with path.open("rb") as file:
+        content = file.read(_LARGEST_FILE + 1)
+    if len(content) > _LARGEST_FILE:
+        msg = f"{path}: got more than {_LARGEST_FILE // 10**6} MB, to read that takes minutes"
+        raise SceneError(msg)
+    text = content.decode("utf-8")
+    if (bodies := text.count("[[bodies]]")) > MOST_PARTS:
+        msg = f"{path}: got {bodies} bodies, allowed are {MOST_PARTS} at most: to read more takes "
+        raise SceneError(msg + "minutes")
+    if _DEEP.search(text):
+        msg = f"{path}: got a key of {_DEPTH} parts or more, no table of a scene is as deep"
+        raise SceneError(msg)
+    return text
 
 
 def _explicit(value: Any) -> Any:

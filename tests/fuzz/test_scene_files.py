@@ -1,0 +1,136 @@
+"""Campaign: scene files with anything in them, read, shown and, where accepted, solved."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from hypothesis import strategies as st
+
+from benchmarks.four_bars import four_bars
+from mbds_xsim.reference import solve
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene_file import read_scene, write_scene
+from tests.fuzz.campaign import fuzz, refused, run_command
+
+_NUMBERS = st.one_of(
+    st.sampled_from(
+        [
+            0,
+            -1,
+            1,
+            1e300,
+            -1e160,
+            5e-324,
+            1e-200,
+            1e15,
+            1e16,
+            1e7,
+            2**62,
+            10**30,
+            1e-9,
+            0.1,
+            math.nan,
+            math.inf,
+            -math.inf,
+        ]
+    ),
+    st.floats(),
+    st.integers(-(10**6), 10**6),
+)
+_TEXTS = st.one_of(
+    st.text(max_size=8),
+    st.sampled_from(["\x00", "\x1b[31m", "[/x]", "a" * 10**4, "world", "../up", "\u202e", "%s"]),
+)
+_VALUES = st.one_of(
+    _NUMBERS,
+    _TEXTS,
+    st.booleans(),
+    st.lists(_NUMBERS, max_size=4),
+    st.lists(st.lists(_NUMBERS, max_size=3), max_size=3),
+    st.dictionaries(st.text(max_size=4), _NUMBERS, max_size=3),
+    st.integers(1, 60).map(lambda deep: functools.reduce(lambda inner, _: [inner], range(deep), 0)),
+)
+_NUMBER_OR_OTHER = st.one_of(_NUMBERS, _VALUES)
+
+
+@functools.cache
+def _sound(name: str) -> str:
+    scene = four_bars(1, 0.1) if name == "four_bars" else load_scene(name)
+    return write_scene(scene)
+
+
+_SCENES = ("four_bars", "2pendulum", "1ladder", "andrews", "workbench", "balldrop", "particlecar")
+
+
+def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    if not isinstance(value, dict | list):
+        return [path]
+    items = value.items() if isinstance(value, dict) else enumerate(value)
+    return [path, *(leaf for key, item in items for leaf in _places(item, (*path, key)))]
+
+
+@st.composite
+def changed(draw: st.DrawFn) -> dict[str, Any]:
+    """Draw a sound scene with up to four of its places changed, left out or there twice."""
+    data: dict[str, Any] = copy.deepcopy(tomllib.loads(_sound(draw(st.sampled_from(_SCENES)))))
+    data["clock"] = {"frame": 0.02, "steps": 3}
+    for _ in range(draw(st.integers(1, 4))):
+        *above, key = draw(st.sampled_from(_places(data)[1:]))
+        held = functools.reduce(lambda inner, step: inner[step], above, data)
+        match draw(st.sampled_from(["set", "set", "set", "drop", "twice", "add", "swap"])):
+            case "set":
+                held[key] = draw(_NUMBER_OR_OTHER)
+            case "drop":
+                del held[key]
+            case "twice" if isinstance(held, list):
+                held.append(copy.deepcopy(held[key]))
+            case "add" if isinstance(held, dict):
+                held[draw(_TEXTS)] = draw(_VALUES)
+            case "swap":
+                other = draw(st.sampled_from(_places(data)[1:]))
+                held[key] = copy.deepcopy(functools.reduce(lambda i, step: i[step], other, data))
+            case _:
+                continue
+    return data
+
+
+def _write(data: dict[str, Any], path: Path) -> None:
+    path.write_bytes(tomli_w.dumps(data).encode("utf-8", "surrogatepass"))
+
+
+@fuzz("scene", data=changed())
+def test_a_changed_scene_is_read_or_refused(data: dict[str, Any], tmp_path_factory: Any) -> None:
+    path = tmp_path_factory.getbasetemp() / "changed.toml"
+    _write(data, path)
+
+    text = refused(lambda: read_scene(path))
+    ended = run_command("show", path)
+
+    assert "\n" not in text
+    assert bool(text) == (ended.code == 2), (text, ended)
+    if not text:
+        scene = read_scene(path)
+        if scene.clock.steps <= 3:
+            batch = draw_batch(scene, [0])
+            with np.errstate(all="ignore"):
+                refused(lambda: solve(scene, batch, rtol=1e-6, cache=False))
+
+
+def test_deep_keys_and_many_bodies_are_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "hostile.toml"
+    for content, words in (
+        (".".join(["a"] * 50_000) + " = 1\n", "100 parts"),
+        ("[" + " . ".join(['"a"'] * 50_000) + "]\n", "100 parts"),
+        ("[[bodies]]\nname = 'a'\n" * 10**5, "100000 bodies"),
+        ("# much\n" * 3 * 10**6, "16 MB"),
+    ):
+        path.write_text(content)
+        assert words in refused(lambda: read_scene(path))
