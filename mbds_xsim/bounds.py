@@ -12,7 +12,9 @@ _MOST = 10**9
 """More frames than this fit into no memory."""
 _LARGEST, _SMALLEST, _LEAST_MOMENT = 1e15, 1e-30, 1e-60
 _FARTHEST, _SHORTEST = 1e7, 1e-9  # [m]
-_LONGEST_NAME = 200
+_LONGEST_NAME = 200  # bytes, of the 255 that a file's name may have
+_TOO_FAR = "farther out, double precision rounds by more than 1e-9 m"
+_TOO_SMALL = "products of smaller numbers underflow"
 
 
 def held_series(length: int, hold: int) -> None:
@@ -24,40 +26,40 @@ def held_series(length: int, hold: int) -> None:
 
 
 def finite(key: str, values: tuple[float, ...]) -> None:
-    """Raise unless every number is finite, and small enough to be squared and added up."""
+    """Raise unless every number is finite, and small enough that a product of many is as well."""
     for value in values:
         if not math.isfinite(value):
             msg = f"{key}: got {list(values)}, allowed are finite numbers"
             raise SceneError(msg)
-        _at_most(key, value, _LARGEST, "products of larger ones are no numbers any more")
+        _at_most(key, value, _LARGEST, "products of larger numbers overflow")
 
 
 def place(key: str, values: tuple[float, ...]) -> None:
-    """Raise unless a point is where numbers still tell 1 nm apart."""
+    """Raise unless a point is where double precision resolves 1 nm."""
     finite(key, values)
     for value in values:
-        _at_most(key, value, _FARTHEST, "farther out doubles lie more than 1e-9 m apart")
+        _at_most(key, value, _FARTHEST, _TOO_FAR)
 
 
 def size(key: str, value: float) -> None:
-    """Raise unless a length can be that of a body, above 0."""
-    positive(key, value, least=_SHORTEST)
-    _at_most(key, value, _FARTHEST, "farther out doubles lie more than 1e-9 m apart")
+    """Raise unless a length is above 0, resolved by places, and no longer than they reach."""
+    positive(key, value, least=_SHORTEST, why="places are resolved to 1e-9 m")
+    _at_most(key, value, _FARTHEST, _TOO_FAR)
 
 
-def positive(key: str, value: float, *, least: float = _SMALLEST) -> None:
-    """Raise unless finite and above 0, by so much that it can be squared and divided by."""
+def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TOO_SMALL) -> None:
+    """Raise unless finite and above 0, by `least` at the least; `why` says what that is for."""
     if not (math.isfinite(value) and value > 0):
         msg = f"{key}: got {value}, allowed is a finite number above 0"
         raise SceneError(msg)
     if value < least:
-        msg = f"{key}: got {value}, allowed is {least:.0e} or more: less is lost in rounding errors"
+        msg = f"{key}: got {value}, allowed is {least:.0e} or more: {why}"
         raise SceneError(msg)
     finite(key, (value,))
 
 
 def at_least_zero(key: str, value: float) -> None:
-    """Raise unless finite and not below 0."""
+    """Raise unless finite and 0 or more."""
     if not (math.isfinite(value) and value >= 0):
         msg = f"{key}: got {value}, allowed is a finite number, 0 or more"
         raise SceneError(msg)
@@ -65,12 +67,17 @@ def at_least_zero(key: str, value: float) -> None:
 
 
 def name(value: str) -> None:
-    """Raise unless a name is text that files, engines and terminals can hold."""
-    if not value.isprintable():
-        msg = f"name: got {value!r}, allowed are characters that can be printed"
+    """Raise unless a name is text that files and engines can hold."""
+    if "\0" in value:
+        msg = (
+            f"name: got {value!r}, allowed is text without NUL, where engines and files end a name"
+        )
         raise SceneError(msg)
-    if len(value) > _LONGEST_NAME:
-        msg = f"name: got {len(value)} characters, allowed are {_LONGEST_NAME}: it names files"
+    if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
+        msg = (
+            f"name: got {size} bytes of UTF-8, allowed are {_LONGEST_NAME} at most: "
+            "files are named after it"
+        )
         raise SceneError(msg)
 
 
@@ -118,10 +125,10 @@ def physical_inertia(
     """Raise unless the principal moments are positive and obey the triangle inequality."""
     (xx, yy, zz), (xy, xz, yz) = moments, products
     low, mid, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not _LEAST_MOMENT < high < _LARGEST:
+    if 0 < high < _LEAST_MOMENT:
         msg = (
-            f"moments: got {list(moments)}, allowed are {_LEAST_MOMENT:.0e} to {_LARGEST:.0e}: "
-            "others are lost in rounding errors"
+            f"moments: got {list(moments)}, allowed is {_LEAST_MOMENT:.0e} or more of the largest: "
+            f"{_TOO_SMALL}"
         )
         raise SceneError(msg)
     # A vanishing moment leaves the spin about that axis undefined: no engine can step it.

@@ -93,7 +93,7 @@ class Turn(_Draw, tag_field="kind", tag="turn"):
     """[rad/s]"""
 
     def __post_init__(self) -> None:
-        bounds.finite("point", self.point)
+        bounds.place("point", self.point)
         bounds.direction("axis", self.axis)
         _ordered("angle", self.angle)
         _ordered("rate", self.rate)

@@ -44,9 +44,9 @@ Quaternion = tuple[float, float, float, float]
 WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
 MOST_PARTS = 20_000
-"""Bodies, and so on: reading them takes up to a minute."""
+"""Largest number of bodies, joints and so on: reading so many takes up to a minute."""
 MOST_STATES = 10_000_000
-"""Bodies times steps: a trajectory of this many states takes 1 GB."""
+"""Largest number of bodies times steps: a trajectory of so many states takes 1 GB."""
 PARTICLE_MASS = 1.0
 PARTICLE_INERTIA = 6.17e-4
 PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
@@ -276,7 +276,9 @@ class Clock(Neutral):
     """Number of intervals."""
 
     def __post_init__(self) -> None:
-        bounds.positive("frame", self.frame, least=1e-9)
+        bounds.positive(
+            "frame", self.frame, least=1e-9, why="in less, 1 m/s moves a body by less than 1e-9 m"
+        )
         bounds.at_least_one("steps", self.steps)
 
     @property
@@ -366,9 +368,9 @@ class Scene(Neutral):
             raise SceneError(msg)
         bounds.name(self.name)
         for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
-            bounds.count(key, len(getattr(self, key)), MOST_PARTS, "to read more takes minutes")
+            bounds.count(key, len(getattr(self, key)), MOST_PARTS, "reading more takes minutes")
         frames = self.clock.steps * len(self.bodies)
-        bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more fills 1 GB")
+        bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more takes 1 GB")
         for anchor in self.anchors:
             bounds.place("anchors", anchor)
         bounds.finite("gravity", self.gravity)

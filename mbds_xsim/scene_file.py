@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
@@ -27,8 +29,9 @@ __all__ = ["read_scene", "save_scene", "write_scene"]
 _LINE = 100
 _LARGEST_FILE = 16 * 10**6
 _DEPTH = 100
-# The parser needs time and memory with the square of a key's parts.
-_DEEP = re.compile(rf"(?:[^\s.=\[\]{{}},#]{{1,100}}[ \t]*\.[ \t]*){{{_DEPTH - 1}}}")
+_PARTS = re.compile(r"^[ \t]*+\[\[[ \t]*+(\w+)[ \t]*+\]\]", re.M)
+_BARE = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){9,}+")
+_QUOTED = re.compile(r"[\"'][ \t]*+\.|\.[ \t]*+[\"']")
 
 
 def read_scene(path: Path) -> Scene:
@@ -76,8 +79,21 @@ def _check_starts(scene: Scene) -> None:
 
 
 def _load(path: Path) -> Mapping[str, Any]:
+    text = _text(path)
     try:
-        return tomllib.loads(_text(path))
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise SceneError(f"{path}: this is not TOML: brackets without end") from error
+    except ValueError as error:  # also from a number of too many digits
+        raise SceneError(f"{path}: this is not TOML: {error}") from error
+
+
+def _text(path: Path) -> str:
+    """Read the text of a file that can be parsed in bounded time and memory."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LARGEST_FILE + 1)
+        text = content.decode("utf-8")
     except OSError as error:
         msg = (
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "
@@ -89,27 +105,25 @@ def _load(path: Path) -> Mapping[str, Any]:
             f"{path}: got byte {error.object[error.start]:#04x} at {error.start}, allowed is UTF-8"
         )
         raise SceneError(msg) from error
-    except RecursionError as error:
-        raise SceneError(f"{path}: this is not TOML: brackets without end") from error
-    except ValueError as error:  # also from a number of too many digits
-        raise SceneError(f"{path}: this is not TOML: {error}") from error
-
-
-def _text(path: Path) -> str:
-    """Read the text of a file, if the time to parse it is bounded."""
-    with path.open("rb") as file:
-        content = file.read(_LARGEST_FILE + 1)
     if len(content) > _LARGEST_FILE:
-        msg = f"{path}: got more than {_LARGEST_FILE // 10**6} MB, to read that takes minutes"
+        msg = f"{path}: got more than {_LARGEST_FILE // 10**6} MB: reading so much takes minutes"
         raise SceneError(msg)
-    text = content.decode("utf-8")
-    if (bodies := text.count("[[bodies]]")) > MOST_PARTS:
-        msg = f"{path}: got {bodies} bodies, allowed are {MOST_PARTS} at most: to read more takes "
-        raise SceneError(msg + "minutes")
-    if _DEEP.search(text):
-        msg = f"{path}: got a key of {_DEPTH} parts or more, no table of a scene is as deep"
+    for table, count in Counter(_PARTS.findall(text)).items():
+        bounds.count(f"{path}: {table}", count, MOST_PARTS, "reading more takes minutes")
+    if _is_deep(text):
+        msg = f"{path}: got a key of {_DEPTH} parts or more, the deepest of a scene has 4"
         raise SceneError(msg)
     return text
+
+
+def _is_deep(text: str) -> bool:
+    """Whether some key may have so many parts that parsing takes their square in memory.
+
+    A dot between parts is in a run of bare parts or touches a quote; keys end with their line.
+    """
+    return any(match[0].count(".") >= _DEPTH - 1 for match in _BARE.finditer(text)) or any(
+        len(_QUOTED.findall(line)) >= _DEPTH - 1 for line in text.splitlines()
+    )
 
 
 def _explicit(value: Any) -> Any:

@@ -32,6 +32,7 @@ CASES = {
     "npz": 60,
     "csv": 60,
     "model": 30,
+    "scene": 40,
 }
 """Cases of each campaign by default: how quick a case is decides how many there are."""
 

@@ -21,27 +21,8 @@ from mbds_xsim.scene_file import read_scene, write_scene
 from tests.fuzz.campaign import fuzz, refused, run_command
 
 _NUMBERS = st.one_of(
-    st.sampled_from(
-        [
-            0,
-            -1,
-            1,
-            1e300,
-            -1e160,
-            5e-324,
-            1e-200,
-            1e15,
-            1e16,
-            1e7,
-            2**62,
-            10**30,
-            1e-9,
-            0.1,
-            math.nan,
-            math.inf,
-            -math.inf,
-        ]
-    ),
+    st.sampled_from((0, -1, 1, 0.1, 1e7, 1e15, 1e16, 1e300, -1e160, 2**62, 10**30)),
+    st.sampled_from((1e-9, 1e-30, 1e-200, 5e-324, math.nan, math.inf, -math.inf)),
     st.floats(),
     st.integers(-(10**6), 10**6),
 )
@@ -122,15 +103,3 @@ def test_a_changed_scene_is_read_or_refused(data: dict[str, Any], tmp_path_facto
             batch = draw_batch(scene, [0])
             with np.errstate(all="ignore"):
                 refused(lambda: solve(scene, batch, rtol=1e-6, cache=False))
-
-
-def test_deep_keys_and_many_bodies_are_refused_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "hostile.toml"
-    for content, words in (
-        (".".join(["a"] * 50_000) + " = 1\n", "100 parts"),
-        ("[" + " . ".join(['"a"'] * 50_000) + "]\n", "100 parts"),
-        ("[[bodies]]\nname = 'a'\n" * 10**5, "100000 bodies"),
-        ("# much\n" * 3 * 10**6, "16 MB"),
-    ):
-        path.write_text(content)
-        assert words in refused(lambda: read_scene(path))
