@@ -5,7 +5,9 @@ from __future__ import annotations
 import copy
 import functools
 import math
+import operator
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,7 @@ _VALUES = st.one_of(
     st.lists(_NUMBERS, max_size=4),
     st.lists(st.lists(_NUMBERS, max_size=3), max_size=3),
     st.dictionaries(st.text(max_size=4), _NUMBERS, max_size=3),
-    st.integers(1, 60).map(lambda deep: functools.reduce(lambda inner, _: [inner], range(deep), 0)),
+    st.integers(1, 60).map(lambda depth: _nested(depth)),
 )
 _NUMBER_OR_OTHER = st.one_of(_NUMBERS, _VALUES)
 
@@ -49,6 +51,14 @@ def _sound(name: str) -> str:
 
 
 _SCENES = ("four_bars", "2pendulum", "1ladder", "andrews", "workbench", "balldrop", "particlecar")
+
+
+def _nested(depth: int) -> Any:
+    return [_nested(depth - 1)] if depth else 0
+
+
+def _at(data: Any, path: Iterable[Any]) -> Any:
+    return functools.reduce(operator.getitem, path, data)
 
 
 def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -65,7 +75,7 @@ def changed(draw: st.DrawFn) -> dict[str, Any]:
     data["clock"] = {"frame": 0.02, "steps": 3}
     for _ in range(draw(st.integers(1, 4))):
         *above, key = draw(st.sampled_from(_places(data)[1:]))
-        held = functools.reduce(lambda inner, step: inner[step], above, data)
+        held = _at(data, above)
         match draw(st.sampled_from(["set", "set", "set", "drop", "twice", "add", "swap"])):
             case "set":
                 held[key] = draw(_NUMBER_OR_OTHER)
@@ -77,7 +87,7 @@ def changed(draw: st.DrawFn) -> dict[str, Any]:
                 held[draw(_TEXTS)] = draw(_VALUES)
             case "swap":
                 other = draw(st.sampled_from(_places(data)[1:]))
-                held[key] = copy.deepcopy(functools.reduce(lambda i, step: i[step], other, data))
+                held[key] = copy.deepcopy(_at(data, other))
             case _:
                 continue
     return data
