@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.checks.closing import unexplained_by_loops
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.mismatch import Mismatch
+from mbds_xsim.joint_space import BodyStates
 
 __all__ = ["kinematics", "velocity_lag"]
 
@@ -22,27 +28,71 @@ def kinematics(record: Record) -> Finding | None:
     """Measure how far positions move otherwise than velocities tell; None where nothing flies.
 
     A step's displacement less the integral of its velocities, as RMS velocity over the largest
-    RMS speed. What the frames do not resolve is left out, and so is what a method of its order may
-    leave between positions and velocities.
+    RMS speed: over the mass of all, and over points at the ends of each body, so that what turns
+    counts by what it carries. What the frames do not resolve is left out, and so is what a method
+    of its order may leave between positions and velocities.
     """
     mismatch = _mismatch(record)
     if mismatch is None:
         return None
+    if mismatch.frame[0] == 1 and (record.mechanism.loops or record.mechanism.distances):
+        mismatch = dataclasses.replace(mismatch, left=_started(record, mismatch))
+    order, step = record.order, _step(record)
+    whole, each = (
+        _beyond(measure, mismatch, jerk, blur, step, order)
+        for measure, jerk, blur in (
+            (mismatch.rms, mismatch.jerk, mismatch.blur),
+            (mismatch.each, mismatch.jerk_each, mismatch.blur_each),
+        )
+    )
+    bodies = record.scene.bodies
+    series = np.full((*record.finite.shape, 1 + len(bodies)), np.nan)
+    series[:, mismatch.frame] = np.concatenate([whole[..., None], each], axis=-1)
     speed = _largest(mismatch.rms(mismatch.velocity))
-    allowed = mismatch.blur + _method_error(record, mismatch)
-    series = np.full(record.finite.shape, np.nan)
-    left = np.maximum(mismatch.rms(mismatch.left) - allowed, 0.0)
-    series[:, mismatch.frame] = left / speed[:, None]
     resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
     if record.scene.contacts:
         series[:, 0] = 0.0  # not every trajectory flies
     return Finding.of(
         "kinematics",
         "1",
-        series[..., None],
+        series,
         budget=_NOISE,
+        names=("", *(body.name for body in bodies)),
         note=f"frames resolve {resolved:.1g} of the largest speed",
     )
+
+
+def _beyond(
+    measure: Callable[[Array], Array],
+    mismatch: Mismatch,
+    jerk: Array,
+    blur: Array,
+    step: float,
+    order: int,
+) -> Array:
+    """What is left over the largest speed, in one measure.
+
+    Taken off is the blur, and a method's error of order 2, or higher in the rate at which
+    accelerations change. Methods of order 1 follow a flow of their own to second order.
+    """
+    pull = np.maximum(measure(mismatch.acceleration), np.finfo(float).tiny)
+    rate = np.minimum(step * jerk / pull, 1.0)
+    own = _METHOD * step**2 * jerk * rate ** max(order - 2, 0)
+    left = np.maximum(measure(mismatch.left) - blur - own, 0.0)
+    speeds = measure(mismatch.velocity)
+    return left / _largest(speeds.reshape(len(speeds), -1)).reshape(-1, *(1,) * (left.ndim - 1))
+
+
+def _started(record: Record, mismatch: Mismatch) -> Array:
+    """Take off the first step's mismatch what closing loops by impulses makes of the start."""
+    left = mismatch.left.copy()
+    known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
+    start = BodyStates(*(getattr(record.bodies, name)[known, 0] for name in FIELDS))
+    load = record.batch.force[known, 0], record.batch.torque[known, 0]
+    change = mismatch.as_bodies(left[known, 0], start.native)
+    kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
+    left[known, 0] = mismatch.as_points(*kept, start.native)
+    return left
 
 
 def velocity_lag(record: Record) -> Finding | None:
@@ -81,17 +131,6 @@ def _mismatch(record: Record) -> Mismatch | None:
 
 def _step(record: Record) -> float:
     return record.frame if record.step is None else record.step
-
-
-def _method_error(record: Record, mismatch: Mismatch) -> Array:
-    """Error of order 2, or higher in the rate at which accelerations change [m/s].
-
-    Methods of order 1 follow a flow of their own to second order.
-    """
-    step = _step(record)
-    pull = np.maximum(mismatch.rms(mismatch.acceleration), np.finfo(float).tiny)
-    rate = np.minimum(step * mismatch.jerk / pull, 1.0)
-    return np.asarray(_METHOD * step**2 * mismatch.jerk * rate ** max(record.order - 2, 0))
 
 
 def _slope(mismatch: Mismatch, resolution: float) -> tuple[Array, Array]:

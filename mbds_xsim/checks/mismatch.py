@@ -10,6 +10,7 @@ Integration, 2.9).
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from mbds_xsim import rotation
 from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
 from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
 __all__ = ["EVERY_SECOND", "Mismatch", "mismatch_of"]
 
@@ -59,10 +60,37 @@ class Mismatch:
     """Larger RMS of the two ends [m/s³], shape (trajectory, step)."""
     blur: Array
     """What the integral itself leaves open [m/s], RMS, shape (trajectory, step)."""
+    jerk_each: Array
+    """As jerk, but of each body with points at its ends, shape (trajectory, step, body)."""
+    blur_each: Array
+    """As blur, of the same."""
 
     def rms(self, vectors: Array) -> Array:
         """RMS over mass and points, shape (trajectory, step)."""
         return np.sqrt(self.inner(vectors, vectors))
+
+    def each(self, vectors: Array) -> Array:
+        """RMS over points of each body at its ends, not the radius of gyration, [..., body].
+
+        What points move moves with the distance from the centre.
+        """
+        center = vectors[..., :1, :]
+        stretch = _extents(self.mechanism) / _gyrations(self.mechanism)
+        ends = center + stretch[:, None, None] * (vectors - center)
+        return np.sqrt(np.einsum("...bpi,...bpi->...b", ends, ends) / len(_ARMS))
+
+    def as_bodies(self, points: Array, native: Array) -> tuple[Array, Array]:
+        """Velocities of bodies [m/s] and [rad/s] of those of their points, (…, body, 3)."""
+        axes = rotation.rotate(native[..., None, :], _ARMS[1:])
+        turns = rotation.cross(axes, points[..., 1:, :] - points[..., :1, :]).sum(axis=-2)
+        return points[..., 0, :], turns / (2.0 * _gyrations(self.mechanism)[:, None])
+
+    def as_points(self, velocity: Array, spin: Array, native: Array) -> Array:
+        """Give the reverse, (…, body, point, 3)."""
+        arm = rotation.rotate(
+            native[..., None, :], _gyrations(self.mechanism)[:, None, None] * _ARMS
+        )
+        return velocity[..., None, :] + rotation.cross(spin[..., None, :], arm)
 
     def inner(self, one: Array, other: Array) -> Array:
         """Scalar product averaged over mass and points, shape (trajectory, step)."""
@@ -126,12 +154,29 @@ def mismatch_of(
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,
         jerk=np.empty(0),
         blur=np.empty(0),
+        jerk_each=np.empty(0),
+        blur_each=np.empty(0),
     )
-    coarse, fine = found.rms(trapezoid - cubic), found.rms(cubic - quintic)
-    # Errors fall alike from formula to formula; where they do not, nothing is resolved.
+    gaps = trapezoid - cubic, cubic - quintic
+    return dataclasses.replace(
+        found,
+        jerk=np.maximum(found.rms(begin.jerk), found.rms(end.jerk)),
+        blur=_blur(*map(found.rms, gaps)),
+        jerk_each=np.maximum(found.each(begin.jerk), found.each(end.jerk)),
+        blur_each=_blur(*map(found.each, gaps)),
+    )
+
+
+def _blur(coarse: Array, fine: Array) -> Array:
+    """Error of the quintic, from what the cubic adds to the trapezoid and the quintic to that.
+
+    Errors fall alike from formula to formula; where they do not, nothing is resolved. Of several
+    bodies the slowest fall counts for all.
+    """
     gain = np.minimum(1.0, fine / np.maximum(coarse, np.finfo(float).tiny))
-    jerk = np.maximum(found.rms(begin.jerk), found.rms(end.jerk))
-    return dataclasses.replace(found, jerk=jerk, blur=_FACTOR * gain * fine)
+    if gain.ndim > 2:
+        gain = gain.max(axis=-1, keepdims=True)
+    return np.asarray(_FACTOR * gain * fine)
 
 
 def _points_at(
@@ -191,15 +236,46 @@ def _carried(
     mechanism: Mechanism, states: BodyStates, pull: Array, push: Array
 ) -> tuple[Array, Array, Array]:
     """Positions, velocities and accelerations of the points that the bodies carry."""
-    gyration = np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
     turn, spin = states.native[..., None, :], states.angular_velocity[..., None, :]
-    arm = rotation.rotate(turn, gyration[:, None, None] * _ARMS)
+    arm = rotation.rotate(turn, _gyrations(mechanism)[:, None, None] * _ARMS)
     swing = rotation.cross(spin, arm)
     return (
         states.position[..., None, :] + arm,
         states.velocity[..., None, :] + swing,
         pull[..., None, :] + rotation.cross(push[..., None, :], arm) + rotation.cross(spin, swing),
     )
+
+
+def _gyrations(mechanism: Mechanism) -> Array:
+    """Mean radii of gyration [m], shape (body,)."""
+    return np.sqrt(np.trace(mechanism.inertia, axis1=1, axis2=2) / (2 * mechanism.mass))
+
+
+@functools.lru_cache(maxsize=64)
+def _extents(mechanism: Mechanism) -> Array:
+    """From centres of mass to the furthest of what bodies carry [m], shape (body,).
+
+    Joints, particles, contact spheres, attachment points and the radius of gyration: a slender rod
+    that twists moves hardly any of its mass, but a joint on its side.
+    """
+    joints = [((one.parent, one.child), (one.in_parent, one.in_child)) for one in mechanism.joints]
+    pairs = [(pair.bodies, pair.in_body) for pair in (*mechanism.distances, *mechanism.springs)]
+    carried = [
+        (body, float(np.linalg.norm(point)))
+        for bodies, points in (*joints, *pairs)
+        for body, point in zip(bodies, points, strict=True)
+        if body != WORLD_INDEX
+    ]
+    particles = np.linalg.norm(mechanism.particle_offset, axis=1)
+    spheres = np.linalg.norm(mechanism.sphere_offset, axis=1) + mechanism.sphere_radius
+    found = _gyrations(mechanism)
+    for body, distance in (
+        *carried,
+        *zip(mechanism.particle_body, particles, strict=True),
+        *zip(mechanism.sphere_body, spheres, strict=True),
+    ):
+        found[body] = max(found[body], distance)
+    return found
 
 
 def _frames(bodies: BodyStates, frames: NDArray[np.int64]) -> BodyStates:

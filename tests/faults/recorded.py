@@ -86,7 +86,8 @@ def _parting(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
 
 
 def _recorded(name: str, scene: str, *checks: str, **how: object) -> Fault:
-    return Fault(name=name, scene=scene, engines=ENGINES, checks=checks, **how)  # type: ignore[arg-type]
+    given: dict[str, object] = {"engines": ENGINES, **how}
+    return Fault(name=name, scene=scene, checks=checks, **given)  # type: ignore[arg-type]
 
 
 RECORDED = (
@@ -105,6 +106,20 @@ RECORDED = (
     _recorded("a rod twists beside its rate", "3pendulum", "displacement", motion=_twisting),
     _recorded(
         "rate of a twist that a rod has not", "3pendulum", "displacement", motion=_told_to_twist
+    ),
+    _recorded(
+        "a rung twists beside its rate",
+        "2ladder",
+        "kinematics",
+        engines=("mujoco", "dart"),
+        motion=_twisting,
+    ),
+    _recorded(
+        "rate of a twist that a rung has not",
+        "2ladder",
+        "kinematics",
+        engines=("pybullet", "exudyn"),
+        motion=_told_to_twist,
     ),
     _recorded("velocity of a body aside", "workbench", "gap rate", motion=_parting),
 )
