@@ -1,7 +1,9 @@
 """Contact spheres on the ground: Exudyn's sphere on one large triangle, a penalty contact.
 
 - Normal: a spring so stiff that an impact lasts a given number of the finest steps, and the
-  damping of `_exudyn_impact`. What rests sinks by its weight over the stiffness.
+  damping of `_exudyn_impact`. What rests sinks by its weight over the stiffness. That law has no
+  restitution of 0, for which a linear damper takes its place, critical for the mass of all bodies:
+  what is lighter creeps back to the surface, and nothing rebounds.
 - Tangential: Coulomb's friction against the slip, isotropic; below `slip_speed` it is
   proportional to the slip.
 - The solver is let shorten a step so that it ends where a sphere touches down. Otherwise the
@@ -23,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.engine import ContactLaw
+from mbds_xsim.errors import Unsupported
 from mbds_xsim.mechanism import Mechanism
 
-from ._exudyn_impact import coefficient, delivered
+from ._exudyn_impact import LEAST, coefficient, delivered
 
 __all__ = ["CONTACT_LAW", "Contact", "Spheres", "contact_listing"]
 
@@ -33,12 +36,13 @@ Array = NDArray[np.float64]
 
 CONTACT_LAW = ContactLaw(
     normal="penalty: a spring, and a damper that grows with depth (Gonthier)",
-    restitution="a coefficient of the contact, 0.01 at least",
+    restitution="a coefficient of the contact, from 0.01; a linear damper for 0",
     friction="a round cone; in proportion to the slip below a slip speed",
     mixing="none: coefficients belong to the contact",
     adapter="Sphere and triangle contacts, one a sphere, as stiff as makes an impact last a given "
     "number of the finest steps. The coefficient is corrected, in closed form, for what the law "
-    "delivers. Near the ground steps are divided and end where a sphere touches down. A sphere "
+    "delivers; one of 0 is a damper so strong that nothing rebounds, and one between 0 and 0.01 is "
+    "refused. Near the ground steps are divided and end where a sphere touches down. A sphere "
     "with its centre below the ground is a failure, as the triangle has no inside.",
 )
 """What contact is in the engine."""
@@ -73,6 +77,12 @@ def contact_listing(mechanism: Mechanism, contact: Contact, marker: Marker) -> I
     """
     ground = mechanism.scene.ground
     assert ground is not None
+    if 0.0 < ground.restitution < LEAST:
+        msg = (
+            f"exudyn: ground.restitution: got {ground.restitution:g}, allowed is 0, or {LEAST} to "
+            "1: its law of impact gets too stiff to be integrated on the way to 0"
+        )
+        raise Unsupported(msg)
     corners = [[-2 * _FAR, -_FAR, 0.0], [2 * _FAR, -_FAR, 0.0], [0.0, 2 * _FAR, 0.0]]
     yield f"corners = exu.Vector3DList([np.array(corner) for corner in {corners!r}])"
     yield "plane = mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground))"
@@ -85,10 +95,15 @@ def contact_listing(mechanism: Mechanism, contact: Contact, marker: Marker) -> I
         yield "contacts.append(mbs.AddObject(items.ObjectContactSphereTriangle("
         yield f"    markerNumbers=[spheres[{k}], plane], nodeNumber=node,"
         yield f"    sphereRadius={float(mechanism.sphere_radius[k])!r}, trianglePoints=corners,"
-        # Model 0 would ignore the restitution, model 1 misses it.
-        yield f"    impactModel=2, restitutionCoefficient={coefficient(ground.restitution)!r},"
-        yield f"    minimumImpactVelocity={_SLOWEST_IMPACT!r},"
-        yield f"    contactStiffness={_stiffness(mechanism, k, contact.duration)!r},"
+        stiffness = _stiffness(mechanism, k, contact.duration)
+        yield f"    contactStiffness={stiffness!r},"
+        if ground.restitution:
+            # Model 1 misses the restitution.
+            yield f"    impactModel=2, restitutionCoefficient={coefficient(ground.restitution)!r},"
+            yield f"    minimumImpactVelocity={_SLOWEST_IMPACT!r},"
+        else:
+            damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
+            yield f"    impactModel=0, contactDamping={damping!r},"
         yield f"    dynamicFriction={ground.friction!r},"
         yield f"    frictionProportionalZone={contact.slip_speed!r}, includeEdges=0)))"
 
@@ -151,7 +166,8 @@ class Spheres:
                 (
                     contact["sphereRadius"],
                     contact["dynamicFriction"],
-                    delivered(contact["restitutionCoefficient"]),
+                    # Model 0 has a damper alone.
+                    delivered(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0,
                 )
                 for contact in held
             ]

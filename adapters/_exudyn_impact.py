@@ -37,10 +37,9 @@ _CHANGE = 1.0 / 3.0
 @functools.cache
 def coefficient(restitution: float) -> float:
     """Give the ε with which an impact comes back at e times its speed."""
-    wanted = max(restitution, LEAST)
-    if wanted >= _ELASTIC:
-        return wanted
-    damping = _root(lambda c: _rest(c, wanted), 0.5 * (1.0 - wanted), 1.0 / wanted)
+    if restitution >= _ELASTIC:
+        return restitution
+    damping = _root(lambda c: _rest(c, restitution), 0.5 * (1.0 - restitution), 1.0 / restitution)
     return _root(lambda value: _damping(value) - damping, 0.1 * LEAST, 1.0)
 
 
