@@ -29,6 +29,9 @@ _SHORTEST_SHARE = 1e-5
 # A touch is met well enough where the error of the contact force is that of a shortest step's way
 # at this speed; if even a shortest step misses it, the solver gives up [m/s].
 _FASTEST_IMPACT = 100.0
+# Of places some metres off, and so of what a damper makes of them in a step: Newton's method
+# cannot get below it, and tries for ever where all is at rest.
+_ROUNDING = 1e-15
 _NEAR_GROUND = """\
 near_ground = steps_of_a_frame({count})
 stepping = near_ground.timeIntegration
@@ -38,6 +41,9 @@ stepping.adaptiveStepRecoveryIterations = 1000
 stepping.minimumStepSize = {share} * stepping.endTime / stepping.numberOfSteps
 stiffness = max(mbs.GetObject(number)["contactStiffness"] for number in contacts)
 stepping.discontinuous.iterationTolerance = {fastest} * stiffness * stepping.minimumStepSize
+damping = max(mbs.GetObject(number)["contactDamping"] for number in contacts)
+noise = {rounding} * damping * stepping.numberOfSteps / stepping.endTime
+stepping.newton.absoluteTolerance = max(stepping.newton.absoluteTolerance, noise)
 stepping.stepInformation = 0
 """
 # From this many bodies on the sparse factorisation is faster.
@@ -97,6 +103,7 @@ def step_frame(settings=settings):
                 count=self.substeps * self.division,
                 share=_SHORTEST_SHARE,
                 fastest=_FASTEST_IMPACT,
+                rounding=_ROUNDING,
             )
             if self.division
             else ""
