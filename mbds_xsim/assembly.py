@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array, eye_array, vstack
 
 from mbds_xsim import rotation
-from mbds_xsim.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.constraints import constraint_rows, sparse_jacobian
 from mbds_xsim.errors import SceneError
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.row_space import least_change
 
 __all__ = ["Start", "assemble", "check_joints", "joint_coordinate"]
 
@@ -24,6 +26,7 @@ _LONGEST_STEP = 0.5  # of one Newton step [rad, or lengths]: keeps it from flyin
 _CLOSED = 1e-12  # of the scene's length
 _GAP_TOLERANCE = 1e-9
 _VELOCITY_TOLERANCE = 1e-9
+_BRANCH_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,18 +146,18 @@ def _close(
 
 def _pose_rows(
     mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
-) -> tuple[Array, Array, Array]:
-    """Residual, dense Jacobian and owner of all constraints and, behind them, the led joints."""
+) -> tuple[Array, csr_array, Array]:
+    """Residual, Jacobian and owner of all constraints and, behind them, the led joints."""
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
     ahead = [
         _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
         for joint, target in led
     ]
-    rates = [_rate_row(mechanism, joint, position, native)[None] for joint, _ in led]
+    rates = [_rate_row(mechanism, joint, position, native) for joint, _ in led]
     return (
         np.concatenate([rows.residual, ahead]),
-        np.concatenate([dense_jacobian(rows, mechanism.body_count), *rates]),
+        vstack([sparse_jacobian(rows, mechanism.body_count), *rates], format="csr"),
         np.concatenate([rows.owner, [joint.index for joint, _ in led]]),
     )
 
@@ -165,15 +168,15 @@ def _complete_velocities(
     scene = mechanism.scene
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
-    jacobian = [dense_jacobian(rows, mechanism.body_count)]
+    jacobian = [sparse_jacobian(rows, mechanism.body_count)]
     wanted: list[float] = [0.0] * len(rows.parent)
     names = [_owner_name(mechanism, int(owner)) for owner in rows.owner]
     for placed, joint in zip(mechanism.joints, scene.joints, strict=True):
         if joint.rate is not None:
-            jacobian.append(_rate_row(mechanism, placed, position, native)[None])
+            jacobian.append(_rate_row(mechanism, placed, position, native))
             wanted.append(joint.rate)
             names.append(f"joints[{joint.name!r}].rate")
-    unit = np.eye(6 * mechanism.body_count)
+    unit = eye_array(6 * mechanism.body_count, format="csr")
     for k, body in enumerate(scene.bodies):
         for offset, key in ((0, "velocity"), (3, "angular_velocity")):
             given = getattr(body, key)
@@ -183,7 +186,7 @@ def _complete_velocities(
                 names += [f"bodies[{body.name!r}].{key}"] * 3
     if not any(wanted):
         return still, still.copy()
-    matrix, goal = np.concatenate(jacobian), np.array(wanted)
+    matrix, goal = vstack(jacobian, format="csr"), np.array(wanted)
     twist = _least_energy(mechanism, native, matrix, goal)
     off = np.abs(matrix @ twist - goal)
     worst = int(np.argmax(off))
@@ -196,38 +199,64 @@ def _complete_velocities(
         )
         raise SceneError(msg)
     parts = twist.reshape(-1, 2, 3)
-    return parts[:, 0].copy(), parts[:, 1].copy()
+    velocity, angular_velocity = parts[:, 0].copy(), parts[:, 1].copy()
+    _check_branch(mechanism, position, native, velocity, angular_velocity)
+    return velocity, angular_velocity
 
 
-def _least_energy(mechanism: Mechanism, native: Array, matrix: Array, goal: Array) -> Array:
-    """Solve matrix · twist = goal in the least squares sense, of least kinetic energy."""
+def _check_branch(
+    mechanism: Mechanism, position: Array, native: Array, velocity: Array, angular_velocity: Array
+) -> None:
+    """Refuse velocities that keep the joints together, but no acceleration goes on to do so.
+
+    That is so in singular poses alone, where dependent rows curve in different ways.
+    """
+    if not (mechanism.loops or mechanism.distances):
+        return
+    rows = constraint_rows(mechanism, position, native, velocity, angular_velocity)
+    jacobian = sparse_jacobian(rows, mechanism.body_count)
+    off = np.abs(jacobian @ _least_energy(mechanism, native, jacobian, -rows.bias) + rows.bias)
+    worst = int(np.argmax(off))
+    if off[worst] > _BRANCH_TOLERANCE * np.abs(rows.bias).max():
+        msg = (
+            f"the start is a bifurcation at {_owner_name(mechanism, int(rows.owner[worst]))}: the "
+            "pose is singular and its motion could go on in several ways, but the initial "
+            "velocities belong to none of them; give the rate of one more joint, as one of these "
+            "motions has it, or another start"
+        )
+        raise SceneError(msg)
+
+
+def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: Array) -> Array:
+    """Solve matrix · twist = goal with the twists of least kinetic energy."""
     turn = rotation.matrix(native)
     inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
     values, vectors = np.linalg.eigh(inertia)
-    root = np.zeros((mechanism.body_count, 6, 6))
-    root[:, :3, :3] = np.eye(3) / np.sqrt(mechanism.mass)[:, None, None]
-    root[:, 3:, 3:] = vectors / np.sqrt(values)[:, None, :] @ np.swapaxes(vectors, -1, -2)
-    scaled = (matrix.reshape(len(matrix), -1, 1, 6) @ root)[:, :, 0].reshape(len(matrix), -1)
-    answer = np.linalg.lstsq(scaled, goal, rcond=1e-10)[0]
-    return np.asarray((root @ answer.reshape(-1, 6, 1))[..., 0]).reshape(-1)
+    root = np.zeros((mechanism.body_count, 2, 3, 3))
+    root[:, 0] = np.eye(3) / np.sqrt(mechanism.mass)[:, None, None]
+    root[:, 1] = vectors / np.sqrt(values)[:, None, :] @ np.swapaxes(vectors, -1, -2)
+    blocks = np.arange(2 * mechanism.body_count + 1)
+    weights = bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
+    return least_change(matrix, weights, goal)
 
 
-def _rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> Array:
-    """Row that gives a hinge's or slider's rate from the twists, shape (6 · body,)."""
+def _rate_row(
+    mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array
+) -> csr_array:
+    """Row that gives a hinge's or slider's rate from the twists, shape (1, 6 · body)."""
     x, q = _with_world(position, native)
     axis = rotation.rotate(q[joint.parent], joint.axis)
-    row = np.zeros((mechanism.body_count + 1, 6))
     if joint.kind == "hinge":
-        row[joint.child, 3:] = axis
-        row[joint.parent, 3:] = -axis
+        child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
     else:
-        arm_parent = x[joint.child] + rotation.rotate(q[joint.child], joint.in_child)
-        arm_child = arm_parent - x[joint.child]
-        arm_parent = arm_parent - x[joint.parent]
-        row[joint.child] = [*axis, *np.cross(arm_child, axis)]
-        row[joint.parent] = [*-axis, *-np.cross(arm_parent, axis)]
-    row[WORLD_INDEX] = 0.0
-    return row[:-1].reshape(-1)
+        anchor = x[joint.child] + rotation.rotate(q[joint.child], joint.in_child)
+        child = [*axis, *np.cross(anchor - x[joint.child], axis)]
+        parent = [*-axis, *-np.cross(anchor - x[joint.parent], axis)]
+    ends = [(joint.child, child), (joint.parent, parent)]
+    values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
+    columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
+    shape = (1, 6 * mechanism.body_count)
+    return csr_array((values, ([0] * len(columns), columns)), shape=shape)
 
 
 def _wrapped(joint: PlacedJoint, difference: float) -> float:

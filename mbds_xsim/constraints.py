@@ -20,11 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.row_space import independent_rows
 
-__all__ = ["Rows", "constraint_rows", "degrees_of_freedom", "dense_jacobian"]
+__all__ = ["Rows", "constraint_rows", "degrees_of_freedom", "dense_jacobian", "sparse_jacobian"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -113,6 +115,19 @@ def dense_jacobian(rows: Rows, body_count: int) -> Array:
     return dense[..., :body_count, :].reshape(*lead, count, 6 * body_count)
 
 
+def sparse_jacobian(rows: Rows, body_count: int) -> csr_array:
+    """Do the same for rows of one state, without the zeros."""
+    count = len(rows.parent)
+    ends = np.concatenate([rows.parent, rows.child])
+    blocks = np.concatenate([rows.jacobian_parent, rows.jacobian_child])
+    held = ends >= 0
+    row = np.repeat(np.tile(np.arange(count), 2)[held], 6)
+    column = (6 * ends[held, None] + np.arange(6)).reshape(-1)
+    matrix = csr_array((blocks[held].reshape(-1), (row, column)), shape=(count, 6 * body_count))
+    matrix.eliminate_zeros()
+    return matrix
+
+
 def degrees_of_freedom(mechanism: Mechanism) -> int:
     """Degrees of freedom at the reference pose: coordinates less independent rows.
 
@@ -121,12 +136,10 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
     still = np.zeros((mechanism.body_count, 3))
     native = np.broadcast_to(rotation.IDENTITY, (mechanism.body_count, 4))
     rows = constraint_rows(mechanism, mechanism.com, native, still, still)
-    if not len(rows.parent):
-        return 6 * mechanism.body_count
-    jacobian = dense_jacobian(rows, mechanism.body_count)
-    # Lengths in units of the scene's, so that the rank does not hang on the choice of metres.
-    scale = np.tile([1.0, 1.0, 1.0, *([1 / mechanism.scene.length] * 3)], mechanism.body_count)
-    return 6 * mechanism.body_count - int(np.linalg.matrix_rank(jacobian * scale, rtol=1e-9))
+    if not (mechanism.loops or mechanism.distances):
+        return 6 * mechanism.body_count - len(rows.parent)
+    jacobian = sparse_jacobian(rows, mechanism.body_count)
+    return 6 * mechanism.body_count - len(independent_rows(jacobian))
 
 
 @functools.lru_cache(maxsize=64)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections import defaultdict, deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -290,18 +291,22 @@ def _spanning_tree(
         else:
             group[a] = b
             tree.append(joint)
-    tree.sort(key=lambda joint: joint.index)
+    at: dict[int, list[PlacedJoint]] = defaultdict(list)
+    for joint in sorted(tree, key=lambda joint: joint.index):
+        at[joint.parent].append(joint)
+        at[joint.child].append(joint)
     links: list[Link] = []
     seen: set[int] = {WORLD_INDEX}
-    queue = [WORLD_INDEX]
+    queue = deque([WORLD_INDEX])
+    roots = iter(range(body_count))
     while len(links) < body_count:
         if not queue:
-            root = next(k for k in range(body_count) if k not in seen)
+            root = next(k for k in roots if k not in seen)
             links.append(Link(root, WORLD_INDEX, None))
             seen.add(root)
             queue.append(root)
-        here = queue.pop(0)
-        for joint in (joint for joint in tree if here in (joint.parent, joint.child)):
+        here = queue.popleft()
+        for joint in at[here]:
             outwards = joint if joint.parent == here else _reversed(joint)
             if outwards.child not in seen:
                 links.append(Link(outwards.child, here, outwards))

@@ -390,14 +390,15 @@ class Scene(Neutral):
 
     def _check_references(self) -> None:
         bodies = {body.name for body in self.bodies}
+        held = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
         for k, joint in enumerate(self.joints):
             for key in ("parent", "child"):
-                _known(f"joints[{k}].{key}", getattr(joint, key), bodies | {WORLD})
+                _known(f"joints[{k}].{key}", getattr(joint, key), held)
         for table in ("distance_links", "springs"):
             for k, item in enumerate(getattr(self, table)):
                 for end in (0, 1):
-                    _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], bodies | {WORLD})
+                    _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], held)
         for k, force in enumerate(self.forces):
             _known(f"forces[{k}].body", force.body, bodies)
         for k, torque in enumerate(self.torques):

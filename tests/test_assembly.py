@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from mbds_xsim import rotation
 from mbds_xsim.assembly import Start, assemble, check_joints, joint_coordinate
 from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.errors import SceneError
@@ -217,3 +218,30 @@ def test_check_joints_names_the_joint_of_any_trajectory() -> None:
     many.position[1, 2, 0] += 1e-3
     with pytest.raises(SceneError, match=r"start leaves joints\['(elbow|swing)'\] off by 0.001"):
         check_joints(mechanism, many)
+
+
+def test_a_speck_of_dust_on_a_long_rod_starts_as_given() -> None:
+    """An open tree always starts: the rod weighs 1 kg, the part on its end 2e-15 kg."""
+    rod = Body("rod", inertia=Inertia(1.0, (1 / 12, 1 / 12, 1e-4)), position=(0.0, 0.0, -0.5))
+    speck = Body(
+        "speck",
+        inertia=Inertia(2e-15, (2e-28, 2e-28, 2e-28)),
+        position=(0.0, 0.0, -1.0 - 5e-7),
+    )
+    axis = (0.0, 1.0, 0.0)
+    joints = (
+        Joint("top", "hinge", "world", "rod", (0.0, 0.0, 0.0), axis, start=0.3, rate=2.0),
+        Joint("end", "hinge", "rod", "speck", (0.0, 0.0, -1.0), axis, start=-0.8, rate=5.0),
+    )
+    mechanism = Mechanism.of(Scene("dust", (rod, speck), 1.0, joints=joints))
+
+    start = assemble(mechanism)
+
+    for placed, (angle, rate) in zip(mechanism.joints, ((0.3, 2.0), (-0.8, 5.0)), strict=True):
+        assert joint_coordinate(placed, start.position, start.native) == pytest.approx(angle)
+        assert placed.kind == "hinge"
+        parent = start.angular_velocity[placed.parent, 1] if placed.parent >= 0 else 0.0
+        assert start.angular_velocity[placed.child, 1] - parent == pytest.approx(rate)
+    pin = 2.0 * start.position[0]
+    arm = rotation.rotate(start.native[1], np.array([0.0, 0.0, 5e-7]))
+    np.testing.assert_allclose(start.position[1] + arm, pin, rtol=0, atol=1e-12)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
 
+from benchmarks.four_bars import four_bars
 from mbds_xsim import rotation
 from mbds_xsim.constraints import Rows, constraint_rows, degrees_of_freedom, dense_jacobian
 from mbds_xsim.joint_space import BodyStates, to_bodies
@@ -152,3 +154,14 @@ def test_degrees_of_freedom_of_trees(kinds: tuple[Kind, ...], expected: int) -> 
     mechanism = Mechanism.of(random_tree(np.random.default_rng(8), kinds))
 
     assert degrees_of_freedom(mechanism) == expected
+
+
+def test_many_loops_are_counted_by_a_sparse_factorisation() -> None:
+    """Each four-bar has three rows too many: they are told from the others as few are."""
+    loops = 300
+    mechanism = Mechanism.of(four_bars(loops, 1.0))
+    rows = 5 * len(mechanism.joints)
+    begin = time.process_time()
+    assert degrees_of_freedom(mechanism) == 1
+    assert 6 * mechanism.body_count - rows == 1 - 3 * loops
+    assert time.process_time() - begin < 2.0

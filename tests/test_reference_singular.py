@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.four_bars import angle_and_rate, energy, four_bars
+from mbds_xsim.errors import SceneError
 from mbds_xsim.reference import marching, solve, stiff
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Torque
@@ -120,6 +121,11 @@ def test_a_start_at_a_bifurcation_that_chooses_no_branch_is_told_so(
     assert failure is not None
     assert failure.frame == 1
     assert failure.reason.startswith("the start is a bifurcation")
+
+
+def test_rates_of_least_energy_that_belong_to_no_branch_are_refused() -> None:
+    with pytest.raises(SceneError, match=r"bifurcation at joints.*rate of one more joint"):
+        draw_batch(flat((2.0, None)), [0])
 
 
 def test_at_rest_forces_choose_the_branch_or_the_start_is_told() -> None:
