@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,11 @@ from scipy.sparse import bsr_array, csr_array, eye_array, vstack
 from mbds_xsim import rotation
 from mbds_xsim.constraints import constraint_rows, sparse_jacobian
 from mbds_xsim.errors import SceneError
+from mbds_xsim.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.row_space import least_change
 
-__all__ = ["Start", "assemble", "check_joints", "joint_coordinate"]
+__all__ = ["assemble", "check_joints"]
 
 Array = NDArray[np.float64]
 
@@ -29,44 +30,61 @@ _VELOCITY_TOLERANCE = 1e-9
 _BRANCH_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """One state: arrays of shape (body, 3|4), native rotations."""
-
-    position: Array
-    native: Array
-    velocity: Array
-    angular_velocity: Array
-
-
 @functools.lru_cache(maxsize=64)
-def assemble(mechanism: Mechanism) -> Start:
+def assemble(mechanism: Mechanism) -> BodyStates:
     """Find the scene's own start: joint `start` and `rate`, body velocities, all loops closed.
 
-    Poses move from the reference pose by mass-weighted Newton steps with the given joint
-    coordinates led to their values in small strides. Velocities that are not given are the ones
-    of least kinetic energy.
+    A tree is put together joint by joint where all its coordinates, or rates, are given. Otherwise
+    poses move from the reference pose by mass-weighted Newton steps with the given joint
+    coordinates led to their values in small strides, and velocities that are not given are the
+    ones of least kinetic energy.
 
     Raises:
         SceneError: A loop cannot be closed, or given velocities break a joint.
     """
-    position, native = _assemble_pose(mechanism)
-    velocity, angular_velocity = _complete_velocities(mechanism, position, native)
-    return Start(position, native, velocity, angular_velocity)
+    still = np.zeros((mechanism.body_count, 3))
+    pose = mechanism.com.copy(), np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+    if not _follows_from(mechanism, "start"):
+        pose = _assemble_pose(mechanism, *pose)
+    start = _on_its_tree(mechanism, BodyStates(*pose, still, still.copy()))
+    if _follows_from(mechanism, "rate"):
+        return start
+    pose = start.position, start.native
+    return _on_its_tree(mechanism, BodyStates(*pose, *_complete_velocities(mechanism, *pose)))
 
 
-def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Array:
-    """Hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""
-    x, q = _with_world(position, native)
-    xp, xc = x[..., joint.parent, :], x[..., joint.child, :]
-    qp, qc = q[..., joint.parent, :], q[..., joint.child, :]
-    if joint.kind == "slider":
-        apart = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
-        return np.asarray(np.sum(apart * rotation.rotate(qp, joint.axis), axis=-1))
-    return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
+def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
+    """Whether the joints' own values say all: of a tree that hangs on hinges and sliders."""
+    joints = mechanism.scene.joints
+    velocities = (body.velocity or body.angular_velocity for body in mechanism.scene.bodies)
+    return not (
+        mechanism.loops or mechanism.distances or (key == "rate" and any(velocities))
+    ) and all(
+        link.joint is not None
+        and link.joint.kind != "ball"
+        and (link.joint.kind == "fixed" or getattr(joints[link.joint.index], key) is not None)
+        for link in mechanism.links
+    )
 
 
-def check_joints(mechanism: Mechanism, starts: Start) -> None:
+def _on_its_tree(mechanism: Mechanism, start: BodyStates) -> BodyStates:
+    """Take rounding errors out of the tree's joints, and out of coordinates that are given."""
+    joints = mechanism.scene.joints
+    moves = start.velocity.any() or start.angular_velocity.any()
+    if not moves and all(joint.start is None and joint.rate is None for joint in joints):
+        return start
+    links = to_links(mechanism, start)
+    if not (mechanism.loops or mechanism.distances):
+        for k, link in enumerate(mechanism.links):
+            given = None if link.joint is None else joints[link.joint.index]
+            if given is not None and given.start is not None:
+                links.coordinate[k] = given.start
+            if given is not None and given.rate is not None:
+                links.rate[k] = given.rate
+    return to_bodies(mechanism, links)
+
+
+def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
     """Raise SceneError, naming the joint, unless poses and velocities keep all joints together.
 
     `starts` may have leading axes.
@@ -100,15 +118,13 @@ def check_joints(mechanism: Mechanism, starts: Start) -> None:
             raise SceneError(msg)
 
 
-def _assemble_pose(mechanism: Mechanism) -> tuple[Array, Array]:
+def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
     scene = mechanism.scene
     led = [
         (placed, float(joint.start))
         for placed, joint in zip(mechanism.joints, scene.joints, strict=True)
         if joint.start is not None
     ]
-    position = mechanism.com.copy()
-    native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
     unit = {"hinge": _STRIDE, "slider": _STRIDE * scene.length}
     needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in led)])
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
@@ -244,14 +260,17 @@ def _rate_row(
     mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array
 ) -> csr_array:
     """Row that gives a hinge's or slider's rate from the twists, shape (1, 6 · body)."""
-    x, q = _with_world(position, native)
-    axis = rotation.rotate(q[joint.parent], joint.axis)
+    held = joint.parent == WORLD_INDEX
+    axis = joint.axis if held else rotation.rotate(native[joint.parent], joint.axis)
+    # What either is of the world is left out below.
     if joint.kind == "hinge":
         child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
     else:
-        anchor = x[joint.child] + rotation.rotate(q[joint.child], joint.in_child)
-        child = [*axis, *np.cross(anchor - x[joint.child], axis)]
-        parent = [*-axis, *-np.cross(anchor - x[joint.parent], axis)]
+        anchor = joint.in_child
+        if joint.child != WORLD_INDEX:
+            anchor = position[joint.child] + rotation.rotate(native[joint.child], joint.in_child)
+        child = [*axis, *np.cross(anchor - position[joint.child], axis)]
+        parent = [*-axis, *-np.cross(anchor - position[joint.parent], axis)]
     ends = [(joint.child, child), (joint.parent, parent)]
     values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
     columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
@@ -263,13 +282,6 @@ def _wrapped(joint: PlacedJoint, difference: float) -> float:
     if joint.kind == "slider":
         return difference
     return float((difference + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _with_world(position: Array, native: Array) -> tuple[Array, Array]:
-    lead = position.shape[:-2]
-    x = np.concatenate([position, np.zeros((*lead, 1, 3))], axis=-2)
-    q = np.concatenate([native, np.broadcast_to(rotation.IDENTITY, (*lead, 1, 4))], axis=-2)
-    return x, q
 
 
 def _owner_name(mechanism: Mechanism, owner: int) -> str:

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import joint_coordinate
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
-__all__ = ["BodyStates", "LinkStates", "to_bodies", "to_links"]
+__all__ = ["BodyStates", "LinkStates", "joint_coordinate", "to_bodies", "to_links"]
 
 Array = NDArray[np.float64]
 
@@ -52,6 +51,20 @@ class LinkStates:
     """Of a free body's centre of mass in W [m], else 0, shape (…, link, 3)."""
     velocity: Array
     """Of a free body's centre of mass in W [m/s], else 0, shape (…, link, 3)."""
+
+
+def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Array:
+    """Hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""
+    (xp, qp), (xc, qc) = (
+        (np.zeros(3), rotation.IDENTITY)
+        if body == WORLD_INDEX
+        else (position[..., body, :], native[..., body, :])
+        for body in (joint.parent, joint.child)
+    )
+    if joint.kind == "slider":
+        apart = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
+        return np.asarray(np.sum(apart * rotation.rotate(qp, joint.axis), axis=-1))
+    return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
 
 
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:

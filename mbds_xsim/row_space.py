@@ -41,7 +41,10 @@ def independent_rows(jacobian: csr_array) -> Indices:
 
 
 def least_change(jacobian: csr_array, root: csr_array, goal: Array) -> Array:
-    """Solve jacobian · change = goal, as its independent rows say it, with least |root⁻¹ change|.
+    """Solve jacobian · change = goal with least |root⁻¹ change|.
+
+    Where rows contradict each other, few of them are fulfilled in the least squares sense; of
+    many, independent ones are fulfilled and the others are not.
 
     Args:
         jacobian: Shape (row, column).
@@ -51,8 +54,10 @@ def least_change(jacobian: csr_array, root: csr_array, goal: Array) -> Array:
     chosen = independent_rows(jacobian)
     scaled = (jacobian[chosen] @ root).tocsr()
     size = 1.0 / norm(scaled, axis=1)
-    scaled, wanted = diags_array(size) @ scaled, size * goal[chosen]
-    if len(chosen) <= _FEW:
+    few = jacobian.shape[0] <= _FEW
+    wanted = size * (_reached(jacobian, chosen, goal) if few else goal[chosen])
+    scaled = diags_array(size) @ scaled
+    if few:
         return np.asarray(root @ _least_dense(scaled.toarray(), wanted))
     factor = _factorised(scaled, 0.0)
     change = np.zeros(scaled.shape[1])
@@ -62,14 +67,26 @@ def least_change(jacobian: csr_array, root: csr_array, goal: Array) -> Array:
     return np.asarray(root @ change)
 
 
+def _reached(jacobian: csr_array, chosen: Indices, goal: Array) -> Array:
+    """Give goals of the chosen rows from which all rows are off their own by the least squares."""
+    if len(chosen) == jacobian.shape[0]:
+        return goal
+    matrix = jacobian.toarray()
+    matrix /= np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(np.float64).tiny)
+    share = np.linalg.lstsq(matrix[chosen].T, matrix.T)[0].T
+    return np.asarray(np.linalg.lstsq(share, goal)[0])
+
+
 def _least_dense(matrix: Array, goal: Array) -> Array:
     if not len(goal):
         return np.zeros(matrix.shape[1])
     # Columns that masses make large come first: so no rounding error of theirs drowns the others.
     order = np.argsort(-np.abs(matrix).max(axis=0), kind="stable")
     basis, triangle, pivot = qr(matrix[:, order].T, mode="economic", pivoting=True)
-    answer = np.empty(matrix.shape[1])
-    answer[order] = basis @ solve_triangular(triangle, goal[pivot], trans="T")
+    answer = np.zeros(matrix.shape[1])
+    for _ in range(2):  # the second time for what the first has lost by rounding
+        left = (goal - matrix @ answer)[pivot]
+        answer[order] += basis @ solve_triangular(triangle, left, trans="T")
     return answer
 
 

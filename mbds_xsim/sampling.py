@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start, assemble, check_joints
+from mbds_xsim.assembly import assemble, check_joints
 from mbds_xsim.errors import SceneError
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.sampling_terms import (
     INTERVALS,
@@ -69,7 +70,7 @@ def draw_batch(
     mechanism = Mechanism.of(scene)
     drawn = [_draw_one(mechanism, index, seed, noise, inputs) for index in indices]
     count = mechanism.body_count
-    starts = Start(
+    starts = BodyStates(
         position=np.array([state.position for state in drawn]).reshape(-1, count, 3),
         native=np.array([state.native for state in drawn]).reshape(-1, count, 4),
         velocity=np.array([state.velocity for state in drawn]).reshape(-1, count, 3),

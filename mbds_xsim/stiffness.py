@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start, assemble
+from mbds_xsim.assembly import assemble
 from mbds_xsim.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene import Scene
 
@@ -62,7 +63,7 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
 
 
-def _inverse_mass_root(mechanism: Mechanism, start: Start) -> Array:
+def _inverse_mass_root(mechanism: Mechanism, start: BodyStates) -> Array:
     """R with R Rᵀ the inverse of the mass matrix of all twists in W."""
     turn = rotation.matrix(start.native)
     inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
@@ -73,7 +74,7 @@ def _inverse_mass_root(mechanism: Mechanism, start: Start) -> Array:
     return root.reshape(6 * mechanism.body_count, -1)
 
 
-def _apart(mechanism: Mechanism, start: Start, spring: PointPair) -> Array:
+def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:
     """Rows that give the velocity of the second end against the first, (3, 6 · body)."""
     rows = np.zeros((3, mechanism.body_count, 6))
     for body, point, sign in zip(spring.bodies, spring.in_body, (-1.0, 1.0), strict=True):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start, assemble, check_joints, joint_coordinate
+from mbds_xsim.assembly import assemble, check_joints
 from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.errors import SceneError
+from mbds_xsim.joint_space import BodyStates, joint_coordinate
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene
 
@@ -209,7 +210,7 @@ def test_a_start_that_a_loop_forbids_is_refused_by_name() -> None:
 def test_check_joints_names_the_joint_of_any_trajectory() -> None:
     mechanism = Mechanism.of(_four_bar(0.0, 1.0))
     start = assemble(mechanism)
-    many = Start(*(np.stack([getattr(start, key)] * 3) for key in start.__dataclass_fields__))
+    many = BodyStates(*(np.stack([getattr(start, key)] * 3) for key in start.__dataclass_fields__))
     check_joints(mechanism, many)
 
     many.velocity[2, 0, 1] += 1e-6
@@ -245,3 +246,44 @@ def test_a_speck_of_dust_on_a_long_rod_starts_as_given() -> None:
     pin = 2.0 * start.position[0]
     arm = rotation.rotate(start.native[1], np.array([0.0, 0.0, 5e-7]))
     np.testing.assert_allclose(start.position[1] + arm, pin, rtol=0, atol=1e-12)
+
+
+def _chain(count: int, rate: float | None) -> Scene:
+    """Make a chain of rods of 1 m that hangs from a hinge, each 0.1 rad on from the one above."""
+    bodies = tuple(
+        Body(f"rod{k}", inertia=Inertia(1.0, (1 / 12, 1 / 12, 1e-10)), position=(0, 0, -k - 0.5))
+        for k in range(count)
+    )
+    names = ["world", *(body.name for body in bodies)]
+    joints = tuple(
+        Joint(f"pin{k}", "hinge", names[k], names[k + 1], (0, 0, -k), (0, 1, 0), 0.1, rate)
+        for k in range(count)
+    )
+    return Scene("chain", bodies, float(count), joints=joints)
+
+
+def test_a_long_chain_whose_rates_are_all_given_is_put_together_joint_by_joint() -> None:
+    """Rates that add up to thousands, at arms of kilometres, leave the hinges together."""
+    count = 2000
+    start = assemble(mechanism := Mechanism.of(_chain(count, 1.0)))
+
+    check_joints(mechanism, start)
+    turn = 0.1 * np.arange(1, count + 1)
+    spin = np.arange(1.0, count + 1.0)
+    arm = -np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+    swing = np.stack([-np.cos(turn), np.sin(turn)], axis=-1) * spin[:, None]
+    for got, rods in ((start.position, arm), (start.velocity, swing)):
+        expected = np.cumsum(rods, axis=0) - rods / 2
+        rounding = 1e-11 * np.abs(expected).max()
+        np.testing.assert_allclose(got[:, [0, 2]], expected, rtol=0, atol=rounding)
+    np.testing.assert_allclose(start.angular_velocity[:, 1], spin, rtol=1e-15)
+
+
+@pytest.mark.parametrize("rate", [None, 30.0])
+def test_a_start_is_on_its_hinges_to_the_last_digit(rate: float | None) -> None:
+    """The rod's least moment is 1e-10 kg·m²: weighted with it, rounding errors show at once."""
+    start = assemble(Mechanism.of(_chain(1, rate)))
+
+    assert start.native[0, [1, 3]].tolist() == [0.0, 0.0]
+    assert start.angular_velocity[0].tolist() == [0.0, rate or 0.0, 0.0]
+    assert np.abs(start.position[0] + [np.sin(0.1) / 2, 0.0, np.cos(0.1) / 2]).max() < 1e-16

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 from mbds_xsim import sampling_terms, scene
-from mbds_xsim.assembly import assemble, joint_coordinate
+from mbds_xsim.assembly import assemble
 from mbds_xsim.errors import SceneError
+from mbds_xsim.joint_space import joint_coordinate
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.neutral import Neutral
 from mbds_xsim.reference import solve

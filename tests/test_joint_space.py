@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import joint_coordinate
-from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree

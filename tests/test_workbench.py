@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import registry
-from mbds_xsim.assembly import joint_coordinate
 from mbds_xsim.checks.agreement import particle_error
 from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.engine import Adapter, Feature, features_of
+from mbds_xsim.joint_space import joint_coordinate
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.reference.dynamics import dynamics_of

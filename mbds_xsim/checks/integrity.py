@@ -27,14 +27,18 @@ def finite(record: Record) -> Finding:
 
 
 def start(record: Record) -> Finding:
-    """Compare frame 0 with the drawn start, relative to the largest value of each kind."""
+    """Compare frame 0 with the drawn start, relative to the largest value of each kind.
+
+    Velocities are also put together from rates at arms of up to the scene's length.
+    """
     batch, motion = record.batch, record.trajectory
+    spin = np.abs(batch.angular_velocity).max(axis=(1, 2)) * record.scene.length
     facing = np.sum(motion.orientation[:, 0] * batch.orientation, axis=-1, keepdims=True)
     near = np.where(facing < 0, -batch.orientation, batch.orientation)
     pairs = (
         (motion.position[:, 0], batch.position, record.scene.length),
         (motion.orientation[:, 0], near, 1.0),
-        (motion.velocity[:, 0], batch.velocity, 1.0),
+        (motion.velocity[:, 0], batch.velocity, np.maximum(1.0, spin)),
         (motion.angular_velocity[:, 0], batch.angular_velocity, 1.0),
     )
     off = np.stack([_relative(got, drawn, floor) for got, drawn, floor in pairs])
@@ -70,7 +74,7 @@ def planarity(record: Record) -> Finding | None:
     )
 
 
-def _relative(got: Array, drawn: Array, floor: float) -> Array:
+def _relative(got: Array, drawn: Array, floor: float | Array) -> Array:
     scale = np.maximum(floor, np.abs(drawn).max(axis=(1, 2)))
     return np.abs(got - drawn).max(axis=2) / scale[:, None]
 

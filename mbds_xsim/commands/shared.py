@@ -129,10 +129,12 @@ def command_line() -> str:
 
 
 def scene_named(name: str) -> Scene:
-    """Load a built-in scene, a family at a size, or a file."""
+    """Load a built-in scene, a family at a size, or a file: a large one takes a while."""
     from mbds_xsim.registry import load_scene
 
-    return load_scene(name)
+    with progress_on(console_for(None)) as progress:
+        progress.begin(1, f"reading {name}")
+        return load_scene(name)
 
 
 def console_for(json: Path | None) -> Console:

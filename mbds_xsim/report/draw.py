@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start
 from mbds_xsim.catalogue import scene_row
 from mbds_xsim.counted import counted
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.projection import View, outline, point_of, pose_of
@@ -77,7 +77,7 @@ class _Picture:
 
     mechanism: Mechanism
     bones: Skeleton
-    pose: Start
+    pose: BodyStates
     view: View
     points: Array
     """The skeleton's moving points in W, shape (point, 3)."""

@@ -27,9 +27,9 @@ class ProgressBar(Bar):
             name="starting",
         )
 
-    def begin(self, total: int) -> None:
-        """Say how many tasks there are."""
-        self._show(total=total, completed=0, description="running")
+    def begin(self, total: int, what: str = "running") -> None:
+        """Say how many tasks there are, and what is done."""
+        self._show(total=total, completed=0, description=what)
 
     def advance(self, what: str) -> None:
         """Count one task as done."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import Start
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.sampling import draw_batch
 
@@ -56,7 +56,7 @@ class View:
         return points @ self.axes[2]
 
 
-def pose_of(mechanism: Mechanism, start: int | None) -> Start:
+def pose_of(mechanism: Mechanism, start: int | None) -> BodyStates:
     """Pose of the reference, or of the start of a trajectory; nothing moves in a picture."""
     if start is None:
         native = np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
@@ -65,17 +65,17 @@ def pose_of(mechanism: Mechanism, start: int | None) -> Start:
         batch = draw_batch(mechanism.scene, [start])
         position, native = batch.position[0], mechanism.native_rotation(batch.orientation)[0]
     still = np.zeros_like(position)
-    return Start(position, native, still, still)
+    return BodyStates(position, native, still, still)
 
 
-def point_of(pose: Start, body: int, offset: Array) -> Array:
+def point_of(pose: BodyStates, body: int, offset: Array) -> Array:
     """A point fixed in a body (or the world), in W [m]."""
     if body == WORLD_INDEX:
         return offset
     return pose.position[body] + rotation.rotate(pose.native[body], offset)
 
 
-def outline(mechanism: Mechanism, pose: Start, view: View, body: int) -> Array:
+def outline(mechanism: Mechanism, pose: BodyStates, view: View, body: int) -> Array:
     """Outline of the homogeneous ellipsoid with a body's mass and inertia: pᵀ M⁻¹ p = 1, (2, 2).
 
     Its semi-axes a, b, c obey I₁ = m (b² + c²) / 5 and so on.

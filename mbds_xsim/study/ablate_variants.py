@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbds_xsim.assembly import Start, check_joints
+from mbds_xsim.assembly import check_joints
 from mbds_xsim.errors import SceneError
+from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
@@ -69,7 +70,7 @@ def _kept(scene: Scene, ablated: Scene, batch: Batch) -> Batch:
     """Give the full scene's starts and inputs to the ablated one; raise where joints forbid it."""
     mechanism, other = Mechanism.of(scene), Mechanism.of(ablated)
     native = mechanism.native_rotation(batch.orientation)
-    check_joints(other, Start(batch.position, native, batch.velocity, batch.angular_velocity))
+    check_joints(other, BodyStates(batch.position, native, batch.velocity, batch.angular_velocity))
     torque = np.zeros((len(batch), batch.steps, len(other.hinges)))
     columns = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for k, joint in enumerate(other.hinges):

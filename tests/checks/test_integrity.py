@@ -52,6 +52,19 @@ def test_another_start_than_the_drawn_one_fails(pendulum: Any, field: str) -> No
     assert finding.where[0] == "link3"
 
 
+def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> None:
+    """Tips of rods that spin fast have speeds of 1e6 m/s, from which slow centres are made."""
+    length = pendulum.scene.length
+    spin = np.full_like(pendulum.batch.angular_velocity, 1e6)
+    batch = dataclasses.replace(pendulum.batch, angular_velocity=spin)
+    spins, velocity = (getattr(pendulum.exact, k).copy() for k in ("angular_velocity", "velocity"))
+    spins[:, 0] = spin
+    velocity[0, 0] += 0.9e-6 * length
+    velocity[1, 0] += 1.1e-6 * length
+    motion = dataclasses.replace(pendulum.exact, angular_velocity=spins, velocity=velocity)
+    assert start(Record(pendulum.scene, batch, motion)).passed.tolist() == [True, False, True]
+
+
 def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
     turned = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
     assert start(Record(pendulum.scene, pendulum.batch, turned)).passed.all()
