@@ -7,9 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mbds_xsim import registry
 from mbds_xsim.engine import Profile
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.palette import ENGINES, engine_style
 from mbds_xsim.study.contact import ContactStudy
 from mbds_xsim.study.contact_bench import FRICTION
 from mbds_xsim.study.contact_impacts import RESTITUTIONS
@@ -19,7 +18,7 @@ __all__ = ["draw_study"]
 
 _INK = "#1c2733"
 _GREY = "#8a949e"
-_MARKS = "osD^v<>"
+_MARKS = "12x+34"
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
 _STYLE = {
     "font.size": 9,
@@ -130,13 +129,11 @@ def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
 
 
 def _line(colour: str, mark: str) -> dict[str, Any]:
-    """Open marks of several sizes: engines that agree stay visible."""
-    size = 8.5 - 1.8 * min(_MARKS.index(mark), 3)
-    return {"color": colour, "marker": mark, "markersize": size, "markerfacecolor": "none"}
+    """Thin marks: engines that agree stay visible."""
+    return {"color": colour, "marker": mark, "markersize": 8, "markeredgewidth": 1.3}
 
 
 def _engines(study: ContactStudy) -> list[tuple[str, str, str]]:
     """Name, colour and mark of each engine, the same in every figure."""
-    known = list(dict.fromkeys([*registry.engine_names(), *study.versions]))
-    places = {engine: known.index(engine) for engine in study.versions}
-    return [(e, LIGHT[k % len(LIGHT)], _MARKS[k % len(_MARKS)]) for e, k in places.items()]
+    places = {engine: engine_style(engine, study.versions).colour for engine in study.versions}
+    return [(engine, ENGINES[k], _MARKS[k]) for engine, k in places.items()]

@@ -240,6 +240,10 @@ def rows_of(study: ContactStudy, profile: Profile) -> Iterator[tuple[Line, list[
         yield line, [shown(line, measured) for measured in found]
 
 
+def _signed(cell: Shown) -> Text:
+    return Text(f"{cell.text} ✗", "bold red") if cell.off else Text(cell.text)
+
+
 def print_study(study: ContactStudy, console: Console) -> None:
     """Print the summary, one table a profile."""
     for profile in study.profiles:
@@ -255,11 +259,9 @@ def print_study(study: ContactStudy, console: Console) -> None:
         for engine in study.versions:
             table.add_column(engine, justify="right", no_wrap=True)
         for line, cells in rows_of(study, profile):
-            table.add_row(
-                line.label, line.asked, *(Text(c.text, "bold red" if c.off else "") for c in cells)
-            )
+            table.add_row(line.label, line.asked, *map(_signed, cells))
         console.print(table)
     for missing in study.missing:
         where = f"{missing.engine} {missing.profile}, {missing.part}"
         console.print(f"{where}: {missing.reason}")
-    console.print(JUDGED, style="dim", highlight=False)
+    console.print(JUDGED.replace("Marked", "Marked ✗"), style="dim")

@@ -60,7 +60,8 @@ def _table(heading: str, lines: list[summary.Line]) -> Table:
     for line in lines:
         entry = "" if line.entry == above else line.entry
         above = line.entry
-        cells = (Text(cell) for cell in (entry, *line.cells[1:]))
+        last = f"{line.cells[-1]} ✗" if line.worse else line.cells[-1]
+        cells = (Text(cell) for cell in (entry, *line.cells[1:-1], last))
         table.add_row(*cells, style="bold red" if line.worse else "")
     return table
 

@@ -21,7 +21,7 @@ from mbds_xsim.catalogue import scene_row
 from mbds_xsim.counted import counted
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.palette import PARTS
 from mbds_xsim.report.projection import View, outline, point_of, pose_of
 from mbds_xsim.report.skeleton import Skeleton, skeleton
 from mbds_xsim.safe_text import in_figure
@@ -37,10 +37,6 @@ _GREY = "#8a949e"
 _FAINT = "#cfd5da"
 _BODY = "#6f8296"
 _RGB = tuple(int(_BODY[k : k + 2], 16) / 255 for k in (1, 3, 5))
-_KINDS = {"hinge": LIGHT[2], "slider": LIGHT[0], "ball": LIGHT[1], "fixed": _INK}
-_SPRING = LIGHT[3]
-_LINK = LIGHT[4]
-_CONTACT = LIGHT[5]
 _NAMED_BODIES = 12
 _LABEL = {"fontsize": 8, "color": _INK, "zorder": 9}
 
@@ -137,7 +133,13 @@ class _Picture:
             self._spring(axes, spring)
         for link in self.mechanism.distances:
             ends = self.view.flat(self._ends(link))
-            axes.plot(*ends.T, color=_LINK, linewidth=1.8, zorder=5, label="distance link")
+            axes.plot(
+                *ends.T,
+                color=PARTS["distance link"],
+                linewidth=1.8,
+                zorder=5,
+                label="distance link",
+            )
         for joint in self.mechanism.joints:
             self._joint(axes, joint)
         self._center(axes)
@@ -204,8 +206,12 @@ class _Picture:
             axes.add_patch(Circle(flat[k], radius, fc=_BODY, ec="white", lw=0.6, zorder=order))
         for k in np.flatnonzero(self.bones.radius > 0):
             radius = self.bones.radius[k]
-            axes.add_patch(Circle(flat[k], radius, fc="none", ec=_CONTACT, lw=1.2, zorder=5))
-            axes.plot([], [], "o", mfc="none", color=_CONTACT, label="contact sphere")
+            axes.add_patch(
+                Circle(flat[k], radius, fc="none", ec=PARTS["contact sphere"], lw=1.2, zorder=5)
+            )
+            axes.plot(
+                [], [], "o", mfc="none", color=PARTS["contact sphere"], label="contact sphere"
+            )
         held = flat[len(self.points) :]
         if len(held):
             axes.plot(*held.T, "^", color=_INK, ms=8, zorder=6, label="fixed point", ls="none")
@@ -224,11 +230,11 @@ class _Picture:
             normal = np.array([-direction[1], direction[0]])
             normal *= 0.8 * self.unit / max(float(np.hypot(*normal)), 1e-12)
             line, style = begin + along[:, None] * direction + side[:, None] * normal, "-"
-        axes.plot(*line.T, style, color=_SPRING, linewidth=1.3, zorder=5, label=label)
+        axes.plot(*line.T, style, color=PARTS["spring"], linewidth=1.3, zorder=5, label=label)
 
     def _joint(self, axes: Any, joint: PlacedJoint) -> None:
         """Ring for ball and hinge, bar for slider, square for fixed; hinge and slider axes."""
-        colour = _KINDS[joint.kind]
+        colour = PARTS[joint.kind]
         place = self.view.flat(self._anchor(joint))
         marker = {"fixed": "s", "slider": "D"}.get(joint.kind, "o")
         style = {"color": colour, "ls": "none", "mew": 1.3, "zorder": 7, "label": joint.kind}
@@ -288,7 +294,7 @@ class _Picture:
         if size == 0:
             axes.text(0.96, 0.8, "no gravity", ha="right", transform=axes.transAxes)
             return
-        self._arrows(axes, (0.93, 0.8), [(gravity / size, f"{size:g} m/s²", LIGHT[3])])
+        self._arrows(axes, (0.93, 0.8), [(gravity / size, f"{size:g} m/s²", _INK)])
 
     def _arrows(
         self, axes: Any, place: tuple[float, float], arrows: list[tuple[Array, str, str]]

@@ -46,6 +46,7 @@ def error_growth(
         (interval, _error_figure(validation, evidence, styles, rows))
         for interval in INTERVALS
         if (rows := [k for k, name in enumerate(of_row) if name == interval and known[k]])
+        and any(error is not None and np.isfinite(error[rows]).any() for error in evidence.errors)
     ]
 
 
@@ -105,7 +106,7 @@ def consistency(validation: Validation, styles: tuple[Style, ...]) -> Markup | N
     checks = dict.fromkeys(f.check for _, _, findings in rows for f in findings if f.budget)
     if not checks:
         return None
-    marker = dict(zip(checks, "osD^v<>" * 9, strict=False))
+    marker = dict(zip(checks, "1x+234|" * 9, strict=False))
 
     def draw(axes: Any) -> None:
         for place, _, findings in rows:
@@ -120,8 +121,7 @@ def consistency(validation: Validation, styles: tuple[Style, ...]) -> Markup | N
                         marker[f.check],
                         color=colour,
                         alpha=0.8,
-                        ms=5,
-                        mfc="none" if styles[place].dashed else colour,
+                        ms=7,
                     )
         _consistency_axes(axes, validation.engines, marker)
 
@@ -156,7 +156,7 @@ def restitution(
                 colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
                 (marks,) = axes.plot(
-                    *found, "os^Dvp"[place % 6], color=colour, ms=9 if style is None else 5,
+                    *found, "|12x+34"[place % 7], color=colour, ms=9 if style is None else 5,
                     mfc="none" if hollow else colour, mew=1.1, alpha=0.85,
                 )  # fmt: skip
                 if style is not None:

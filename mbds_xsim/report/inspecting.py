@@ -69,6 +69,7 @@ def _figures(summary: Summary) -> Table:
     table.add_column("check", no_wrap=True)
     for heading in ("trajectories", "smallest", "median", "largest", "allowed"):
         table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for figure in summary.figures:
         table.add_row(*_cells(figure))
     return table
@@ -78,4 +79,6 @@ def _cells(figure: Range) -> tuple[str, ...]:
     values = (figure.smallest, figure.median, figure.largest)
     allowed = "shown" if figure.allowed is None else quantity.with_unit(figure.allowed, figure.unit)
     shown = (quantity.with_unit(value, figure.unit) for value in values)
-    return figure.check, str(figure.trajectories), *shown, allowed
+    held = figure.allowed is None or figure.largest <= figure.allowed
+    mark = "" if figure.allowed is None else "✓" if held else "✗"
+    return figure.check, str(figure.trajectories), *shown, allowed, mark

@@ -10,16 +10,11 @@ from mbds_xsim.study.rows import Learned, Tradeoff
 
 __all__ = [
     "ModelColumn",
-    "colour_of_model",
     "model_columns",
     "model_told",
     "models_short",
     "models_told",
 ]
-
-_COLOURS = {"gns": "#7a4fb5", "hgnn": "#1b1b1b", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
-"""The same on every chart, and none of the engines'."""
-_OTHER = "#6b6b6b"
 
 
 @dataclass(frozen=True)
@@ -117,11 +112,6 @@ def model_told(model: Learned) -> str:
         f"{quantity.length(point.error_weighted_m)}\ngap {quantity.length(point.gap_m)}, energy "
         f"{quantity.number(point.energy)}\ntraining took {quantity.span(model.train_wall_s)}"
     )
-
-
-def colour_of_model(model: Learned) -> str:
-    """Colour of a model, whatever it was trained on."""
-    return _COLOURS.get(model.model, _OTHER)
 
 
 def _trained_on(model: Learned) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report import palette
 from mbds_xsim.report.projection import View
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
@@ -94,7 +94,7 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     axes.set_title(f"trajectory {index}, {INTERVALS[interval]}", fontsize=9)
     axes.grid(color="#e6eaed", linewidth=0.6)
     axes.set_axisbelow(True)
-    colour = LIGHT[interval]
+    colour = palette.INTERVALS[interval]
     position = np.asarray(data.position[row], dtype=np.float64)
     if data.attributes["dimension"] == 1:
         axes.plot(data["time"], position[..., 0], color=colour, linewidth=1.0)

@@ -10,9 +10,9 @@ from mbds_xsim.learn.shift.board import RESTART
 from mbds_xsim.learn.shift.result import INTERVALS, Cell, Shift
 from mbds_xsim.learn.shift.roster import TRIVIAL
 from mbds_xsim.report import themed
-from mbds_xsim.report.palette import LIGHT
 from mbds_xsim.report.quantity import number
 from mbds_xsim.report.shift_matrix import Matrix, at, matrix_of, trained_models
+from mbds_xsim.report.training_curves import looks
 from mbds_xsim.safe_text import in_figure
 
 __all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
@@ -80,6 +80,18 @@ def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
     return middle - half, middle + half
 
 
+def curves_of(shift: Shift, model: str, test: str) -> list[Cell]:
+    """Give what there is to draw of a model on one domain: trainings of its variant."""
+    variant = test.rpartition("-")[2]
+    return [
+        cell
+        for cell in shift.cells
+        if (cell.model, cell.test, cell.interval) == (model, test, INTERVALS[0])
+        and cell.training.endswith(f"-{variant}")
+        and any(value is not None for value in cell.curve)
+    ]
+
+
 def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
     """Draw the errors of a model on one domain over time, with trivial models and floors.
 
@@ -92,15 +104,14 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
     variant = test.rpartition("-")[2]
     here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
-    cells = [c for c in here if c.model == model and c.training.endswith(f"-{variant}")]
-    names = list(dict.fromkeys(cell.training for cell in cells))
+    cells = curves_of(shift, model, test)
+    names = {cell.training: cell.training.removesuffix(f"-{variant}") for cell in cells}
+    styles = looks(list(dict.fromkeys(names.values())))
     for cell in cells:
-        place = names.index(cell.training)
-        style = "-" if place < len(LIGHT) else "--"
+        colour, style = styles[names[cell.training]]
         label = cell.training if cell is _first(cells, cell.training) else None
         width = 2.2 if cell.training == test else 1.0
-        colour = LIGHT[place % len(LIGHT)]
-        axes.plot(time, _line(cell.curve), style, color=colour, lw=width, label=label)
+        axes.plot(time, _line(cell.curve), ls=style, color=colour, lw=width, label=label)
     for name, style in zip(TRIVIAL, (":", "--", "-."), strict=True):
         for cell in (cell for cell in here if cell.model == name):
             label = name.replace("_", " ")
@@ -135,7 +146,8 @@ def _first(cells: Sequence[Cell], training: str) -> Cell:
 
 def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
     frame = shift.at
-    maps = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    maps = [matrix for matrix in every if matrix.has_figures]
     charts = figure.subplots(*shape, squeeze=False).ravel()
     for axes, matrix in zip(charts, maps, strict=False):
         draw_matrix(axes, matrix, spread_of(maps))

@@ -24,6 +24,11 @@ class Matrix:
     values: tuple[tuple[float | None, ...], ...]
 
     @property
+    def has_figures(self) -> bool:
+        """Whether there is anything to draw."""
+        return any(value is not None for row in self.values for value in row)
+
+    @property
     def homes(self) -> list[str]:
         """Trainings on what is a test domain, too."""
         return [row for row in self.rows if row in self.columns]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mbds_xsim.learn.shift.samples import Sample, Samples
 from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
-from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.report.palette import LIGHT, Style, model_style
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 
@@ -33,11 +33,7 @@ def name_of(sample: Sample) -> str:
 
 def styles_of(samples: Samples) -> tuple[Style, ...]:
     """A colour a model; dashed where it was trained elsewhere."""
-    models = list(dict.fromkeys(sample.model for sample in samples.models))
-    return tuple(
-        Style(models.index(sample.model) % len(LIGHT), not sample.at_home)
-        for sample in samples.models
-    )
+    return tuple(model_style(s.model, dashed=not s.at_home) for s in samples.models)
 
 
 def pack(samples: Samples) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.samples import Samples, samples_of
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report import themed
-from mbds_xsim.report.shift_figures import draw_curves, draw_matrix, map_size, spread_of
+from mbds_xsim.report.shift_figures import curves_of, draw_curves, draw_matrix, map_size, spread_of
 from mbds_xsim.report.shift_markdown import protocol, time_told
 from mbds_xsim.report.shift_matrix import at, matrix_of, trained_models
 from mbds_xsim.report.shift_motion import draw_samples, name_of, pack, picture_size, styles_of
@@ -51,7 +51,8 @@ def _view(shift: Shift, samples: Samples) -> dict[str, Any]:
 
 def _maps(shift: Shift, frame: int) -> list[Markup]:
     """A heat map a model, on one scale of colours."""
-    matrices = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    matrices = [matrix for matrix in every if matrix.has_figures]
     spread = spread_of(matrices)
     drawn = []
     for matrix in matrices:
@@ -75,7 +76,7 @@ def _picture(samples: Samples) -> Markup:
 
 def _curves(shift: Shift, model: str) -> list[Markup]:
     """Errors over time on all engines' domains."""
-    tests = [domain.name for domain in shift.domains if domain.variant]
+    tests = [domain.name for domain in shift.domains if curves_of(shift, model, domain.name)]
     drawn = []
     for test in tests:
 

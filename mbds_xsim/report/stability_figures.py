@@ -35,24 +35,27 @@ class Look:
     meaning: str
 
 
-# Colours that colour-blind people tell apart (Okabe and Ito's, darkened), and a letter besides.
+# A letter besides each colour; none of the colours is an engine's or a model's.
 LOOKS: dict[Outcome, Look] = {
     "stable": Look("#8fd6b9", "", "stable and on course"),
     "off course": Look("#e9efb5", "o", "stable, but more than a tenth of the length off"),
-    "gains energy": Look("#d55e00", "E", "gains energy"),
-    "loses energy": Look("#56b4e9", "L", "loses energy"),
-    "comes apart": Look("#cc79a7", "A", "joints come apart"),
-    "sinks in": Look("#a5772b", "S", "spheres sink into the ground"),
-    "stuck": Look("#e69f00", "F", "hardly moves"),
+    "gains energy": Look("#ff7f6e", "E", "gains energy"),
+    "loses energy": Look("#a9c9ff", "L", "loses energy"),
+    "comes apart": Look("#e2b3e6", "A", "joints come apart"),
+    "sinks in": Look("#a37a5c", "S", "spheres sink into the ground"),
+    "stuck": Look("#ffd59e", "F", "hardly moves"),
     "clamped": Look("#f0e442", "K", "cut to what the engine allows"),
     "blows up": Look("#8c2d2d", "X", "blows up between two frames"),
     "gives up": Look("#5b5ea6", "N", "the engine gives up to solve a step"),
     "ends early": Look("#9c8f8f", "?", "ends early for another reason"),
-    "crashed": Look("#333333", "C", "the process crashes"),
-    "timed out": Look("#77727f", "T", "not measured: no answer in time"),
+    "crashed": Look("#2f3a3d", "C", "the process crashes"),
+    "timed out": Look("#7f8fa6", "T", "not measured: no answer in time"),
     "refused": Look("#e4e4e4", "–", "cannot be represented"),
 }
-LIGHT_LOOKS = {"stable", "off course", "loses energy", "comes apart", "stuck", "clamped", "refused"}
+LIGHT_LOOKS = {
+    "stable", "off course", "gains energy", "loses energy", "comes apart", "stuck", "clamped",
+    "refused",
+}  # fmt: skip
 _HATCH = "////"
 _LETTER = 0.068  # of an upright name [in]
 _UPRIGHT: dict[bool, dict[str, Any]] = {False: {}, True: {"rotation": 90, "fontsize": 7.5}}

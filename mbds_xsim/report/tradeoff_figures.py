@@ -6,18 +6,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from mbds_xsim import registry
-from mbds_xsim.report import quantity
+from mbds_xsim.report import palette, quantity
 from mbds_xsim.report import tradeoff_summary as summary
-from mbds_xsim.report.learned_summary import colour_of_model, model_told
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.learned_summary import model_told
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.study.rows import CurveResult, Learned, Point, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
 
 __all__ = ["PANELS", "Panel", "colour_of", "draw_panel", "legend_entries", "marker_of", "tips"]
 
-_MARKERS = "osD^vPXp<>h8d"
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"
 _REFERENCE = 1e-9
@@ -135,10 +132,10 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
     for curve in study.curves:
         if not curve.variation:
             label = f"{curve.engine} {curve.method}, order {summary.order_told(curve, study)}"
-            yield label, colour_of(curve.engine), marker_of(study, curve)
+            yield label, colour_of(curve.engine), marker_of(curve)
     for name, model in {model.model: model for model in study.models}.items():
         label = f"{name}, trained; hollow: {model.at_once} at a time"
-        yield label, colour_of_model(model), _MODEL_MARKER
+        yield label, palette.model_colour(model.model), _MODEL_MARKER
 
 
 def tips(study: Tradeoff) -> dict[str, str]:
@@ -152,20 +149,16 @@ def tips(study: Tradeoff) -> dict[str, str]:
 
 def colour_of(engine: str) -> str:
     """Colour of an engine, the same on every page."""
-    names = registry.engine_names()
-    return LIGHT[names.index(engine) % len(LIGHT)] if engine in names else GREY
+    return palette.LIGHT[palette.engine_style(engine).colour]
 
 
-def marker_of(study: Tradeoff, curve: CurveResult) -> str:
-    """Marker of a method; methods of one name share it."""
-    if curve.variation == NATIVE:
-        return _NATIVE_MARKER
-    methods = list(dict.fromkeys(curve.method for curve in study.curves))
-    return _MARKERS[methods.index(curve.method) % len(_MARKERS)]
+def marker_of(curve: CurveResult) -> str:
+    """Marker of a method, or of native settings."""
+    return _NATIVE_MARKER if curve.variation == NATIVE else palette.marker_of(curve.method)
 
 
 def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, place: int) -> None:
-    colour, marker = colour_of(curve.engine), marker_of(study, curve)
+    colour, marker = colour_of(curve.engine), marker_of(curve)
     varied = bool(curve.variation) and curve.variation != NATIVE
     size = 3.5 if varied else 10 if curve.variation else 5.5
     spots = [_spot(study, panel, point) for point in curve.points]
@@ -200,7 +193,7 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
 
 def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place: int) -> None:
     """Draw a model alone, and hollow in a batch."""
-    colour = colour_of_model(model)
+    colour = palette.model_colour(model.model)
     spots = [_spot(study, panel, point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from mbds_xsim import registry
 from mbds_xsim.learn.curves import Curve
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.palette import LIGHT, engine_style
 from mbds_xsim.report.themed import INK, png
 
 __all__ = ["looks", "to_png"]
@@ -21,13 +21,15 @@ Look = tuple[str, str | tuple[int, tuple[int, ...]]]
 _PANEL = (4.2, 3.0)  # [in]
 _ABREAST = 4
 _DASHES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
-_MARK = {"level": "o", "steps": "|", "diverged": "x", "": ">"}
+_MARK = {"level": ".", "steps": "|", "diverged": "x", "": "4"}
 
 
 def to_png(curves: Sequence[Curve]) -> bytes:
     """Draw the validation errors over the steps; a mark at the end says why it ended there."""
     panels: dict[str, list[Curve]] = {}
     for curve in curves:
+        if not any(math.isfinite(point.error) for point in curve.points):
+            continue
         panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
     styles = looks(sorted({_training(curve) for curve in curves}))
     columns = max(1, min(_ABREAST, len(panels)))
@@ -79,16 +81,22 @@ def _legend(figure: Any, styles: Mapping[str, Look]) -> None:
 
 
 def looks(trainings: Sequence[str]) -> dict[str, Look]:
-    """Colour and dashes of each training: an engine alone has a full line."""
-    engines = registry.engine_names()
-    members: dict[str, list[str]] = {engine: [engine] for engine in engines}
+    """Colour and dashes of each training: an engine alone has a full line, its own colour.
+
+    Trainings that name no engine are black.
+    """
+    members: dict[str, list[str]] = {}
     for training in trainings:
-        named = [engine for engine in engines if engine in training.split("-")]
-        others = members.setdefault(named[0] if named else training, [])
+        named = [engine for engine in registry.engine_names() if engine in training.split("-")]
+        first = named[0] if named else ""
+        others = members.setdefault(first, [first] if named else [])
         others += [] if training in others else [training]
     return {
-        training: (LIGHT[place % len(LIGHT)], _DASHES[others.index(training) % len(_DASHES)])
-        for place, others in enumerate(members.values())
+        training: (
+            LIGHT[engine_style(first).colour] if first else INK,
+            _DASHES[others.index(training) % len(_DASHES)],
+        )
+        for first, others in members.items()
         for training in others
         if training in trainings
     }

@@ -17,7 +17,7 @@ from mbds_xsim.dataset.summary import summaries
 from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_scene
 from mbds_xsim.report.inspecting import print_summary
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.palette import INTERVALS
 from mbds_xsim.report.paths import draw_paths
 from tests.dataset.conftest import Make
 from tests.fuzz.campaign import run_command
@@ -86,7 +86,7 @@ def test_the_picture_shows_the_paths(whole: Path, tmp_path: Path) -> None:
     draw_paths(load_dataset(whole / f"{SET}.h5"), target)
     pixels = imread(target)[..., :3]
     third = pixels.shape[1] // 3
-    colours = np.array([to_rgb(colour) for colour in LIGHT[:3]])
+    colours = np.array([to_rgb(colour) for colour in INTERVALS])
     shades = colours - colours.mean(axis=1, keepdims=True)
     for k in range(3):
         panel = pixels[:, k * third : (k + 1) * third].reshape(-1, 3)

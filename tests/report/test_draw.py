@@ -14,13 +14,13 @@ from mbds_xsim import cli, registry
 from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.report.draw import draw_scene
-from mbds_xsim.report.palette import LIGHT
+from mbds_xsim.report.palette import PARTS
 from mbds_xsim.report.projection import View, outline, pose_of
 from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
 
 Array = NDArray[np.float64]
 
-HINGE, BALL, SPRING, PARTICLE = LIGHT[2], LIGHT[1], LIGHT[3], "#6f8296"
+HINGE, BALL, SPRING, PARTICLE = PARTS["hinge"], PARTS["ball"], PARTS["spring"], "#6f8296"
 
 POINT = Body("bob", particles=(Particle((0.4, 0.0, -0.3)),))
 PENDULUM = Scene(

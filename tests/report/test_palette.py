@@ -1,0 +1,72 @@
+"""A colour and a marker mean one thing, wherever they are shown."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mbds_xsim import registry
+from mbds_xsim.report import palette
+from mbds_xsim.report.stability_figures import LOOKS
+from mbds_xsim.report.training_curves import looks
+
+_KINDS = {
+    "engines": palette.ENGINES,
+    "models": palette.LIGHT[len(palette.ENGINES) :],
+    "intervals": palette.INTERVALS,
+    "parts": tuple(colour for part, colour in palette.PARTS.items() if part != "fixed"),
+    "outcomes": tuple(look.colour for look in LOOKS.values()),
+}
+_APART = 12.0
+"""Of CIE 1976 colours; 2.3 are just noticed side by side."""
+
+
+@pytest.mark.parametrize(("one", "other"), list(itertools.combinations(_KINDS, 2)))
+def test_no_kind_of_thing_looks_like_another(one: str, other: str) -> None:
+    pairs = itertools.product(_KINDS[one], _KINDS[other])
+
+    assert [pair for pair in pairs if np.linalg.norm(_lab(pair[0]) - _lab(pair[1])) < _APART] == []
+
+
+def test_a_page_on_dark_ground_has_as_many_colours() -> None:
+    assert len(palette.DARK) == len(palette.LIGHT) == len(set(palette.LIGHT))
+
+
+def test_every_method_has_a_marker_of_its_own() -> None:
+    methods = {
+        method for name in registry.engine_names() for method in registry.load_adapter(name).methods
+    }
+
+    assert set(palette.METHODS) == methods
+    assert len(set(palette.METHODS.values())) == len(methods)
+    assert palette.marker_of("of a plugin") == palette.marker_of("of a plugin")
+    assert palette.marker_of("of a plugin") not in palette.METHODS.values()
+
+
+def test_an_engine_keeps_its_colour_whoever_is_beside_it() -> None:
+    place = registry.engine_names().index("mujoco")
+
+    assert palette.engine_style("mujoco") == palette.Style(place, dashed=False)
+    assert looks(["mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
+    assert looks(["all", "dart", "mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
+    assert looks(["all"])["all"][0] not in palette.LIGHT
+
+
+def test_a_model_keeps_its_colour() -> None:
+    styles = [palette.model_style(model) for model in (*palette.MODELS, "of a plugin")]
+
+    assert len({style.colour for style in styles}) == len(styles)
+    assert [palette.model_colour(model) for model in palette.MODELS] == [*palette.MODELS.values()]
+
+
+def _lab(colour: str) -> np.ndarray:
+    """Coordinates of a colour in CIE 1976 L*a*b* (D65)."""
+    share = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    linear = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    x, y, z = np.cbrt(to_xyz @ linear / [0.9505, 1.0, 1.089])
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
