@@ -23,8 +23,8 @@ _TINY = 1e-150
 class Stepper(ABC):
     """Moves the skeleton from where it is."""
 
-    calls: ClassVar[str]
-    """The calls of a step, for readers of the listing."""
+    call: ClassVar[str]
+    """The engine's call of a step; empty where it has none."""
 
     def __init__(self, model: Model, loads: Loads, step: float) -> None:
         self.model = model
@@ -39,7 +39,7 @@ class Stepper(ABC):
 class SemiImplicitEuler(Stepper):
     """DART's own `World.step`: velocities first, constraint impulses, then positions."""
 
-    calls = "world.step(False)"
+    call = "world.step(False)"
 
     def advance(self, step_count: int) -> None:
         step, loads = self.model.world.step, self.loads
@@ -61,7 +61,7 @@ class ForwardDynamicsRK4(Stepper):
     Munthe-Kaas and Owren 1999, Phil. Trans. R. Soc. A 357, 957).
     """
 
-    calls = "skeleton.computeForwardDynamics() at each of RK4's four states"
+    call = ""
 
     def __init__(self, model: Model, loads: Loads, step: float) -> None:
         super().__init__(model, loads, step)

@@ -14,6 +14,7 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
 from ._exudyn_model import Held, inertia_text, loads_listing
+from ._exudyn_script import graphics_listing
 
 __all__ = ["RigidBodies"]
 
@@ -53,6 +54,9 @@ class RigidBodies:
                 f"stiffness={spring.stiffness!r}, damping={spring.damping!r})"
             )
         yield from loads_listing(mechanism)
+
+    def graphics(self) -> Iterator[str]:
+        yield from graphics_listing(self._mechanism)
 
     def marker(self, body: int, point: Array) -> str:
         return (

@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import exudyn
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,7 +53,23 @@ _FAR = 1e4
 _SLOWEST_IMPACT = 1e-2
 # How far a sphere may get within a frame, in lengths of its path under gravity alone.
 _REACH = 2.0
-_OUTPUT = exudyn.OutputVariableType
+_REACHING = """
+
+def told(kind):  # of the spheres' centres
+    kind = getattr(exu.OutputVariableType, kind)
+    return np.array([mbs.GetMarkerOutput(number, kind) for number in spheres])
+
+
+def gaps():  # heights of the spheres' lowest points
+    return told("Position")[:, 2] - {radii!r}
+
+
+def may_touch(duration):  # whether a sphere can get to the ground within a time
+    speed = np.maximum(0.0, -told("Velocity")[:, 2])
+    pull = {gravity!r} + np.sum(told("AngularVelocity") ** 2, axis=1) * {arms!r}
+    return bool(np.any(gaps() < {reach!r} * duration * (speed + pull * duration)))
+
+"""
 
 
 @dataclass(frozen=True)
@@ -106,6 +121,12 @@ def contact_listing(mechanism: Mechanism, contact: Contact, marker: Marker) -> I
             yield f"    impactModel=0, contactDamping={damping!r},"
         yield f"    dynamicFriction={ground.friction!r},"
         yield f"    frictionProportionalZone={contact.slip_speed!r}, includeEdges=0)))"
+    yield _REACHING.format(
+        radii=mechanism.sphere_radius.tolist(),
+        arms=np.linalg.norm(mechanism.sphere_offset, axis=-1).tolist(),
+        gravity=float(np.linalg.norm(mechanism.scene.gravity)),
+        reach=_REACH,
+    )
 
 
 def _stiffness(mechanism: Mechanism, sphere: int, duration: float) -> float:
@@ -125,38 +146,25 @@ class Spheres:
     """The contact spheres of a model that is built."""
 
     def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:
-        self._mbs, self._markers = names["mbs"], names["spheres"]
-        self._contacts = names["contacts"]
+        self._mbs, self._contacts = names["mbs"], names["contacts"]
+        self._told, self._gaps = names["told"], names["gaps"]
         self._radius = mechanism.sphere_radius
-        self._arm = np.linalg.norm(mechanism.sphere_offset, axis=-1)
-        self._gravity = float(np.linalg.norm(mechanism.scene.gravity))
-
-    def gaps(self) -> Array:
-        """Heights of the spheres' lowest points [m]."""
-        return self._told(_OUTPUT.Position)[:, 2] - self._radius
 
     def sunk(self) -> bool:
         """Whether the centre of a sphere is in the ground."""
-        return bool(np.any(self.gaps() < -self._radius))
-
-    def may_touch(self, duration: float) -> bool:
-        """Whether a sphere can get to the ground within a time [s]."""
-        speed = np.maximum(0.0, -self._told(_OUTPUT.Velocity)[:, 2])
-        spin = self._told(_OUTPUT.AngularVelocity)
-        pull = self._gravity + np.einsum("ki,ki->k", spin, spin) * self._arm
-        return bool(np.any(self.gaps() < _REACH * duration * (speed + pull * duration)))
+        return bool(np.any(self._gaps() < -self._radius))
 
     def memory(self) -> Array:
         """What the contacts' nodes hold where they know of no impact, from the state as it is."""
-        velocity, spin = self._told(_OUTPUT.Velocity), self._told(_OUTPUT.AngularVelocity)
+        velocity, spin = self._told("Velocity"), self._told("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
         none = np.zeros_like(slip_x)
-        return np.stack([self.gaps(), np.hypot(slip_x, slip_y), none, none], axis=-1).ravel()
+        return np.stack([self._gaps(), np.hypot(slip_x, slip_y), none, none], axis=-1).ravel()
 
     def centers(self) -> Array:
         """In W as the model stands [m], shape (sphere, 3)."""
-        return self._told(_OUTPUT.Position)
+        return np.asarray(self._told("Position"))
 
     def coefficients(self) -> Array:
         """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
@@ -172,6 +180,3 @@ class Spheres:
                 for contact in held
             ]
         )
-
-    def _told(self, variable: Any) -> Array:
-        return np.array([self._mbs.GetMarkerOutput(number, variable) for number in self._markers])

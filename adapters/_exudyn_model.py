@@ -53,6 +53,9 @@ class Model(Protocol):
     def statements(self) -> Iterator[str]:
         """Lines that build the model, after `HEAD`."""
 
+    def graphics(self) -> Iterator[str]:
+        """Lines that give bodies something to be seen by, where the engine draws nothing."""
+
     def marker(self, body: int, point: Array) -> str:
         """Write a marker at a point of a body's native frame, parallel to it."""
 

@@ -16,6 +16,7 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 
 from ._exudyn_contact import Contact, Spheres, contact_listing
 from ._exudyn_model import HEAD, Model
+from ._exudyn_script import script
 from ._exudyn_settings import Stepping
 
 __all__ = ["ExudynRun"]
@@ -45,7 +46,6 @@ class ExudynRun(Run):
         count = len(mechanism.sphere_body)
         self.size = ModelSize(data.ODE2Size(), data.AEsize(), contact_pairs=count)
         self._spheres = Spheres(mechanism, self._names) if count else None
-        self._frame = mechanism.scene.clock.frame
         # Also the multipliers, which a later trajectory would start Newton's method from.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
@@ -92,7 +92,7 @@ class ExudynRun(Run):
         for k in range(row.steps):
             self._load(row.force[0, k], row.torque[0, k])
             try:
-                self._step()
+                self._names["next_frame"]()
             except Exception as error:
                 return _reason(self._mbs.sys["dynamicSolver"], error)
             if self._spheres is not None and self._spheres.sunk():
@@ -102,23 +102,6 @@ class ExudynRun(Run):
             if not np.isfinite(velocities[k + 1]).all():
                 return "a velocity is not a number"
         return None
-
-    def _step(self) -> None:
-        """Get to the next frame, in finer steps if a sphere may touch the ground."""
-        spheres, step_frame = self._spheres, self._names["step_frame"]
-        if spheres is None:
-            step_frame()
-            return
-        data = self._mbs.systemData
-        before = data.GetSystemState(exudyn.ConfigurationType.Initial)
-        if not spheres.may_touch(self._frame):
-            step_frame()
-            if spheres.gaps().min() > 0.0:
-                return
-            # Driven down harder than foreseen.
-            data.SetSystemState(before, exudyn.ConfigurationType.Initial)
-            data.SetSystemState(before, exudyn.ConfigurationType.Current)
-        step_frame(self._names["near_ground"])
 
     def _load(self, force: Array, torque: Array) -> None:
         put = self._mbs.SetLoadParameter
@@ -188,8 +171,15 @@ class ExudynRun(Run):
         frames = self._names["frames"]
         return np.array([self._mbs.GetMarkerOutput(frame, variable) for frame in frames])
 
-    def native(self) -> str:
-        return self._listing
+    def native(self, batch: Batch) -> str:
+        coordinates, velocities = (values[0] for values in self._start(batch))
+        self._put(coordinates, velocities)
+        memory = None if self._spheres is None else self._spheres.memory().tolist()
+        seen = "\n".join(self._model.graphics())
+        count = self._mechanism.scene.clock.steps
+        return f"{self._listing}\n{seen}\n" + script(
+            coordinates.tolist(), velocities.tolist(), memory, count
+        )
 
     def close(self) -> None:
         self._names.clear()

@@ -46,6 +46,18 @@ noise = {rounding} * damping * stepping.numberOfSteps / stepping.endTime
 stepping.newton.absoluteTolerance = max(stepping.newton.absoluteTolerance, noise)
 stepping.stepInformation = 0
 """
+_NEXT_FRAME = """
+def next_frame():  # in finer steps if a sphere may touch the ground
+    data, kinds = mbs.systemData, exu.ConfigurationType
+    before = data.GetSystemState(kinds.Initial)
+    if not may_touch(settings.timeIntegration.endTime):
+        step_frame()
+        if gaps().min() > 0.0:
+            return
+        # Driven down harder than foreseen.
+        data.SetSystemState(before, kinds.Initial)
+        data.SetSystemState(before, kinds.Current)
+    step_frame(near_ground)"""
 # From this many bodies on the sparse factorisation is faster.
 _SPARSE_FROM = 8
 
@@ -64,7 +76,7 @@ class Stepping:
     """Finer steps of a step near the ground; 0 where the scene has no contact."""
 
     def listing(self, mechanism: Mechanism) -> str:
-        """Write the program that makes `settings`, and `step_frame` to call once a frame."""
+        """Write the program that makes `settings`, and `next_frame` to call once a frame."""
         redundant = has_redundant_constraints(mechanism)
         return f"""
 
@@ -94,6 +106,8 @@ def step_frame(settings=settings):
     mbs.SolveDynamic(
         settings, solverType=exu.DynamicSolverType.{SOLVERS[self.method]}, updateInitialValues=True
     )
+
+{_NEXT_FRAME if self.division else "next_frame = step_frame"}
 """
 
     def _near_ground(self) -> str:

@@ -66,6 +66,9 @@ class KinematicTree:
             f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]))"
         )
 
+    def graphics(self) -> Iterator[str]:
+        yield from ()  # the engine draws links and joints
+
     def marker(self, body: int, point: Array) -> str:
         number = self._order.index(body)
         joint = _joint(self._mechanism.links[number])

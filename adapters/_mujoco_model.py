@@ -39,7 +39,7 @@ CLOSING_POINTS: dict[str, tuple[float, ...]] = {
 
 _NOT_IN_MJCF = (
     " Held over each recorded frame: forces as xfrc_applied, hinge torques as ctrl. The keyframe "
-    "is the scene's own start; a drawn one is set in qpos and qvel."
+    "is the start."
 )
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import ModelSize, Readback, Run
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_links
 from mbds_xsim.mechanism import Mechanism
@@ -278,9 +277,9 @@ class ModelRun(Run):
             ]
         )
 
-    def native(self) -> str:
-        start = self._to_links(BodyStates(**vars(assemble(self._mechanism))))
-        return with_start(self._xml, *self._coordinates.from_links(start), self._stepper.remark)
+    def native(self, batch: Batch) -> str:
+        qpos, qvel = self._start(batch)
+        return with_start(self._xml, qpos[0], qvel[0], self._stepper.remark)
 
     def close(self) -> None:
         self._model = self._data = None

@@ -31,7 +31,7 @@ class _Spinless(Protocol):
 
     def readback(self, batch: Batch) -> Readback: ...
 
-    def native(self) -> str: ...
+    def native(self, batch: Batch) -> str: ...
 
     def close(self) -> None: ...
 
@@ -56,20 +56,27 @@ class SpinlessRun(Run):
 
     def rollout(self, batch: Batch) -> Trajectory:
         motion, bend = self._spinless.simulate(batch)
-        native = self._mechanism.native_rotation(batch.orientation)
-        spin = np.abs(spin_about(self._idle, native, batch.angular_velocity)).max(axis=-1)
         # Written so that what is not a number is tried again, too.
-        again = np.flatnonzero(~((spin <= STILL) & (bend <= _BENT)))
+        again = np.flatnonzero(~(self._still(batch) & (bend <= _BENT)))
         if not len(again):
             return motion
         self._whole = self._whole or self._load()
         return motion.replaced(again, self._whole.rollout(batch[again]))
 
+    def _still(self, batch: Batch) -> NDArray[np.bool_]:
+        """Whether no idle rod of a trajectory spins at its start."""
+        native = self._mechanism.native_rotation(batch.orientation)
+        spin = np.abs(spin_about(self._idle, native, batch.angular_velocity)).max(axis=-1)
+        return np.asarray(spin <= STILL)
+
     def readback(self, batch: Batch) -> Readback:
         return self._spinless.readback(batch)
 
-    def native(self) -> str:
-        return self._spinless.native()
+    def native(self, batch: Batch) -> str:
+        if self._still(batch[:1]).all():
+            return self._spinless.native(batch)
+        self._whole = self._whole or self._load()
+        return self._whole.native(batch)
 
     def close(self) -> None:
         self._spinless.close()

@@ -75,11 +75,6 @@ class Client:
         self.function(name)(*args, **options)
         self._start.append((name, args, options))
 
-    @property
-    def started(self) -> bool:
-        """Whether a start is written down."""
-        return bool(self._start)
-
     def function(self, name: str) -> Callable[..., Any]:
         """Give one of the engine's functions, for this connection."""
         return functools.partial(getattr(pybullet, name), physicsClientId=self._number)

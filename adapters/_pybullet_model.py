@@ -73,7 +73,7 @@ class Model:
         self._contact = contact
         self.parts, cut = split(mechanism)
         self.closures = (*mechanism.loops, *cut)
-        self._principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
+        self.principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
         self.places: dict[int, Place] = {}
         self._ids: list[int] = []
         self._links = {link.body: link for part in self.parts for link in part.links}
@@ -112,7 +112,7 @@ class Model:
         self.client.begin()
         links = to_links(self.mechanism, bodies)
         row = {link.body: k for k, link in enumerate(self.mechanism.links)}
-        principal = self._principal
+        principal = self.principal
         inertial = rotation.multiply(bodies.native, principal)
         order = [link.body for link in self.mechanism.links]
         back = rotation.conjugate(principal[order])
@@ -162,7 +162,7 @@ class Model:
         Args:
             told: Of shape (…, body, 13).
         """
-        native = rotation.multiply(told[..., [6, 3, 4, 5]], rotation.conjugate(self._principal))
+        native = rotation.multiply(told[..., [6, 3, 4, 5]], rotation.conjugate(self.principal))
         return BodyStates(told[..., 0:3], native, told[..., 7:10], told[..., 10:13])
 
     def _base_state(self, number: int) -> list[float]:
@@ -246,7 +246,7 @@ class Model:
         base_mass, base_at, base_turn = 0.0, np.zeros(3), rotation.IDENTITY
         if part.base != WORLD_INDEX:
             base_mass, base_at = float(mass[part.base]), com[part.base]
-            base_turn = self._principal[part.base]
+            base_turn = self.principal[part.base]
         count = len(part.links)
         row = {link.body: k for k, link in enumerate(part.links, 1)}
         joints = [link.joint for link in part.links if link.joint is not None]
@@ -272,7 +272,7 @@ class Model:
             ],
             linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * count,
             linkInertialFramePositions=[(-joint.in_child).tolist() for joint in joints],
-            linkInertialFrameOrientations=[_xyzw(self._principal[k.body]) for k in part.links],
+            linkInertialFrameOrientations=[_xyzw(self.principal[k.body]) for k in part.links],
             linkParentIndices=[row.get(link.parent, 0) for link in part.links],
             linkJointTypes=[Constant(_JOINT_TYPES[joint.kind]) for joint in joints],
             linkJointAxis=[_axis(joint) for joint in joints],
@@ -365,7 +365,7 @@ class Model:
     def _into_principal(self, body: int) -> Array:
         if body == WORLD_INDEX:
             return rotation.IDENTITY
-        return np.asarray(rotation.conjugate(self._principal[body]))
+        return np.asarray(rotation.conjugate(self.principal[body]))
 
 
 def _placed(told: Array, body: int, point: Array) -> Array:

@@ -46,6 +46,7 @@ from ._dart_contact import (
 from ._dart_listing import build_listing
 from ._dart_loads import Loads
 from ._dart_model import Model
+from ._dart_script import script
 from ._dart_steppers import ForwardDynamicsRK4, SemiImplicitEuler, Stepper
 from ._dart_warnings import CaughtWarnings
 
@@ -68,11 +69,10 @@ _ERROR_REDUCTION = "error_reduction"
 _DETECTOR, _FRICTION = "collision_detector", "friction_solver"
 _NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts"
 _NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
-_STEPPING = """\
-# Start: skeleton.setPositions(q); skeleton.setVelocities(u).
-# Frame: joints[k].setForce(0, torque) of each driven hinge.
-# Step: bodies[k].setExtForce(force) of each pushed body, as DART turns forces with bodies, then
-# """
+_INPUTS = """
+# Inputs are left out. Of a frame: joints[k].setForce(0, torque) of each driven hinge; of a step:
+# bodies[k].setExtForce(force) of each pushed body, as DART turns forces with bodies.
+"""
 _STEPPERS: dict[str, type[Stepper]] = {
     "semi-implicit-euler": SemiImplicitEuler,
     "forward-dynamics-RK4": ForwardDynamicsRK4,
@@ -183,9 +183,7 @@ class _DartRun(Run):
 
     def rollout(self, batch: Batch) -> Trajectory:
         model = self._model
-        start_q, start_u = model.coordinates(
-            batch.position, batch.orientation, batch.velocity, batch.angular_velocity
-        )
+        start_q, start_u = self._start(batch)
         q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
         u = np.full_like(q, np.nan)
         with _error_reduction(self._error_reduction), CaughtWarnings() as caught:
@@ -249,10 +247,7 @@ class _DartRun(Run):
 
     def readback(self, batch: Batch) -> Readback:
         model = self._model
-        start = batch[:1]
-        q, u = model.coordinates(
-            start.position, start.orientation, start.velocity, start.angular_velocity
-        )
+        q, u = self._start(batch[:1])
         model.set_state(q[0], u[0])
         places = [body.getWorldTransform() for body in model.bodies]
         native = rotation.from_matrix(np.array([place.rotation() for place in places]))
@@ -319,8 +314,16 @@ class _DartRun(Run):
             ]
         )
 
-    def native(self) -> str:
-        return f"{self._listing}{_STEPPING}{self._stepper.calls}\n"
+    def native(self, batch: Batch) -> str:
+        q, u = self._start(batch)
+        count = self._step_count * self._mechanism.scene.clock.steps
+        run = script(self._mechanism, q[0], u[0], self._stepper.call, count)
+        return f"{self._listing}{_INPUTS}{run}"
+
+    def _start(self, batch: Batch) -> tuple[Array, Array]:
+        return self._model.coordinates(
+            batch.position, batch.orientation, batch.velocity, batch.angular_velocity
+        )
 
     def close(self) -> None:
         vars(self).clear()

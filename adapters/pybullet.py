@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.assembly import assemble
 from mbds_xsim.engine import (
     LOOPS,
     Adapter,
@@ -36,6 +34,7 @@ from ._pybullet_client import Client
 from ._pybullet_contact import CONTACT_LAW, Contact, Law
 from ._pybullet_loads import Loads
 from ._pybullet_model import RATES, SPEED_CAP, Damping, Model
+from ._pybullet_script import script
 
 __all__ = ["PyBullet"]
 
@@ -68,16 +67,6 @@ _USUAL_CONTACT = {"bounce_threshold": 0.2, "contact_reach": 1e18, "contact_slop"
 _USUAL_CONTACT_ERP = 0.08
 # Steps of free fall that still count as rest.
 _FALLS = 4.0
-# The end of a listing: what a reader of it wants to see.
-_STEPPING = """
-for frame in range({steps}):
-    p.stepSimulation()
-for body in range(p.getNumBodies()):
-    print(body, "base", p.getBasePositionAndOrientation(body), p.getBaseVelocity(body))
-    for link in range(p.getNumJoints(body)):
-        position, turn, *_, velocity, rate = p.getLinkState(body, link, 1, 1)
-        print(body, link, position, turn, velocity, rate)
-"""
 
 
 class PyBullet(Adapter):
@@ -297,12 +286,14 @@ class _Run(Run):
             anchor=self._model.anchors(told),
         )
 
-    def native(self) -> str:
-        """Give the calls that build the model and put it at the latest start, without inputs."""
-        if not self._client.started:
-            start = assemble(self._mechanism)
-            self._model.put(BodyStates(*(getattr(start, field.name) for field in fields(start))))
-        return self._client.listing() + _STEPPING.format(steps=self._mechanism.scene.clock.steps)
+    def native(self, batch: Batch) -> str:
+        self._start(batch, 0)
+        calls = self._substeps if self._mechanism.springs else 1
+        self._set_stepping(self._substeps // calls)
+        model, count = self._model, calls * self._mechanism.scene.clock.steps
+        return self._client.listing() + script(
+            self._mechanism, model.principal, model.address, count
+        )
 
     def close(self) -> None:
         self._client.close()

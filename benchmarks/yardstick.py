@@ -106,7 +106,7 @@ def _bare_text(scene: Scene, count: int, solver: str) -> str:
     step = scene.clock.frame / count
     plain = Settings("RK4", step, {"spin": True, "turn": 0.0, "solver": solver})
     with ENGINE.open(scene, plain) as run:
-        root = ElementTree.fromstring(run.native())
+        root = ElementTree.fromstring(run.native(draw_batch(scene, [0])))
     for flag in root.iter("flag"):
         flag.attrib.clear()
         flag.set("contact", "disable")

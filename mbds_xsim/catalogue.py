@@ -108,8 +108,14 @@ def scene_row(scene: Scene) -> SceneRow:
     )
 
 
-def native_text(scene: Scene, engine: str, profile: str) -> str:
-    """Give exactly what an engine is given for the scene's first trajectory.
+def native_text(scene: Scene, engine: str, profile: str, start: int | None = None) -> str:
+    """Give exactly what an engine is given: a file of its own, or a script that simulates it.
+
+    Args:
+        scene: The scene.
+        engine: Name of the engine.
+        profile: Preset of settings.
+        start: Number of the trajectory that it starts as; None: the scene's own start.
 
     Raises:
         InputError: The engine cannot represent the scene, or crashed on it.
@@ -117,17 +123,17 @@ def native_text(scene: Scene, engine: str, profile: str) -> str:
     adapter = registry.load_adapter(engine)
     settings = settings_for(scene, adapter, as_profile(profile))
     adapter.check(scene, settings)
-    (answer,) = run_tasks([Task(_native_text, (scene, engine, settings), _TIMEOUT)])
+    (answer,) = run_tasks([Task(_native_text, (scene, engine, settings, start), _TIMEOUT)])
     if isinstance(answer, Crash):
         msg = f"{engine} cannot load the scene: {answer.reason}"
         raise InputError(msg)
     return str(answer)
 
 
-def _native_text(scene: Scene, engine: str, settings: Settings) -> str:
+def _native_text(scene: Scene, engine: str, settings: Settings, start: int | None) -> str:
+    drawn = scene if start is not None else msgspec.structs.replace(scene, sampling=(), noise=0.0)
     with registry.load_adapter(engine).open(scene, settings) as run:
-        run.readback(draw_batch(scene, [0]))
-        return run.native()
+        return run.native(draw_batch(drawn, [start or 0]))
 
 
 def as_profile(name: str) -> Profile:

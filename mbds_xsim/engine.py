@@ -261,8 +261,12 @@ class Run(ABC):
         """Put the model at the batch's first start and read the native model back."""
 
     @abstractmethod
-    def native(self) -> str:
-        """Exactly what the engine was given (MJCF, or a listing of calls), to run without us."""
+    def native(self, batch: Batch) -> str:
+        """Exactly what the engine is given, at the batch's first start, to run without us.
+
+        A file of the engine's own format, or a Python script that simulates the scene's frames
+        without inputs and then prints the bodies' states.
+        """
 
     @abstractmethod
     def close(self) -> None:

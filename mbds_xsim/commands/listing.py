@@ -61,21 +61,23 @@ def scenes(json: JsonFile = None) -> None:
 @command(
     "check",
     epilog="Examples:  mbds-xsim show 3ladder --png ladder.png  ·  "
-    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml",
+    "mbds-xsim show 5pendulum --native mujoco > pendulum.xml  ·  "
+    "mbds-xsim show 5pendulum --start 2 --native dart | python",
 )
 def show(
     scene: SceneName,
     toml: Annotated[bool, typer.Option("--toml", help="Print it as a scene file.")] = False,
     native: Annotated[
         str | None,
-        typer.Option(metavar="ENGINE", help="Print exactly what this engine is given."),
+        typer.Option(metavar="ENGINE", help="Print exactly what this engine is given, to run."),
     ] = None,
     settings: Annotated[str, typer.Option(help="With --native: matched or native.")] = "matched",
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw it into a file.")] = None,
     start: Annotated[
         int | None,
         typer.Option(
-            help="With --png: the start of this trajectory; else the reference pose.", min=0
+            help="With --png or --native: as this trajectory starts, not as the scene is written.",
+            min=0,
         ),
     ] = None,
     json: JsonFile = None,
@@ -88,8 +90,8 @@ def show(
     if sum(map(bool, (toml, native, json))) > 1:
         msg = "show gives one form at a time; choose one of --toml, --native and --json"
         raise InputError(msg)
-    if start is not None and png is None:
-        msg = f"--start: got {start} without --png; it says which start is drawn, add --png FILE"
+    if start is not None and png is None and native is None:
+        msg = f"--start: got {start}, which says what is drawn or given; add --png or --native"
         raise InputError(msg)
     check_targets(json=json, png=png)
     loaded = scene_named(scene)
@@ -98,7 +100,7 @@ def show(
 
         draw_scene(loaded, png, start=start)
     if native is not None:
-        print(native_text(loaded, native, settings))
+        print(native_text(loaded, native, settings, start))
     elif toml:
         print(write_scene(loaded), end="")
     else:

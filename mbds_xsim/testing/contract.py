@@ -13,6 +13,11 @@ Use it in a test file of your own, with a fixture that makes your adapter:
 from __future__ import annotations
 
 import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -38,6 +43,7 @@ _STEPS_PER_FRAME = (4, 8, 16)
 _ORDER_MARGIN = 0.2
 # Where a method meets the answer to this, there is no order left to measure (RK4 on a parabola).
 _EXACT = 1e-9
+_NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
 # Non-linear motions, on which no method is better than its order by luck.
 _TELLING = ("rod", "hinge", "tumbling", "parallelogram")
 
@@ -227,15 +233,29 @@ class AdapterContract(ContactContract):
             for profile in ("native", "matched"):
                 adapter.check(case.scene, adapter.settings(case.scene, profile))
 
-    def test_native_text_and_version_say_something(self, adapter: Adapter) -> None:
-        """A sceptic can run what the engine was given."""
-        case = _able_cases(adapter)[0]
-        settings = _settings(adapter, case, _first(adapter, case), 2)
-        with adapter.open(case.scene, settings) as run:
-            run.readback(draw_batch(case.scene, [0]))
-            text = run.native()
+    def test_a_sceptic_can_run_what_the_engine_was_given(
+        self, adapter: Adapter, tmp_path: Path
+    ) -> None:
+        """A script ends where the engine does, springs and all; other formats are XML."""
+        able = _able_cases(adapter)
+        case = next((case for case in able if case.scene.springs), able[0])
+        batch = draw_batch(case.scene, [0], noise=False, inputs=False)
+        with adapter.open(case.scene, _settings(adapter, case, _first(adapter, case), 2)) as run:
+            text, motion = run.native(batch), run.rollout(batch)
+        if text.lstrip().startswith("<"):
+            ElementTree.fromstring(text)
+            return
+        (tmp_path / "script.py").write_text(text, "utf-8")
+        script = [sys.executable, "script.py"]
+        ended = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, timeout=60)
 
-        assert len(text.splitlines()) > 3
+        assert ended.returncode == 0, ended.stderr
+        told = np.array([float(number) for number in _NUMBER.findall(ended.stdout)])
+        for place in motion.position[0, -1].ravel():
+            assert np.abs(told - place).min(initial=np.inf) < _EXACT, f"{place} is not in the end"
+
+    def test_the_version_has_a_number(self, adapter: Adapter) -> None:
+        """Results name the engine's version."""
         assert any(character.isdigit() for character in adapter.version())
 
     def test_it_pickles(self, adapter: Adapter) -> None:

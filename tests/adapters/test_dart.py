@@ -4,6 +4,7 @@ import gc
 import math
 import weakref
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -313,11 +314,12 @@ def test_a_blow_up_ends_its_trajectory_only(capfd: pytest.CaptureFixture[str]) -
 def test_the_listing_runs_by_itself() -> None:
     scene = four_bar("hinge", "ball")
     with ENGINE.open(scene, Settings(EULER, 0.001)) as run:
-        text = run.native()
-    names: dict[str, object] = {}
+        text = run.native(draw_batch(scene, [0]))
+    names: dict[str, Any] = {}
     exec(text, names)
-    skeleton = names["skeleton"]
-    assert skeleton.getMass() == 3.5  # type: ignore[attr-defined]
+    assert names["skeleton"].getMass() == 3.5
+    seen = [names["bodies"][k].getShapeNode(0).getVisualAspect() for k in range(len(scene.bodies))]
+    assert all(aspect is not None for aspect in seen)
 
 
 def test_process_wide_parameters_are_put_back() -> None:

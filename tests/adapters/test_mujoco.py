@@ -237,7 +237,7 @@ def test_native_profile_is_what_the_engine_does_by_itself() -> None:
     assert settings.method == "Euler"
     assert settings.step == pytest.approx(0.002)
     with ENGINE.open(scene, settings) as run:
-        text = run.native()
+        text = run.native(draw_batch(scene, [0]))
     assert "solref" not in text
     assert "solimp" not in text
 
@@ -265,7 +265,7 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
     batch = batch.truncated(5)
     with ENGINE.open(scene, Settings("RK4", 0.005)) as run:
         ours = run.rollout(batch)
-        text = run.native()
+        text = run.native(batch)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)

@@ -274,7 +274,7 @@ def test_the_native_text_alone_gives_the_same_motion() -> None:
     scene = msgspec.structs.replace(scene, bodies=(pushed,))
     with ENGINE.open(scene, CAREFUL["ballscroll"]) as run:
         ours = run.rollout(draw_batch(scene, [0]).truncated(5))
-        text = run.native()
+        text = run.native(draw_batch(scene, [0]))
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
@@ -299,5 +299,5 @@ def test_only_contact_scenes_get_a_ground() -> None:
     for name, expected in (("balldrop", True), ("5pendulum", False)):
         scene = load_scene(name)
         with ENGINE.open(scene, settings_for(scene, ENGINE, "matched")) as run:
-            text = run.native()
+            text = run.native(draw_batch(scene, [0]))
         assert ("geom" in text) == ("elliptic" in text) == ("noslip" in text) == expected

@@ -128,7 +128,7 @@ def test_wrong_values_are_refused(name: str, value: float | str) -> None:
 def test_the_native_text_tells_what_it_leaves_out_and_when_steps_change() -> None:
     scene = load_scene("2ladder")
     with ENGINE.open(scene, Settings("RK4", 0.01, {"spin": False})) as run:
-        text = run.native()
+        text = run.native(draw_batch(scene, [0]))
     assert "rad/s" in text
     assert text.count('type="hinge"') == 2 * 24
 

@@ -435,7 +435,7 @@ def test_the_listing_runs_without_the_toolkit_and_nothing_is_printed(tmp_path: P
         "batch = draw_batch(scene, [0], noise=False, inputs=False)\n"
         "with engine.open(scene, engine.settings(scene, 'native')) as run:\n"
         "    end = run.rollout(batch).position[0, -1, [0, 25]].ravel()\n"
-        f"    open({str(tmp_path / 'model.py')!r}, 'w').write(run.native())\n"
+        f"    open({str(tmp_path / 'model.py')!r}, 'w').write(run.native(batch))\n"
         f"end.tofile({str(tmp_path / 'end')!r})\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)

@@ -175,7 +175,7 @@ def test_scenes_without_contact_have_no_ground() -> None:
     settings = ENGINE.settings(scene, "native")
     with ENGINE.open(scene, settings) as run:
         assert run.size.contact_pairs == 0
-        assert "createCollisionShape" not in run.native()
+        assert "createCollisionShape" not in run.native(draw_batch(scene, [0]))
     assert not any("contact" in name for name in settings.options)
 
 
@@ -186,7 +186,7 @@ def test_the_listing_runs_without_the_toolkit(tmp_path: Path) -> None:
     with ENGINE.open(scene, Settings(METHOD, 1e-3)) as run:
         run.rollout(batch)  # the listing starts afresh, whatever was before
         end = run.rollout(batch).position[0, -1]
-        (tmp_path / "model.py").write_text(run.native())
+        (tmp_path / "model.py").write_text(run.native(batch))
     done = subprocess.run(
         [sys.executable, tmp_path / "model.py"], capture_output=True, check=True, text=True
     )

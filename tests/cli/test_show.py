@@ -60,6 +60,18 @@ def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, he
     assert np.abs(seen[10] - seen[0]).max() > 0.01
 
 
+def test_what_an_engine_is_given_starts_as_a_trajectory_does(run: CommandLine) -> None:
+    scene = registry.load_scene("3pendulum")
+    adapter = registry.load_adapter("mujoco")
+    with adapter.open(scene, settings_for(scene, adapter, "matched")) as opened:
+        expected = opened.native(draw_batch(scene, [2]))
+
+    started = run("show", "3pendulum", "--native", "mujoco", "--start", "2").out.strip()
+
+    assert started == expected.strip()
+    assert started != run("show", "3pendulum", "--native", "mujoco").out.strip()
+
+
 @pytest.mark.parametrize("listing", _LISTED)
 @pytest.mark.parametrize("name", ["3pendulum", "1ladder", "parallelogram.toml"])
 def test_a_listing_names_every_body_joint_and_mass(

@@ -140,8 +140,8 @@ class _FaultyRun(Run):
     def readback(self, batch: Batch) -> Readback:
         return self._run.readback(self._fault.inputs(batch))
 
-    def native(self) -> str:
-        return self._run.native()
+    def native(self, batch: Batch) -> str:
+        return self._run.native(batch)
 
     def close(self) -> None:
         self._run.close()
