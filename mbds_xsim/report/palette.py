@@ -41,7 +41,7 @@ DARK = (
 )  # fmt: skip
 """The same, lighter, for a dark background."""
 
-INTERVALS = ("#8fb8b0", "#4c8079", "#1f4a45")
+INTERVALS = ("#6fc7cf", "#008c9e", "#00565f")
 """Low, medium and high."""
 
 PARTS = {
@@ -51,7 +51,7 @@ PARTS = {
     "fixed": "#1c2733",
     "spring": "#c2452d",
     "distance link": "#b59a00",
-    "contact sphere": "#3aa7a3",
+    "contact sphere": "#9a7fd6",
 }
 """What a drawing of a scene shows beside its bodies."""
 

@@ -65,6 +65,8 @@ def draw_paths(data: Dataset, path: Path) -> None:
             f"{told['method']} at {told['step_s']:.4g} s ({told['certification']})"
             + ("" if told["dimension"] == 1 else ": start grey, end black"),
             fontsize=10,
+            y=1.0,
+            va="bottom",
         )
         stream = io.BytesIO()
         figure.savefig(
@@ -102,7 +104,7 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     view = _view(data)
     flat = view.flat(_lifted(data, position))
     for point in range(flat.shape[1]):
-        axes.plot(*flat[:, point].T, color=colour, linewidth=0.7, alpha=0.6)
+        axes.plot(*flat[:, point].T, color=colour, linewidth=0.9, alpha=0.85)
     for frame, shade, width in ((0, _GREY, 1.0), (-1, _INK, 1.2)):
         _bones(axes, data, view, flat[frame], shade, width)
     axes.set_aspect("equal", adjustable="box")

@@ -64,7 +64,7 @@ def _table(validation: Validation, *, wide: bool) -> Table:
 
 def _cell(column: Column, result: EngineResult, validation: Validation) -> Text:
     cell: Cell = column.cell(result, validation)
-    return Text(f"{cell.text} ✗", style="bold red") if cell.over else Text(cell.text)
+    return Text(f"{cell.text}✗", style="bold red") if cell.over else Text(cell.text)
 
 
 def _verdict(verdict: str) -> Text:

@@ -89,8 +89,7 @@ def test_joints_and_springs_are_drawn_where_there_are_any(tmp_path: Path) -> Non
     plain, more = _drawn(PENDULUM, tmp_path), _drawn(sprung, tmp_path)
 
     assert len(_pixels(plain, BALL)) == 0
-    # Gravity has the colour of springs.
-    assert len(_pixels(more, SPRING)) > 3 * len(_pixels(plain, SPRING)) > 0
+    assert len(_pixels(more, SPRING)) > 100 > 0 == len(_pixels(plain, SPRING))
 
 
 def test_a_start_is_drawn_in_place_of_the_reference_pose(tmp_path: Path) -> None:
@@ -170,7 +169,7 @@ def test_the_same_scene_gives_the_same_file(tmp_path: Path) -> None:
         (["3pendulum", "--png", "scene.png", "--start", "2"], 0, ""),
         (["3pendulum", "--png", "."], 2, "--png: cannot write"),
         (["nothing", "--png", "."], 2, "--png: cannot write"),
-        (["3pendulum", "--start", "2"], 2, "--start: got 2 without --png"),
+        (["3pendulum", "--start", "2"], 2, "--start: got 2, which says what is drawn or given"),
     ],
 )
 def test_show_draws_into_a_file(
