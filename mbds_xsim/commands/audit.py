@@ -8,12 +8,17 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    HtmlFile,
     JsonFile,
+    Opened,
     check_targets,
     command,
+    command_line,
     console_for,
     encoded,
+    page_for,
     scene_named,
+    tell_page,
     write_json,
 )
 
@@ -51,6 +56,8 @@ def audit(
         float | None, typer.Option(help="Over which it spreads an impact [s].", min=0.0)
     ] = None,
     json: JsonFile = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
     from mbds_xsim.dataset.audit import Told, audit_file
@@ -58,7 +65,7 @@ def audit(
     from mbds_xsim.report.auditing import print_audited
 
     console = console_for(json)
-    check_targets(json=json)
+    check_targets(json=json, html=html)
     told = Told(
         index=None if index is None else tuple(parse_numbers(index, "--index")),
         seed=seed,
@@ -70,5 +77,12 @@ def audit(
     )
     audited = audit_file(file, None if scene is None else scene_named(scene), told)
     print_audited(audited, console)
+    page = page_for(html, opened=opened)
+    if page is not None:
+        from mbds_xsim.report.audit_page import to_html
+        from mbds_xsim.write import write_whole
+
+        write_whole(page, to_html(audited, command_line()).encode())
+    tell_page(page, console, opened=opened)
     write_json(encoded(audited), json)
     raise typer.Exit(0 if audited.verdict == "pass" else 1)

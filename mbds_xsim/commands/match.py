@@ -10,7 +10,9 @@ import typer
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
+    HtmlFile,
     JsonFile,
+    Opened,
     SceneNames,
     WorkerCount,
     check_targets,
@@ -18,7 +20,9 @@ from mbds_xsim.commands.shared import (
     command_line,
     console_for,
     encoded,
+    page_for,
     scene_named,
+    tell_page,
     write_json,
 )
 from mbds_xsim.errors import InputError
@@ -54,6 +58,8 @@ def match(
         typer.Option(metavar="FILE", help="Write here, not where validate finds them."),
     ] = None,
     json: JsonFile = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
 ) -> None:
     """Search the cheapest settings of each engine that keep all budgets of a scene."""
     from mbds_xsim.choice import Choice
@@ -76,7 +82,7 @@ def match(
             raise InputError(msg)
     targets = [out] if out is not None else [stored_path(name) for name in scenes]
     for target in targets:
-        check_targets(json=json, out=target)
+        check_targets(json=json, html=html, out=target)
     found = []
     for name, target in zip(scenes, targets, strict=True):
         scene = scene_named(name)
@@ -99,6 +105,12 @@ def match(
         write_whole(target, matched_toml(result, before).encode())
         console.print(f"written: {target}", highlight=False)
         found.append(result)
+    page = page_for(html, opened=opened)
+    if page is not None:
+        from mbds_xsim.report.match_page import to_html
+
+        write_whole(page, to_html(found).encode())
+    tell_page(page, console, opened=opened)
     write_json(encoded(found[0] if len(found) == 1 else found), json)
     met = all(engine.meets_budget for result in found for engine in result.engines)
     raise typer.Exit(0 if met else 1)

@@ -27,7 +27,9 @@ __all__ = [
     "Device",
     "DeviceWorkers",
     "EngineNames",
+    "HtmlFile",
     "JsonFile",
+    "Opened",
     "SceneName",
     "SceneNames",
     "Seed",
@@ -38,8 +40,10 @@ __all__ = [
     "command_line",
     "console_for",
     "encoded",
+    "page_for",
     "progress_on",
     "scene_named",
+    "tell_page",
     "write_json",
 ]
 
@@ -110,6 +114,14 @@ Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
     int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
+HtmlFile = Annotated[
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Write a self-contained page."),
+]
+Opened = Annotated[
+    bool,
+    typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
+]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
 ]
@@ -121,6 +133,8 @@ def command_line() -> str:
     kept = []
     for word in words:
         name, joined, _ = word.partition("=")
+        if name == "--open":
+            continue
         if name not in _WRITES:
             kept.append(word)
         elif not joined:
@@ -163,6 +177,28 @@ def check_targets(**paths: Path | None) -> None:
     if len({path.absolute() for path in files.values()}) < len(files):
         msg = f"{' and '.join(f'--{option}' for option in files)} both name {path}; give two files"
         raise InputError(msg)
+
+
+def page_for(html: Path | None, *, opened: bool) -> Path | None:
+    """Say where the page goes: where `--html` says, or where only `--open` will find it."""
+    if html is not None or not opened:
+        return html
+    import tempfile
+
+    return Path(tempfile.mkdtemp(prefix="mbds-xsim-")) / "page.html"
+
+
+def tell_page(page: Path | None, console: Console, *, opened: bool) -> None:
+    """Say where the page is, and show it if `--open` asks for that."""
+    if page is None:
+        return
+    console.print(f"page: {page}", highlight=False, soft_wrap=True)
+    if not opened:
+        return
+    import webbrowser
+
+    if not webbrowser.open(page.absolute().as_uri()):
+        console.print("there is no browser to open it in; set BROWSER, or open it by hand")
 
 
 def write_json(text: bytes, path: Path | None) -> None:

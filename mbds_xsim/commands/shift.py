@@ -11,13 +11,17 @@ from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,
+    HtmlFile,
     JsonFile,
+    Opened,
     check_targets,
     command,
     command_line,
     console_for,
     encoded,
+    page_for,
     progress_on,
+    tell_page,
     write_json,
 )
 
@@ -67,9 +71,8 @@ def shift(
         Path | None,
         typer.Option(metavar="FILE", help="Write the figures of every trajectory as CSV."),
     ] = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
-    ] = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")] = None,
     rollouts: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
@@ -108,7 +111,9 @@ def shift(
             )
         print_shift(found.shift, console)
         studies.append(found)
-    write_files(studies, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
+    page = page_for(html, opened=opened)
+    write_files(studies, csv=csv, html=page, png=png, rollouts=rollouts, markdown=markdown)
+    tell_page(page, console, opened=opened)
     results = [found.shift for found in studies]
     write_json(encoded(results[0] if len(results) == 1 else results), json)
 

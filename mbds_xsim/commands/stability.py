@@ -10,12 +10,16 @@ import typer
 from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
+    HtmlFile,
     JsonFile,
+    Opened,
     WorkerCount,
     check_targets,
     command,
     command_line,
     console_for,
+    page_for,
+    tell_page,
     write_json,
 )
 
@@ -69,9 +73,8 @@ def stability(
     csv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the cells as CSV.")
     ] = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
-    ] = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the maps.")] = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
@@ -121,7 +124,9 @@ def stability(
         (print_cells if single else print_sweep)(sweeps[-1], console)
         if out is not None:
             write_all(sweeps[-1], out)
-    write_files(sweeps, csv=csv, html=html, png=png, markdown=markdown)
+    page = page_for(html, opened=opened)
+    write_files(sweeps, csv=csv, html=page, png=png, markdown=markdown)
+    tell_page(page, console, opened=opened)
     write_json(to_json(sweeps), json)
 
 

@@ -11,7 +11,9 @@ from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
+    HtmlFile,
     JsonFile,
+    Opened,
     SceneNames,
     Seed,
     WorkerCount,
@@ -19,7 +21,9 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
+    page_for,
     scene_named,
+    tell_page,
     write_json,
 )
 
@@ -67,9 +71,8 @@ def tradeoff(
     csv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the raw rows as CSV.")
     ] = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
-    ] = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the charts.")] = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
@@ -121,7 +124,9 @@ def tradeoff(
         studies.append(study)
         rows += found
         print_tradeoff(study, console)
-    write_files(studies, rows, csv=csv, html=html, png=png, markdown=markdown)
+    page = page_for(html, opened=opened)
+    write_files(studies, rows, csv=csv, html=page, png=png, markdown=markdown)
+    tell_page(page, console, opened=opened)
     write_json(to_json(studies), json)
 
 

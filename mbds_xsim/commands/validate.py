@@ -10,7 +10,9 @@ import typer
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
+    HtmlFile,
     JsonFile,
+    Opened,
     SceneName,
     Seed,
     WorkerCount,
@@ -18,8 +20,10 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
+    page_for,
     progress_on,
     scene_named,
+    tell_page,
     write_json,
 )
 
@@ -51,9 +55,8 @@ def validate(
     cache: CacheUse = True,
     workers: WorkerCount = None,
     json: JsonFile = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
-    ] = None,
+    html: HtmlFile = None,
+    opened: Opened = False,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the table as Markdown.")
     ] = None,
@@ -80,11 +83,12 @@ def validate(
             command=command_line(),
         )
     print_table(validation, console)
-    if html is not None:
+    page = page_for(html, opened=opened)
+    if page is not None:
         from mbds_xsim.report.page import write_page
 
-        write_page(validation, evidence, html)
-        console.print(f"page: {html}")
+        write_page(validation, evidence, page)
+    tell_page(page, console, opened=opened)
     if markdown is not None:
         from mbds_xsim.report.markdown import to_markdown
         from mbds_xsim.write import write_whole

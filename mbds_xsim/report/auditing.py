@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import groupby
 
 from rich import box
@@ -14,7 +15,9 @@ from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.report import quantity
 from mbds_xsim.result import FindingResult
 
-__all__ = ["print_audited"]
+__all__ = ["HEADINGS", "cells", "conclusion", "left_out", "print_audited"]
+
+HEADINGS = ("check", "worst", "budget", "trajectory", "frame", "where", "")
 
 
 def print_audited(audited: Audited, console: Console) -> None:
@@ -32,37 +35,43 @@ def print_audited(audited: Audited, console: Console) -> None:
     console.print(_table(audited))
     for reason in audited.reasons:
         console.print(Text(f"✗ {reason}", style="red"), soft_wrap=True)
+    for reason, names in left_out(audited):
+        console.print(f"not checked: {names}: {reason}", highlight=False, soft_wrap=True)
+    style = "bold green" if audited.verdict == "pass" else "bold red"
+    console.print(Text(conclusion(audited), style=style), soft_wrap=True)
+
+
+def conclusion(audited: Audited) -> str:
+    """Say whether the trajectories hold."""
+    held = sum(finding.budget is not None for finding in audited.findings)
+    motions = f"{counted(audited.trajectories, 'trajectory')} of {audited.scene}"
+    if audited.verdict == "pass":
+        return f"every check that ran holds ({held}, on {motions})"
+    broken = ", ".join(f.check for f in audited.findings if not f.passed)
+    return f"{counted(len(audited.reasons), 'check')} out of budget on {motions}: {broken}"
+
+
+def left_out(audited: Audited) -> Iterator[tuple[str, str]]:
+    """Give reasons why checks did not run, each with their names."""
     left = sorted(audited.not_checked.items(), key=lambda pair: pair[1])
     for reason, names in groupby(left, key=lambda pair: pair[1]):
-        console.print(
-            f"not checked: {', '.join(name for name, _ in names)}: {reason}",
-            highlight=False,
-            soft_wrap=True,
-        )
-    passed = audited.verdict == "pass"
-    verdict = (
-        "every check that ran holds"
-        if passed
-        else f"{counted(len(audited.reasons), 'check')} out of budget"
-    )
-    console.print(Text(verdict, style="bold green" if passed else "bold red"))
+        yield reason, ", ".join(name for name, _ in names)
 
 
 def _table(audited: Audited) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold")
-    table.add_column("check", no_wrap=True)
-    for heading in ("worst", "budget", "trajectory", "frame"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("where")
-    table.add_column("", no_wrap=True)
+    for heading in HEADINGS:
+        figure = heading in ("worst", "budget", "trajectory", "frame")
+        table.add_column(heading, justify="right" if figure else "left", no_wrap=heading != "where")
     for finding in audited.findings:
-        table.add_row(*_cells(finding))
+        *told, mark = cells(finding)
+        table.add_row(*told, Text(mark, "bold green" if finding.passed else "bold red"))
     return table
 
 
-def _cells(finding: FindingResult) -> tuple[str | Text, ...]:
+def cells(finding: FindingResult) -> tuple[str, ...]:
+    """Give a check's row."""
     judged = finding.budget is not None
-    mark = Text("✓", "bold green") if finding.passed else Text("✗", "bold red")
     return (
         finding.check,
         quantity.with_unit(finding.figure, finding.unit),
@@ -70,5 +79,5 @@ def _cells(finding: FindingResult) -> tuple[str | Text, ...]:
         str(finding.trajectory),
         str(finding.frame),
         finding.where,
-        mark if judged else "",
+        "" if not judged else "✓" if finding.passed else "✗",
     )

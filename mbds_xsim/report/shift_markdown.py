@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.report.shift_tables import Table, tables
+from mbds_xsim.report.shift_tables import tables
+from mbds_xsim.report.table import Table
 from mbds_xsim.safe_text import as_code, in_markdown
 
 __all__ = ["in_words", "protocol", "time_told", "to_markdown"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
 from mbds_xsim.learn.shift.board import ENGINE, RESTART
@@ -22,18 +21,9 @@ from mbds_xsim.report.shift_matrix import (
     mean,
     trained_models,
 )
+from mbds_xsim.report.table import Table
 
-__all__ = ["Table", "tables"]
-
-
-@dataclass(frozen=True)
-class Table:
-    """Texts in rows; the first column is words, the others figures."""
-
-    title: str
-    note: str
-    heading: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+__all__ = ["tables"]
 
 
 def tables(shift: Shift) -> Iterator[Table]:

@@ -112,17 +112,14 @@ def odd_one_out(validation: Validation) -> str:
 
 def conclusion(validation: Validation) -> str:
     """Say the final verdict in one sentence."""
-    counts = {
-        verdict: sum(result.verdict == verdict for result in validation.engines)
-        for verdict in ("pass", "warn", "fail")
-    }
-    total = len(validation.engines)
-    parts = [
-        f"{count} of {total} {word}"
-        for verdict, word in (("pass", "passed"), ("warn", "with a warning"), ("fail", "failed"))
-        if (count := counts[verdict])
-    ]
-    return f"{', '.join(parts) or 'no engine ran'} ({sampled(validation)})"
+    total, parts = len(validation.engines), []
+    of_one = len({result.profile for result in validation.engines}) == 1
+    for verdict, word in (("pass", "passed"), ("warn", "with a warning"), ("fail", "failed")):
+        those = [result for result in validation.engines if result.verdict == verdict]
+        names = ", ".join(result.engine for result in those)
+        of = f" ({names})" if of_one and len(those) < total else ""
+        parts += [f"{len(those)} of {total} {word}{of}"] if those else []
+    return f"{', '.join(parts) or 'no engine ran'}; {sampled(validation)}"
 
 
 def remarks(validation: Validation) -> list[tuple[str, str]]:

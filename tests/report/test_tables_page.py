@@ -1,0 +1,163 @@
+"""Pages of audits and of matched settings, and how a page is opened."""
+
+from __future__ import annotations
+
+import re
+import webbrowser
+from pathlib import Path
+
+import pytest
+import typer
+from rich.console import Console
+
+from mbds_xsim import cli
+from mbds_xsim.commands.shared import command_line, page_for, tell_page
+from mbds_xsim.dataset.audit import Audited
+from mbds_xsim.report import audit_page, match_page
+from mbds_xsim.result import FindingResult
+from mbds_xsim.study.match import SCHEMA, Found, Match
+
+_LEAD = re.compile(r'<p class="lead">(.*?)</p>')
+
+
+def _finding(check: str, figure: float, budget: float | None) -> FindingResult:
+    return FindingResult(
+        check=check,
+        unit="m",
+        figure=figure,
+        budget=budget,
+        passed=budget is None or figure <= budget,
+        trajectory=0,
+        frame=7,
+        where="rod<1>",
+        figures=(figure,),
+        note="",
+    )
+
+
+def _audited(*findings: FindingResult) -> Audited:
+    broken = tuple(f"{f.check}: {f.figure:g} m" for f in findings if not f.passed)
+    return Audited(
+        file="lab.csv",
+        scene="2pendulum",
+        verdict="fail" if broken else "pass",
+        trajectories=1,
+        steps=10,
+        frame_s=0.02,
+        given=("time", "position"),
+        taken=("start: frame 0 of the file",),
+        findings=findings,
+        reasons=broken,
+        not_checked={"energy": "no velocities", "momentum": "no velocities"},
+    )
+
+
+def _found(engine: str, cost: float, *, met: bool = True) -> Found:
+    return Found(
+        engine=engine,
+        version="1.0",
+        method="RK4",
+        steps_per_frame=2,
+        step_s=0.01,
+        options={"turn": 0.5},
+        meets_budget=met,
+        reasons=() if met else ("gap: 3 mm, allowed 1 mm",),
+        held_out=60,
+        wall_per_simulated_s=cost,
+        cpu_per_simulated_s=cost,
+        error_1s_m=1e-5,
+        error_weighted_m=1e-5,
+        constraint_gap_m=0.0,
+        energy_balance=1e-6,
+        used_method="RK4",
+        used_steps_per_frame=4,
+        cost_ratio=0.5,
+        trials=9,
+    )
+
+
+def _match(*engines: Found) -> Match:
+    return Match(
+        schema=SCHEMA,
+        scene="my <b>bold</b> scene",
+        command="mbds-xsim match my.toml",
+        seed=0,
+        held_out_seed=1,
+        trajectories=2,
+        held_out=20,
+        machine="none",
+        engines=engines,
+        left_out={"dart": "dart cannot do distance link"},
+    )
+
+
+def test_an_audit_says_first_whether_the_trajectories_hold() -> None:
+    good = audit_page.to_html(_audited(_finding("gap", 1e-6, 1e-4)), "mbds-xsim audit lab.csv")
+    bad = audit_page.to_html(
+        _audited(_finding("gap", 3e-3, 1e-4), _finding("finite", 0.0, None)), "mbds-xsim audit"
+    )
+
+    assert _LEAD.findall(good) == ["every check that ran holds (1, on 1 trajectory of 2pendulum)."]
+    assert _LEAD.findall(bad) == ["1 check out of budget on 1 trajectory of 2pendulum: gap."]
+    assert "✗ fail" in bad
+    assert "✗" not in good.partition("</header>")[0]
+    assert "Not checked: energy, momentum" in bad
+    assert "rod&lt;1&gt;" in bad
+    assert "shares of the budgets: gap 30" in bad
+
+
+def test_a_match_says_first_who_keeps_the_budgets_at_what_cost() -> None:
+    page = match_page.to_html([_match(_found("exudyn", 0.2), _found("mujoco", 0.002))])
+    mixed = match_page.to_html([_match(_found("exudyn", 0.2), _found("mujoco", 0.1, met=False))])
+
+    (lead,) = _LEAD.findall(page)
+    assert "2 of 2 engines within all budgets; cheapest is mujoco RK4 at 10 ms, 2.0 ms" in lead
+    (lead,) = _LEAD.findall(mixed)
+    assert "1 of 2 engines within all budgets; not mujoco; cheapest is exudyn" in lead
+    assert "gap: 3 mm, allowed 1 mm" in mixed
+    assert "dart cannot do distance link" in page
+    assert "<b>" not in page
+
+
+def test_every_command_that_writes_a_page_opens_it() -> None:
+    group = typer.main.get_command(cli.app)
+    options = {
+        name: {opt for parameter in command.params for opt in parameter.opts}
+        for name, command in group.commands.items()  # type: ignore[attr-defined]
+    }
+    writing = {name for name, known in options.items() if "--html" in known}
+
+    assert writing == {"audit", "match", "shift", "stability", "tradeoff", "validate"}
+    assert all("--open" in options[name] for name in writing)
+
+
+def test_a_page_is_opened_where_it_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console = Console(record=True, width=200)
+    seen: list[str] = []
+
+    def no_browser(address: str) -> bool:
+        seen.append(address)
+        return False
+
+    monkeypatch.setattr(webbrowser, "open", no_browser)
+
+    assert page_for(None, opened=False) is None
+    assert page_for(tmp_path / "a.html", opened=True) == tmp_path / "a.html"
+    page = page_for(None, opened=True)
+    assert page is not None
+    assert page.parent.is_dir()
+    tell_page(page, console, opened=True)
+
+    assert seen == [page.as_uri()]
+    told = console.export_text()
+    assert str(page) in told
+    assert "there is no browser" in told
+    page.parent.rmdir()
+
+
+def test_that_a_page_was_opened_says_nothing_about_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "match", "my.toml", "--open", "--html=a.html"])
+
+    assert command_line() == "mbds-xsim match my.toml"
