@@ -79,7 +79,8 @@ def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> Non
 
     told = json.loads((package / "v.json").read_text())
     row, beside = told["engines"]
-    assert done.stderr == ""
+    # A slow machine tells how far it is.
+    assert [line for line in done.stderr.splitlines() if " left " not in line] == []
     assert (row["engine"], row["version"], row["failures"]) == ("plain", "1.0", [])
     assert row["error_1s_m"] < 1e-6
     assert beside["engine"] == "mujoco"

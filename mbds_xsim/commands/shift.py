@@ -18,7 +18,6 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
-    encoded,
     page_for,
     progress_on,
     tell_page,
@@ -85,6 +84,7 @@ def shift(
     check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.accelerate import check_device
+    from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.roster import Part
     from mbds_xsim.learn.shift.study import asked, study
     from mbds_xsim.report.shift_files import write_files
@@ -114,8 +114,7 @@ def shift(
     page = page_for(html, opened=opened)
     write_files(studies, csv=csv, html=page, png=png, rollouts=rollouts, markdown=markdown)
     tell_page(page, console, opened=opened)
-    results = [found.shift for found in studies]
-    write_json(encoded(results[0] if len(results) == 1 else results), json)
+    write_json(to_json([found.shift for found in studies]), json)
 
 
 def _scenes(models: Path, data: Path) -> list[str]:

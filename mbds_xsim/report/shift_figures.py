@@ -24,8 +24,13 @@ _ABREAST = 2  # more would be too small to read on a page
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 
 
-def to_png(studies: Sequence[Shift]) -> bytes:
-    """Give a picture: a block of heat maps for each study, a map for each model, two abreast."""
+def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
+    """Give a picture: a block of heat maps for each study, a map for each model, two abreast.
+
+    Args:
+        studies: What is drawn.
+        stored: Of the JSON that keeps it.
+    """
     columns = min(_ABREAST, max(len(trained_models(shift)) for shift in studies))
     sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
     rows = [math.ceil(len(trained_models(shift)) / columns) for shift in studies]
@@ -38,7 +43,7 @@ def to_png(studies: Sequence[Shift]) -> bytes:
         for block, shift, count in zip(blocks[:, 0], studies, rows, strict=True):
             _draw_block(block, shift, (count, columns))
 
-    return themed.png(draw, (width, height))
+    return themed.png(draw, (width, height), stored)
 
 
 def map_size(matrix: Matrix) -> tuple[float, float]:

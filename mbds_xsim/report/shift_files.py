@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mbds_xsim.learn.shift.result import to_json
 from mbds_xsim.learn.shift.samples import samples_of
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.report.shift_csv import to_csv
@@ -33,7 +34,7 @@ def write_files(
     if html is not None:
         write_whole(html, to_html(studies).encode())
     if png is not None:
-        write_whole(png, to_png(shifts))
+        write_whole(png, to_png(shifts, to_json(shifts)))
     if rollouts is not None:
         write_whole(rollouts, samples_png([samples_of(studied.board) for studied in studies]))
     if markdown is not None:

@@ -40,6 +40,6 @@ def write_files(
     if html is not None:
         write_whole(html, to_html(sweeps).encode())
     if png is not None:
-        write_whole(png, to_png(sweeps))
+        write_whole(png, to_png(sweeps, to_csv(sweeps)))
     if markdown is not None:
         write_whole(markdown, to_markdown(sweeps).encode())

@@ -45,8 +45,13 @@ def to_html(sweeps: list[Sweep]) -> str:
     )
 
 
-def to_png(sweeps: list[Sweep]) -> bytes:
-    """Give a picture: the maps of each study, with their legend."""
+def to_png(sweeps: list[Sweep], stored: bytes = b"") -> bytes:
+    """Give a picture: the maps of each study, with their legend.
+
+    Args:
+        sweeps: What is drawn.
+        stored: Of the CSV that keeps it.
+    """
     sizes = [_picture(sweep) for sweep in sweeps]
 
     def draw(figure: Any) -> None:
@@ -55,7 +60,8 @@ def to_png(sweeps: list[Sweep]) -> bytes:
         for part, sweep in zip(rows[:, 0], sweeps, strict=True):
             _draw_study(part, sweep)
 
-    return themed.png(draw, (max(width for width, _ in sizes), sum(h for _, h in sizes)))
+    size = max(width for width, _ in sizes), sum(height for _, height in sizes)
+    return themed.png(draw, size, stored)
 
 
 def _picture(sweep: Sweep) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 from collections.abc import Callable
@@ -12,7 +13,10 @@ from markupsafe import Markup
 from mbds_xsim.report.few_colours import few_colours
 from mbds_xsim.report.palette import LIGHT
 
-__all__ = ["GREY", "INK", "PAPER", "png", "svg"]
+__all__ = ["GREY", "INK", "PAPER", "SOURCE", "checksum", "png", "svg"]
+
+SOURCE = "Source"
+"""Key of the checksum in a PNG."""
 
 INK = "#010203"
 """Becomes the colour of the page's text."""
@@ -55,15 +59,30 @@ def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str])
     return _themed(stream.getvalue(), title, tips)
 
 
-def png(draw: Draw, size: tuple[float, float]) -> bytes:
-    """Draw into a PNG of 256 colours on white."""
+def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
+    """Draw into a PNG of 256 colours on white.
+
+    Args:
+        draw: Draws on the figure it is given.
+        size: Width and height [in].
+        stored: Of the file that keeps what is drawn; its checksum goes into the PNG.
+    """
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     drawn, stream = io.BytesIO(), io.BytesIO()
     _saved(draw, size, drawn, format="png", dpi=150, facecolor="white")
     picture = few_colours(Image.open(drawn).convert("RGB"))
-    picture.save(stream, format="png", optimize=True)
+    told = PngInfo()
+    if stored:
+        told.add_text(SOURCE, checksum(stored))
+    picture.save(stream, format="png", optimize=True, pnginfo=told)
     return stream.getvalue()
+
+
+def checksum(stored: bytes) -> str:
+    """Give what a picture says of the file that keeps what it shows."""
+    return f"sha256 {hashlib.sha256(stored.strip()).hexdigest()}"
 
 
 def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from mbds_xsim.report.tradeoff_csv import to_csv
 from mbds_xsim.report.tradeoff_markdown import to_markdown
 from mbds_xsim.report.tradeoff_page import to_html, to_png
-from mbds_xsim.study.rows import Row, Tradeoff
+from mbds_xsim.study.rows import Row, Tradeoff, to_json
 from mbds_xsim.write import write_whole
 
 __all__ = ["write_files"]
@@ -29,7 +29,7 @@ def write_files(
     if html is not None:
         write_whole(html, to_html(studies).encode())
     if png is not None:
-        write_whole(png, to_png(studies))
+        write_whole(png, to_png(studies, to_json(studies)))
     if markdown is not None:
         picture = "" if png is None else _link(markdown, png)
         write_whole(markdown, to_markdown(studies, picture).encode())

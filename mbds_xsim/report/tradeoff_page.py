@@ -40,8 +40,13 @@ def to_html(studies: list[Tradeoff]) -> str:
     )
 
 
-def to_png(studies: list[Tradeoff]) -> bytes:
-    """Give a picture: a row of two charts for each study, failures under them."""
+def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
+    """Give a picture: a row of two charts for each study, failures under them.
+
+    Args:
+        studies: What is drawn.
+        stored: Of the JSON that keeps it.
+    """
     width, height = _PICTURE
 
     def draw(figure: Any) -> None:
@@ -49,7 +54,7 @@ def to_png(studies: list[Tradeoff]) -> bytes:
         for row, study in zip(rows[:, 0], studies, strict=True):
             _draw_row(row, study)
 
-    return themed.png(draw, (width, height * len(studies)))
+    return themed.png(draw, (width, height * len(studies)), stored)
 
 
 def _draw_row(figure: Any, study: Tradeoff) -> None:

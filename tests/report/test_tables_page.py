@@ -10,7 +10,7 @@ import pytest
 import typer
 from rich.console import Console
 
-from mbds_xsim import cli
+from mbds_xsim.commands import app
 from mbds_xsim.commands.shared import command_line, page_for, tell_page
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.report import audit_page, match_page
@@ -120,7 +120,7 @@ def test_a_match_says_first_who_keeps_the_budgets_at_what_cost() -> None:
 
 
 def test_every_command_that_writes_a_page_opens_it() -> None:
-    group = typer.main.get_command(cli.app)
+    group = typer.main.get_command(app)
     options = {
         name: {opt for parameter in command.params for opt in parameter.opts}
         for name, command in group.commands.items()  # type: ignore[attr-defined]

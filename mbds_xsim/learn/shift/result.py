@@ -25,6 +25,7 @@ __all__ = [
     "Ratio",
     "Shift",
     "Values",
+    "to_json",
     "values",
 ]
 
@@ -210,6 +211,12 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     kept: int = 0
     """How many of the models had been tested before, in no time of this."""
+
+
+def to_json(shifts: list[Shift]) -> bytes:
+    """Write one study as an object, several as a list."""
+    what = shifts[0] if len(shifts) == 1 else shifts
+    return msgspec.json.format(msgspec.json.encode(what), indent=2)
 
 
 def values(numbers: Iterable[float]) -> Values:

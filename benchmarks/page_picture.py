@@ -1,0 +1,70 @@
+"""README's picture: the page of a validation in a browser without a window.
+
+python benchmarks/page_picture.py out/3ladder docs/images/validate-3ladder.png
+
+Reads the page and the JSON of one validation, and writes the settings of its engines into the
+picture, so that a test can tell when they are others. Needs Chromium, or Chrome.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from mbds_xsim.report.few_colours import few_colours
+from mbds_xsim.report.themed import SOURCE
+from mbds_xsim.study.stored import StoredValidation
+from mbds_xsim.write import write_whole
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+SIZE = (1240, 1760)
+
+
+def main(base: str, target: str) -> None:
+    stored = msgspec.json.decode(Path(f"{base}.json").read_bytes(), type=StoredValidation)
+    told = PngInfo()
+    told.add_text(SOURCE, settings_told(stored))
+    with Image.open(io.BytesIO(_shot(Path(f"{base}.html")))) as shot:
+        stream = io.BytesIO()
+        few_colours(shot.convert("RGB")).save(stream, "png", optimize=True, pnginfo=told)
+    write_whole(Path(target), stream.getvalue())
+
+
+def settings_told(stored: StoredValidation) -> str:
+    """Say what the engines of a validation were set to, a line each."""
+    return "\n".join(
+        f"{engine.engine} {engine.method} {engine.step_s:.9g} s {sorted(engine.options.items())}"
+        for engine in stored.engines
+    )
+
+
+def _shot(page: Path) -> bytes:
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise SystemExit(f"no browser: install one of {', '.join(BROWSERS)}")
+    with tempfile.TemporaryDirectory() as folder:
+        shot = Path(folder) / "shot.png"
+        subprocess.run(
+            [
+                browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+                f"--user-data-dir={folder}/profile", "--virtual-time-budget=4000",
+                f"--window-size={SIZE[0]},{SIZE[1]}", f"--screenshot={shot}",
+                page.absolute().as_uri(),
+            ],
+            check=True,
+            capture_output=True,
+            timeout=120,
+        )  # fmt: skip
+        return shot.read_bytes()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,121 @@
+"""Charts and maps drawn anew from the results that are stored beside them.
+
+python benchmarks/pictures.py reports
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.report import shift_figures, stability_page, tradeoff_page
+from mbds_xsim.study.rows import Tradeoff
+from mbds_xsim.study.stability.rows import SCHEMA, Cell, Panel, Sweep
+from mbds_xsim.study.stability.studies import study_named
+from mbds_xsim.study.stability.verdict import CRITERIA
+from mbds_xsim.write import write_whole
+
+TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"} | {
+    "outcome", "told", "reason", "source",
+}  # fmt: skip
+
+
+def main(folder: Path) -> None:
+    for stored in stored_results(folder):
+        picture = stored.with_suffix(".png")
+        if picture.is_file():
+            write_whole(picture, drawn(stored))
+
+
+def stored_results(folder: Path) -> Iterator[Path]:
+    """Give what charts and maps are drawn from."""
+    for kind in ("tradeoff", "models", "shift", "lite", "stability"):
+        found = sorted((folder / kind).glob("*.json"))
+        yield from found
+        tables = (folder / kind).glob("*.csv")
+        yield from sorted(table for table in tables if table.with_suffix(".json") not in found)
+
+
+def drawn(stored: Path) -> bytes:
+    """Draw one."""
+    if stored.suffix == ".csv":
+        return stability_page.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
+    kind: Callable[[bytes], bytes] = _shift if stored.parent.name in ("shift", "lite") else _charts
+    return kind(stored.read_bytes())
+
+
+def _charts(stored: bytes) -> bytes:
+    return tradeoff_page.to_png([msgspec.json.decode(stored, type=Tradeoff)], stored)
+
+
+def _shift(stored: bytes) -> bytes:
+    return shift_figures.to_png([msgspec.json.decode(stored, type=Shift)], stored)
+
+
+def sweep_of(table: str) -> Sweep:
+    """Read a map's cells from their CSV; what a picture does not show stays empty."""
+    cells = [_cell(row) for row in csv.DictReader(io.StringIO(table))]
+    study = study_named(cells[0].study)
+    panels = [
+        _panel(list(of_panel))
+        for _, of_panel in itertools.groupby(cells, key=lambda c: (c.engine, c.method, c.profile))
+    ]
+    return Sweep(
+        schema=SCHEMA,
+        study=study.name,
+        sentence=study.sentence,
+        quantity=study.quantity,
+        unit=study.unit,
+        values=tuple(dict.fromkeys(cell.value for cell in cells)),
+        steps_s=panels[0].steps_s,
+        duration_s=cells[0].duration_s,
+        criteria=CRITERIA,
+        panels=tuple(panels),
+        left_out={},
+        unknown={},
+        command="",
+        versions={},
+        machine=cells[0].machine,
+        workers=0,
+        measured=0,
+        kept=len(cells),
+        wall_s=0.0,
+    )
+
+
+def _panel(cells: list[Cell]) -> Panel:
+    first = cells[0]
+    rows = itertools.groupby(cells, key=lambda cell: cell.value)
+    return Panel(
+        engine=first.engine,
+        version=first.version,
+        method=first.method,
+        family=first.family,
+        profile=first.profile,
+        cells=tuple(tuple(row) for _, row in rows),
+    )
+
+
+def _cell(row: dict[str, str]) -> Cell:
+    named = any(isinstance(value, str) for value in study_named(row["study"]).values)
+    figures = {
+        key: float(text) if text else None
+        for key, text in row.items()
+        if key not in TEXTS | {"value", "options", "silent"}
+    }
+    whole = {key: row[key] for key in TEXTS} | figures
+    value = row["value"] if named else float(row["value"])
+    options = json.loads(row["options"])
+    return msgspec.convert({**whole, "key": "", "value": value, "options": options}, Cell)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
