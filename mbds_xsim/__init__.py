@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbds_xsim.api import audit, generate, load_scene, validate, verify
+    from mbds_xsim.dataset.paired import load_pairs
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.errors import InputError
     from mbds_xsim.scene import Scene
@@ -19,6 +20,7 @@ __all__ = [
     "audit",
     "generate",
     "load_dataset",
+    "load_pairs",
     "load_scene",
     "save_scene",
     "tradeoff",
@@ -30,6 +32,7 @@ _HOMES = {
     "InputError": "mbds_xsim.errors",
     "Scene": "mbds_xsim.scene",
     "load_dataset": "mbds_xsim.dataset.read",
+    "load_pairs": "mbds_xsim.dataset.paired",
     "save_scene": "mbds_xsim.scene_file",
     "tradeoff": "mbds_xsim.study.tradeoff",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, ItemsView, Iterator, KeysView, ValuesView
+from collections.abc import Collection, ItemsView, Iterator, KeysView, Sequence, ValuesView
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.content import CONTENT, check_content, values_of
 from mbds_xsim.dataset.facts import attributes_of, scene_of
 from mbds_xsim.dataset.fit import check_fit
+from mbds_xsim.dataset.labelled import labelled
 from mbds_xsim.dataset.layout import known_names
 from mbds_xsim.dataset.mapped import Part
 from mbds_xsim.dataset.opened import opened
@@ -205,6 +206,21 @@ class Dataset:
             msg = f"{self.path} is one shard; the split is in the file that joins the shards"
             raise InputError(msg)
         return np.flatnonzero(self.small["split"] == NAMES.index(split))
+
+    def to_xarray(
+        self, names: Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
+    ) -> Any:
+        """Read datasets of trajectories into an `xarray.Dataset` with the axes of the layout.
+
+        Args:
+            names: Which datasets to read.
+            rows: Of which trajectories: a slice, a list or a mask.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        arrays = {name: (known_names()[name].axes, self[name][rows]) for name in names}
+        return labelled(arrays, trajectory=self.index[rows], frame=self.time)
 
     def check(self, names: Collection[str] | None = None) -> None:
         """Hold values against the checksums that were written with them, which reading does not.

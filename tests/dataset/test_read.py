@@ -80,7 +80,7 @@ def test_rows_are_asked_of_a_series(key: Any, data: Dataset) -> None:
 
 
 def test_an_unknown_dataset(data: Dataset) -> None:
-    with pytest.raises(InputError, match=r"^no dataset is called 'positions'.*there are: index, i"):
+    with pytest.raises(InputError, match=r"did you mean 'position'\? There are: index, i"):
         data["positions"]
     with pytest.raises(KeyError):
         data.windows(2, names=("positions",))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.dataset.content import CONTENT
 from mbds_xsim.dataset.facts import attributes_of
+from mbds_xsim.dataset.paired import STARTS, STATES, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
@@ -29,9 +30,7 @@ REFERENCE = "reference"
 """Name of the domain that no engine made."""
 
 _TEST = "test"
-_SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
-_STATES = ("position", "orientation", "velocity", "angular_velocity")
-_PAIRED = (*(f"start/{name}" for name in _STATES), "input/force", "input/torque")
+_PAIRED = (*STARTS, "input/force", "input/torque")
 
 
 @dataclass(frozen=True)
@@ -146,13 +145,13 @@ def load_paired(
     if not files:
         msg = f"{folder / scene}: no data of {', '.join(variants)} settings; generate some"
         raise InputError(msg)
-    _check_alike(files)
+    check_alike(files)
     lacking = {_name(file): file.lack for file in files if file.lack}
     files = [file for file in files if not file.lack]
     if not files:
         msg = f"{folder / scene}: no trajectory was published; generate other data"
         raise InputError(msg)
-    index = functools.reduce(np.intersect1d, [file.index[file.rows_of(_TEST)] for file in files])
+    index = numbers_in(files, _TEST)
     if not len(index):
         msg = f"{folder / scene}: no test trajectory is valid in all {len(files)} files; make more"
         raise InputError(msg)
@@ -160,7 +159,7 @@ def load_paired(
         file.check({*_PAIRED, *names_read(bodies=True)})
     index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
-    _check_paired(files, rows)
+    check_paired(files, rows, _PAIRED)
     return Paired(
         scene=files[0].scene,
         index=index,
@@ -192,36 +191,8 @@ def _recorded(file: Dataset, rows: NDArray[np.int64]) -> Recorded:
     )
 
 
-def _check_alike(files: Sequence[Dataset]) -> None:
-    first = files[0]
-    for file in files[1:]:
-        for key in _SAME:
-            if file.attributes[key] != first.attributes[key]:
-                what = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
-                msg = (
-                    f"{file.path}: {what}, unlike {first.path.name}; domains must be the same "
-                    "motions, generate them in one run"
-                )
-                raise InputError(msg)
-
-
-def _check_paired(files: Sequence[Dataset], rows: Sequence[NDArray[np.int64]]) -> None:
-    """Starts and inputs must be the same bits: nothing but the engine may differ."""
-    for name in _PAIRED:
-        first = _stacked(files[0], name, rows[0])
-        for file, chosen in zip(files[1:], rows[1:], strict=True):
-            same = (_stacked(file, name, chosen) == first).reshape(len(first), -1).all(axis=1)
-            if not same.all():
-                number = file.index[chosen[np.flatnonzero(~same)[0]]]
-                msg = (
-                    f"{file.path}: {name} of trajectory {number} is not that of "
-                    f"{files[0].path.name}; the domains are not paired, generate them in one run"
-                )
-                raise InputError(msg)
-
-
 def _batch(file: Dataset, rows: NDArray[np.int64]) -> Batch:
-    states = {name: _stacked(file, f"start/{name}", rows) for name in _STATES}
+    states = {name: _stacked(file, f"start/{name}", rows) for name in STATES}
     inputs = {name: _stacked(file, f"input/{name}", rows) for name in ("force", "torque")}
     return Batch(index=file.index[rows], **states, **inputs)
 

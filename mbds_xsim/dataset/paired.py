@@ -1,0 +1,212 @@
+"""The same motions in several engines, paired by their number: nothing but the engine differs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.found import joined_files
+from mbds_xsim.dataset.labelled import labelled
+from mbds_xsim.dataset.layout import known_names
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.series import Series
+from mbds_xsim.errors import InputError
+from mbds_xsim.scene import Scene
+
+__all__ = [
+    "STARTS",
+    "STATES",
+    "PairedData",
+    "PairedSeries",
+    "check_alike",
+    "check_paired",
+    "load_pairs",
+    "numbers_in",
+]
+
+Numbers = NDArray[np.int64]
+
+STATES = ("position", "orientation", "velocity", "angular_velocity")
+STARTS = tuple(f"start/{name}" for name in STATES)
+_SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairedSeries:
+    """A dataset of trajectories in several engines, shape (trajectory, engine, …).
+
+    It is indexed as an array, by trajectories first; only these are read.
+    """
+
+    members: tuple[Series, ...]
+    rows: tuple[Numbers, ...]
+    """Of each engine: the row of each trajectory."""
+
+    def __repr__(self) -> str:
+        return f"<{self.members[0].name}: {self.dtype} of shape {self.shape}>"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the whole."""
+        return (len(self), len(self.members), *self.members[0].shape[1:])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the values."""
+        return self.members[0].dtype
+
+    def __len__(self) -> int:
+        return len(self.rows[0])
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        """Give what an array of the whole would give."""
+        trajectories, *rest = key if isinstance(key, tuple) and key else (key,)
+        chosen = np.arange(len(self))[trajectories]
+        pairs = zip(self.members, self.rows, strict=True)
+        taken = np.stack([one[rows[np.atleast_1d(chosen)]] for one, rows in pairs], axis=1)
+        if chosen.ndim == 0:
+            return np.asarray(taken[(0, *rest)])
+        own = slice(None) if isinstance(trajectories, slice) or not rest else np.arange(len(taken))
+        return np.asarray(taken[(own, *rest)])
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        return (self[k] for k in range(len(self)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairedData:
+    """Trajectories that several data sets of a scene have, matched by their number.
+
+    `pairs["position"]` and all other datasets of trajectories come as `PairedSeries`; what is the
+    same in all, such as `pairs["time"]`, as an array. `len(pairs)` counts trajectories.
+    """
+
+    files: dict[str, Dataset]
+    """By engine and settings, as in `mujoco-matched`: the order of the axis `engine`."""
+    index: Numbers
+    """Number of each trajectory, ascending."""
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __repr__(self) -> str:
+        return f"<{self.scene.name}: {len(self)} trajectories in {', '.join(self.files)}>"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, the same in all files."""
+        return self._first.scene
+
+    @functools.cached_property
+    def rows(self) -> tuple[Numbers, ...]:
+        """Row of each trajectory in each file."""
+        return tuple(np.flatnonzero(np.isin(one.index, self.index)) for one in self.files.values())
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in self._first if all(name in one for one in self.files.values()))
+
+    def __getitem__(self, name: str) -> PairedSeries | NDArray[Any]:
+        """Give a dataset of all engines by its path in the files.
+
+        Raises:
+            UnknownDataset: A file has none of this name.
+        """
+        values = [one[name] for one in self.files.values()]
+        series = tuple(value for value in values if isinstance(value, Series))
+        if series:
+            return PairedSeries(series, self.rows)
+        per_trajectory = known_names()[name].per_trajectory
+        whole = np.asarray(values[0])
+        return whole[self.rows[0]] if per_trajectory else whole
+
+    def to_xarray(self, names: Sequence[str] = ("position", "velocity")) -> Any:
+        """Read datasets into an `xarray.Dataset` with the axes of the layout, and `engine`.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        arrays = {}
+        for name in names:
+            axes, values = known_names()[name].axes, self[name]
+            if isinstance(values, PairedSeries):
+                axes = (axes[0], "engine", *axes[1:])
+            arrays[name] = (axes, values[:])
+        return labelled(arrays, trajectory=self.index, frame=self["time"], engine=[*self.files])
+
+    @property
+    def _first(self) -> Dataset:
+        return next(iter(self.files.values()))
+
+
+def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
+    """Pair data sets of one scene: the trajectories that all have, of the same starts and inputs.
+
+    Nothing but indices and starts is read; series are read when they are asked for.
+
+    Args:
+        paths: Data files, or folders of them such as `data/6pendulum`.
+        split: Only "train", "validation" or "test".
+
+    Raises:
+        InputError: There are no two data sets, or they do not belong together: another scene,
+            seed, length or start, or no trajectory that all have.
+    """
+    found = [load_dataset(file) for path in paths for file in joined_files(Path(path))]
+    where = ", ".join(map(str, paths))
+    files = {f"{one.attributes['engine']}-{one.attributes['profile']}": one for one in found}
+    if len(found) < 2 or len(files) < len(found):
+        names = ", ".join(str(one.path) for one in found)
+        msg = (
+            f"{where}: got {names or 'none'}, pairing takes two or more data sets, each of another"
+        )
+        raise InputError(f"{msg} engine or settings")
+    check_alike(found)
+    index = numbers_in(found, split)
+    if not len(index):
+        part = f"{split} trajectory" if split else "trajectory"
+        msg = f"{where}: no {part} is valid in all {len(files)} data sets; generate more"
+        raise InputError(msg)
+    pairs = PairedData(files, index)
+    check_paired(found, pairs.rows, STARTS)
+    return pairs
+
+
+def numbers_in(files: Sequence[Dataset], split: str | None) -> Numbers:
+    """Numbers of the trajectories that all files have (in a part), ascending."""
+    each = [one.index if split is None else one.index[one.rows_of(split)] for one in files]
+    return functools.reduce(np.intersect1d, each)
+
+
+def check_alike(files: Sequence[Dataset]) -> None:
+    """Raise InputError unless files are of the same scene, draws and length."""
+    first = files[0]
+    for file in files[1:]:
+        for key in _SAME:
+            if file.attributes[key] != first.attributes[key]:
+                what = "another scene" if key == "scene" else f"{key} {file.attributes[key]}"
+                msg = (
+                    f"{file.path}: {what}, unlike {first.path.name}; domains must be the same "
+                    "motions, generate them in one run"
+                )
+                raise InputError(msg)
+
+
+def check_paired(files: Sequence[Dataset], rows: Sequence[Numbers], names: Sequence[str]) -> None:
+    """Raise InputError unless datasets are the same bits: nothing but the engine may differ."""
+    for name in names:
+        first = np.asarray(files[0][name][rows[0]])
+        for file, chosen in zip(files[1:], rows[1:], strict=True):
+            same = (file[name][chosen] == first).reshape(len(first), -1).all(axis=1)
+            if not same.all():
+                number = file.index[chosen[np.flatnonzero(~same)[0]]]
+                msg = (
+                    f"{file.path}: {name} of trajectory {number} is not that of "
+                    f"{files[0].path.name}; the domains are not paired, generate them in one run"
+                )
+                raise InputError(msg)
