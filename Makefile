@@ -12,7 +12,7 @@ comma = ,
 
 # One at a time: the reports take times.
 .NOTPARALLEL:
-.PHONY: validate test fuzz lint package clean reports reports-validate reports-contact \
+.PHONY: validate test fuzz lint package docs clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-data \
 	reports-data-full reports-pages readme
@@ -38,6 +38,10 @@ package: $(VENV)/ready
 	rm -rf dist
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist/*.whl
+
+# The pages as a site in out/site; a link that leads nowhere is an error.
+docs: $(VENV)/ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -58,3 +59,10 @@ def test_links_lead_somewhere(page: str) -> None:
 
     assert targets
     assert [target for target in targets if not (path.parent / target).exists()] == []
+
+
+def test_what_is_cited_is_what_is_built() -> None:
+    version = tomllib.loads((_ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+    assert f"\nversion: {version}\n" in (_ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"\n## {version}\n" in (_ROOT / "CHANGELOG.md").read_text("utf-8")

@@ -1,0 +1,18 @@
+"""What the tutorials say happens, happens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.tutorial import walk
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", ["validate.md", "data.md"])
+def test_a_tutorial_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+
+    walk(page)
