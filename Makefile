@@ -15,7 +15,7 @@ comma = ,
 .PHONY: validate test fuzz lint package docs clean reports reports-validate reports-contact \
 	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-data \
-	reports-data-full reports-pages readme
+	reports-data-full reports-pages pictures readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -224,9 +224,16 @@ reports-pages: $(VENV)/ready
 	$(BIN)/python benchmarks/margins.py $(REPORTS) > $(REPORTS)/margins.md
 	$(BIN)/python benchmarks/reports_page.py $(REPORTS) > $(REPORTS)/README.md
 
-# The table of README, from the trade-offs that are kept here.
+# Charts and maps anew, from the results that are stored beside them.
+pictures: $(VENV)/ready
+	$(BIN)/python -m benchmarks.pictures $(REPORTS)
+
+# The table of README, from the trade-offs that are kept here, and its first picture, for which a
+# Chromium must be there.
 readme: $(VENV)/ready
 	$(BIN)/python benchmarks/choose_table.py reports/tradeoff --into README.md
+	$(BIN)/mbds-xsim validate 3ladder --json out/3ladder.json --html out/3ladder.html
+	$(BIN)/python -m benchmarks.page_picture out/3ladder docs/images/validate-3ladder.png
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache

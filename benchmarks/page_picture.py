@@ -13,7 +13,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from PIL import Image
@@ -31,19 +33,17 @@ SIZE = (1240, 1760)
 def main(base: str, target: str) -> None:
     stored = msgspec.json.decode(Path(f"{base}.json").read_bytes(), type=StoredValidation)
     told = PngInfo()
-    told.add_text(SOURCE, settings_told(stored))
+    lines = (settings_line(e.engine, e.method, e.step_s, e.options) for e in stored.engines)
+    told.add_text(SOURCE, "\n".join(lines))
     with Image.open(io.BytesIO(_shot(Path(f"{base}.html")))) as shot:
         stream = io.BytesIO()
         few_colours(shot.convert("RGB")).save(stream, "png", optimize=True, pnginfo=told)
     write_whole(Path(target), stream.getvalue())
 
 
-def settings_told(stored: StoredValidation) -> str:
-    """Say what the engines of a validation were set to, a line each."""
-    return "\n".join(
-        f"{engine.engine} {engine.method} {engine.step_s:.9g} s {sorted(engine.options.items())}"
-        for engine in stored.engines
-    )
+def settings_line(engine: str, method: str, step: float, options: Mapping[str, Any]) -> str:
+    """Say what an engine was set to."""
+    return f"{engine} {method} {step:.9g} s {sorted(options.items())}"
 
 
 def _shot(page: Path) -> bytes:

@@ -9,11 +9,19 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from benchmarks.page_picture import settings_line
+from benchmarks.pictures import stored_results, sweep_of
+from mbds_xsim.choice import Choice
+from mbds_xsim.registry import load_scene
+from mbds_xsim.report.stability_csv import to_csv
+from mbds_xsim.report.themed import SOURCE, checksum
 from mbds_xsim.study.stability.studies import STUDIES
 
 _ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"\]\(([^)#]+)")
+_PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]+)\)")
 _TABLE = re.compile(r"<!-- choose-table: begin -->\n(.*)<!-- choose-table: end -->", re.DOTALL)
 
 
@@ -66,3 +74,58 @@ def test_what_is_cited_is_what_is_built() -> None:
 
     assert f"\nversion: {version}\n" in (_ROOT / "CITATION.cff").read_text("utf-8")
     assert f"\n## {version}\n" in (_ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def _told(picture: Path) -> str:
+    with Image.open(picture) as image:
+        return str(image.info.get(SOURCE, ""))
+
+
+def test_charts_and_maps_are_those_of_the_stored_results() -> None:
+    stored = list(stored_results(_ROOT / "reports"))
+    stale = [
+        str(result)
+        for result in stored
+        if _told(result.with_suffix(".png")) != checksum(result.read_bytes())
+    ]
+
+    assert len(stored) > 30
+    assert stale == [], "make pictures"
+
+
+def test_the_pictures_of_pages_show_what_is_stored() -> None:
+    """But for pictures of trainings and rollouts, and those of contact, which are not stored."""
+    kept = {result.with_suffix(".png") for result in stored_results(_ROOT / "reports")}
+    pages = [_ROOT / "README.md", *(_ROOT / "docs").glob("*.md")]
+    shown = {
+        (page.parent / picture).resolve()
+        for page in pages
+        for picture in _PICTURE.findall(page.read_text("utf-8"))
+    }
+    rest = {picture.name for picture in shown - {picture.resolve() for picture in kept}}
+
+    assert len(shown & {picture.resolve() for picture in kept}) > 4
+    assert rest == {
+        "6pendulum-curves.png",
+        "contact-friction.png",
+        "contact-restitution.png",
+        "validate-3ladder.png",
+    }
+
+
+def test_the_first_picture_is_of_the_settings_in_use() -> None:
+    scene = load_scene("3ladder")
+    found, _ = Choice.parse(engines="dart,exudyn,mujoco,pybullet").contenders(scene)
+    now = [
+        settings_line(each.engine, each.settings.method, each.settings.step, each.settings.options)
+        for each in found
+    ]
+
+    assert _told(_ROOT / "docs/images/validate-3ladder.png").splitlines() == now, "make readme"
+
+
+def test_cells_of_a_map_survive_their_table() -> None:
+    for name in ("mass-ratio", "scenes"):
+        table = (_ROOT / "reports" / "stability" / f"{name}.csv").read_text("utf-8")
+
+        assert to_csv([sweep_of(table)]).decode() == table
