@@ -130,18 +130,26 @@ def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tupl
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
     for k in range(1, strides + 1):
         goal = [(joint, target * k / strides) for joint, target in led]
-        position, native = _close(mechanism, position, native, goal)
+        position, native = _close(mechanism, position, native, goal, again=k == strides)
     return position, native
 
 
 def _close(
-    mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
+    mechanism: Mechanism,
+    position: Array,
+    native: Array,
+    led: list[tuple[PlacedJoint, float]],
+    *,
+    again: bool,
 ) -> tuple[Array, Array]:
+    """Take Newton steps until all is closed, and one more `again`, which leaves rounding alone."""
     tolerance = _CLOSED * max(1.0, mechanism.scene.length)
     residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
     for _ in range(_NEWTON_STEPS):
-        if np.abs(residual).max(initial=0.0) < tolerance:
+        off = np.abs(residual).max(initial=0.0)
+        if off < tolerance and not (again and off > 0.0):
             return position, native
+        again = again and not off < tolerance
         step = -_least_energy(mechanism, native, jacobian, residual).reshape(-1, 2, 3)
         reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
         step *= min(1.0, _LONGEST_STEP / reach)
