@@ -250,6 +250,11 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
         color=LIGHT[style.colour],
         linestyle=(0, (4, 2)) if style.dashed else "-",
         linewidth=1.6,
+        marker=rf"$\mathrm{{{style.letter}}}$" if style.letter.isalnum() else None,
+        markersize=8,
+        markeredgewidth=0.3,
+        # Apart, so that curves which lie on each other are told as well.
+        markevery=(int(len(time) * (0.06 + 0.025 * place)) % len(time), max(1, len(time) // 4)),
     )
     # The gid becomes a class, by which the page's legend hides the curve.
     line.set_gid(f"curve-{place}")

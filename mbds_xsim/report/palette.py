@@ -81,6 +81,8 @@ class Style:
     """Place in the palettes `LIGHT` and `DARK`."""
     dashed: bool
     """Native settings are dashed, beside the same engine's matched ones."""
+    letter: str = ""
+    """On curves, for those who do not see colours."""
 
 
 def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
@@ -93,14 +95,14 @@ def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
 def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = False) -> Style:
     """Give an engine its colour: registered ones in their order, then the others."""
     known = list(dict.fromkeys([*registry.engine_names(), *others, engine]))
-    return Style(known.index(engine) % len(ENGINES), dashed)
+    return Style(known.index(engine) % len(ENGINES), dashed, engine[:1].upper())
 
 
 def model_style(model: str, *, dashed: bool = False) -> Style:
     """Give a learned model its colour."""
     known = list(MODELS)
     place = known.index(model) if model in MODELS else len(MODELS)
-    return Style(len(ENGINES) + place, dashed)
+    return Style(len(ENGINES) + place, dashed, model[:1].upper())
 
 
 def model_colour(model: str) -> str:

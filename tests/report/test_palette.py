@@ -48,7 +48,7 @@ def test_every_method_has_a_marker_of_its_own() -> None:
 def test_an_engine_keeps_its_colour_whoever_is_beside_it() -> None:
     place = registry.engine_names().index("mujoco")
 
-    assert palette.engine_style("mujoco") == palette.Style(place, dashed=False)
+    assert palette.engine_style("mujoco") == palette.Style(place, dashed=False, letter="M")
     assert looks(["mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
     assert looks(["all", "dart", "mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
     assert looks(["all"])["all"][0] not in palette.LIGHT

@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.summary import COLUMNS
 from mbds_xsim.report.terminal import print_table
 from mbds_xsim.result import Validation
 
@@ -114,3 +115,19 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(one_engine: Case) -> No
     )
 
     assert "bodies[0] left [red]" in printed(validation, 120)
+
+
+def test_what_is_over_its_budget_has_a_sign_without_colours_too(case: Case) -> None:
+    cells = [
+        column.cell(result, case.validation)
+        for result in case.validation.engines
+        for column in COLUMNS
+    ]
+    over = [cell.text for cell in cells if cell.over]
+
+    text = printed(case.validation, 120)
+
+    assert over
+    assert all(f"{cell}✗" in text for cell in over)
+    failed = sum(result.verdict == "fail" for result in case.validation.engines)
+    assert text.count("✗") == len(over) + 2 * failed

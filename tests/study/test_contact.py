@@ -183,7 +183,9 @@ def test_the_command_writes_page_figures_and_json(
     assert "(images/contact-restitution.png)" in page
     assert (tmp_path / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
     assert "| friction at 45° | 0.430 | **0.304** |" in page
-    assert "rebound at 1 m/s" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "rebound at 1 m/s" in out
+    assert "0.304 ✗" in out
 
 
 def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
