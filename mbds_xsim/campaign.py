@@ -109,8 +109,7 @@ class Outcome:
                 for row, failure in zip(rows, part.trajectory.failures, strict=True):
                     if failure is not None:
                         lines.append(
-                            f"trajectory {batch.index[row]} ({batch.interval(row)}) ended at "
-                            f"frame {failure.frame}: {failure.reason}"
+                            f"{batch.label(row)} ended at frame {failure.frame}: {failure.reason}"
                         )
         return lines
 

@@ -11,7 +11,6 @@ from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.engine import ContactLaw, Feature, Method, Profile, Settings, features_of
 from mbds_xsim.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
@@ -108,20 +107,19 @@ def scene_row(scene: Scene) -> SceneRow:
     )
 
 
-def native_text(scene: Scene, engine: str, profile: str, start: int | None = None) -> str:
+def native_text(scene: Scene, engine: str, settings: Settings, start: int | None = None) -> str:
     """Give exactly what an engine is given: a file of its own, or a script that simulates it.
 
     Args:
         scene: The scene.
         engine: Name of the engine.
-        profile: Preset of settings.
+        settings: How it steps.
         start: Number of the trajectory that it starts as; None: the scene's own start.
 
     Raises:
         InputError: The engine cannot represent the scene, or crashed on it.
     """
     adapter = registry.load_adapter(engine)
-    settings = settings_for(scene, adapter, as_profile(profile))
     adapter.check(scene, settings)
     (answer,) = run_tasks([Task(_native_text, (scene, engine, settings, start), _TIMEOUT)])
     if isinstance(answer, Crash):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from mbds_xsim import registry
 from mbds_xsim.catalogue import as_profile
 from mbds_xsim.engine import Adapter, Profile, Settings
 from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.matched import settings_for
+from mbds_xsim.matched import Matched, read_matched, settings_for
 from mbds_xsim.scene import Scene
 
 __all__ = ["Choice", "Contender", "words_of"]
@@ -35,6 +37,8 @@ class Choice:
     named: bool = True
     """Whether the engines were asked for by name: one that cannot do the scene is then an error;
     otherwise it is left out, and the result says so."""
+    given: Mapping[str, Matched] = field(default_factory=dict, hash=False)
+    """Matched settings by engine, from a file or a search, that go before those stored."""
 
     @staticmethod
     def parse(
@@ -44,19 +48,24 @@ class Choice:
         method: str | None = None,
         step: float | None = None,
     ) -> Choice:
-        """Read names, or words separated by commas; no engine named means all installed."""
+        """Read names, or words separated by commas; no engine named means all installed.
+
+        A profile may be the path of a file of settings, as `mbds-xsim match --out` writes it:
+        settings that are matched for a scene; no engine named means all of the file then.
+        """
         names = words_of(engines) if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         named = bool(names)
-        names = names or tuple(registry.installed_engines())
+        words, given = _profiles(words_of(profiles), names)
+        names = names or tuple(given) or tuple(registry.installed_engines())
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
             raise InputError(msg)
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, tuple(map(as_profile, words_of(profiles))), method, step, named)
+        return Choice(names, words, method, step, named, given)
 
     def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
         """Settle the settings of every engine.
@@ -85,7 +94,11 @@ class Choice:
         return found, left_out
 
     def _settings(self, scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
-        preset = settings_for(scene, adapter, profile)
+        preset = (
+            self.given[adapter.name].settings(scene)
+            if profile == "matched" and adapter.name in self.given
+            else settings_for(scene, adapter, profile)
+        )
         return Settings(
             self.method or preset.method,
             preset.step if self.step is None else self.step,
@@ -101,6 +114,22 @@ class Choice:
         if able and not methods:
             hint = f"use --engines {','.join(able)}"
         return f"{reason}; {hint}"
+
+
+def _profiles(
+    words: tuple[str, ...], engines: tuple[str, ...]
+) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
+    """Tell profiles from files of settings, and read these."""
+    paths = [word for word in words if word.endswith(".toml") or os.sep in word]
+    if len(paths) > 1 or (paths and "matched" in words):
+        msg = f"--settings: got {','.join(words)}, allowed is one of matched and a file"
+        raise InputError(msg)
+    given = read_matched(Path(paths[0])) if paths else {}
+    missing = [name for name in engines if given and name not in given]
+    if missing:
+        msg = f"--settings {paths[0]}: no settings of {missing[0]}; there are: {', '.join(given)}"
+        raise InputError(msg)
+    return tuple("matched" if word in paths else as_profile(word) for word in words), given
 
 
 def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:

@@ -198,8 +198,7 @@ def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
             where = f" ({finding.where[row]})" if finding.where[row] else ""
             lines.append(
                 f"{finding.check}: {finding.figure[row]:.3g} {finding.unit}, allowed "
-                f"{finding.budget:.3g}{where}, trajectory {batch.index[row]} "
-                f"({batch.interval(row)}), frame {finding.frame[row]}"
+                f"{finding.budget:.3g}{where}, {batch.label(row)}, frame {finding.frame[row]}"
             )
     return lines
 

@@ -37,7 +37,7 @@ from mbds_xsim.sampling_terms import (
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["draw_batch", "noise_components"]
+__all__ = ["distinct_starts", "draw_batch", "noise_components"]
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,19 @@ def draw_batch(
         force=np.array([state.force for state in drawn]),
         torque=np.array([state.torque for state in drawn]),
     )
+
+
+def distinct_starts(scene: Scene, asked: int, *, noise: bool = True, inputs: bool = True) -> int:
+    """Tell how many trajectories are worth drawing: one where nothing is drawn, else as asked.
+
+    Args:
+        scene: What to sample.
+        asked: Number of trajectories.
+        noise: Whether the noise forces act.
+        inputs: Whether drawn forces and torques act.
+    """
+    starts = any(inputs or not isinstance(term, HingeTorque | Wind) for term in scene.sampling)
+    return asked if starts or (noise and scene.noise > 0) else 1
 
 
 def noise_components(scene: Scene) -> list[int]:

@@ -47,6 +47,11 @@ class Batch:
         """Give the sampling interval of a row."""
         return INTERVALS[int(self.index[row]) % len(INTERVALS)]
 
+    def label(self, row: int) -> str:
+        """Name a row for reading, with its interval unless the row is the only one."""
+        interval = f" ({self.interval(row)})" if len(self) > 1 else ""
+        return f"trajectory {self.index[row]}{interval}"
+
     def __getitem__(self, rows: slice | list[int] | NDArray[np.int64]) -> Batch:
         """Take some of the trajectories."""
         return Batch(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))

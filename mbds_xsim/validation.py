@@ -19,11 +19,12 @@ from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.judge import Row, judge, reference_result
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling import distinct_starts, draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch
+from mbds_xsim.study.quick import searched
 
 __all__ = ["Choice", "validate_with_evidence"]
 
@@ -51,10 +52,11 @@ def validate_with_evidence(
 
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
-    begin = time.perf_counter()
+    begin, progress = time.perf_counter(), progress or Silent()
+    choice = searched(scene, choice, cache=cache, workers=workers, progress=progress)
     contenders, left_out = choice.contenders(scene)
-    batch = draw_batch(scene, range(3 * trajectories), seed=seed, noise=noise, inputs=inputs)
-    progress = progress or Silent()
+    count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
+    batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
     outcomes, reference = run_campaign(
         scene, batch, contenders, cache=cache, workers=workers, progress=progress
     )

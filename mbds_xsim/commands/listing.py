@@ -14,6 +14,7 @@ from mbds_xsim.commands.shared import (
     command,
     console_for,
     encoded,
+    progress_on,
     scene_named,
     write_json,
 )
@@ -100,7 +101,15 @@ def show(
 
         draw_scene(loaded, png, start=start)
     if native is not None:
-        print(native_text(loaded, native, settings, start))
+        from mbds_xsim.choice import Choice
+        from mbds_xsim.study.quick import searched
+
+        console = console_for(Path("-"))
+        choice = Choice.parse(engines=native, profiles=settings)
+        with progress_on(console) as progress:
+            choice = searched(loaded, choice, progress=progress)
+        (contender,), _ = choice.contenders(loaded)
+        print(native_text(loaded, native, contender.settings, start))
     elif toml:
         print(write_scene(loaded), end="")
     else:

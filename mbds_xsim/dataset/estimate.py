@@ -19,6 +19,7 @@ from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.scene import Scene
+from mbds_xsim.study.quick import searched
 
 __all__ = ["Estimate", "Measured", "Plan", "estimate", "plan"]
 
@@ -110,6 +111,7 @@ def plan(
     Raises:
         InputError: The engines cannot do the scene.
     """
+    choice = searched(scene, choice, workers=workers, progress=progress)
     contenders, left_out = choice.contenders(scene)
     variants = [Variant(scene, contender, seed, noise) for contender in contenders]
     progress.begin(len(variants))

@@ -24,6 +24,7 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
+from mbds_xsim.study.quick import searched
 
 __all__ = ["Generated", "Request", "generate"]
 
@@ -72,7 +73,7 @@ def generate(
     if request.trajectories < 1:
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)
-    variants, left_out = _variants(request)
+    variants, left_out = _variants(request, workers, progress)
     for scene in {variant.scene.name: variant.scene for variant in variants}.values():
         _check_drawn(scene, request)
     out = request.out.absolute()  # workers stand elsewhere
@@ -93,7 +94,9 @@ def generate(
     return Generated(counts, left_out, missing, time.perf_counter() - begin)
 
 
-def _variants(request: Request) -> tuple[list[Variant], dict[str, str]]:
+def _variants(
+    request: Request, workers: int | None, progress: ProgressSink
+) -> tuple[list[Variant], dict[str, str]]:
     names = [folder_name(scene.name) for scene in request.scenes]
     twice = [name for name in names if names.count(name) > 1]
     if twice:
@@ -102,10 +105,25 @@ def _variants(request: Request) -> tuple[list[Variant], dict[str, str]]:
     variants: list[Variant] = []
     left_out: dict[str, str] = {}
     for scene in request.scenes:
-        contenders, reasons = request.choice.contenders(scene)
+        choice = searched(scene, request.choice, workers=workers, progress=_Found(progress))
+        contenders, reasons = choice.contenders(scene)
         variants += [Variant(scene, one, request.seed, request.noise) for one in contenders]
         left_out |= {f"{scene.name} {engine}": reason for engine, reason in reasons.items()}
     return variants, left_out
+
+
+class _Found:
+    """Tells of settings that are found as of trajectories that are made."""
+
+    def __init__(self, progress: ProgressSink) -> None:
+        self._progress = progress
+
+    def begin(self, total: int) -> None:
+        self._progress.begin(total, 0)
+
+    def advance(self, what: str) -> None:
+        del what
+        self._progress.advance(1, 0)
 
 
 def _check_drawn(scene: Scene, request: Request) -> None:

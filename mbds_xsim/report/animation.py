@@ -130,7 +130,7 @@ def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
     batch = evidence.batch
     return {
         "trajectories": [
-            {"index": int(batch.index[row]), "interval": batch.interval(row)}
+            {"index": int(batch.index[row]), "label": batch.label(row).removeprefix("trajectory ")}
             for row in range(count)
         ],
         "left_out": len(evidence.reference) - count,

@@ -33,7 +33,7 @@ class GeneratingBar(Bar):
         )
         self._made, self._rejected, self._begin = 0, 0, time.monotonic()
 
-    def begin(self, total: int, done: int) -> None:
+    def begin(self, total: int, done: int = 0) -> None:
         """Say how many trajectories there are, and how many an earlier run has made."""
         self._show(total=total, completed=done)
 

@@ -36,8 +36,8 @@ function go(frame) {
 
 function connectControls() {
   element("scrub").max = scene.frames - 1;
-  scene.trajectories.forEach(({ index, interval }, row) => {
-    element("trajectory").append(new Option(`${index} (${interval})`, row));
+  scene.trajectories.forEach(({ label }, row) => {
+    element("trajectory").append(new Option(label, row));
   });
   element("play").addEventListener("click", () => play(!state.playing));
   element("scrub").addEventListener("input", (event) => go(Number(event.target.value)));

@@ -72,6 +72,8 @@ def _check_figures(
 
 
 def _intervals(evidence: Evidence) -> dict[int, Any]:
-    """Sampling interval of every trajectory, by its index."""
+    """Sampling interval of every trajectory, by its index; none where there is only one."""
     batch = evidence.batch
+    if len(batch) == 1:
+        return {}
     return {int(batch.index[row]): batch.interval(row) for row in range(len(batch))}

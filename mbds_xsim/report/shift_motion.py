@@ -56,7 +56,8 @@ def pack(samples: Samples) -> dict[str, Any]:
             for (name, motion), style in zip(motions, styles, strict=True)
         ],
         "trajectories": [
-            {"index": int(k), "interval": INTERVALS[int(k) % len(INTERVALS)]} for k in samples.index
+            {"index": int(k), "label": f"{k} ({INTERVALS[int(k) % len(INTERVALS)]})"}
+            for k in samples.index
         ],
         "left_out": 0,
         "points": graph.particle_count,

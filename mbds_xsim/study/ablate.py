@@ -19,6 +19,7 @@ from mbds_xsim.study.ablate_effects import EFFECTS, Effect
 from mbds_xsim.study.ablate_result import Ablation, Row, Size
 from mbds_xsim.study.ablate_size import Least, compared, least_size, native_size
 from mbds_xsim.study.ablate_variants import variants_of
+from mbds_xsim.study.quick import searched
 from mbds_xsim.validation import validate_with_evidence
 
 __all__ = ["ablate"]
@@ -53,8 +54,8 @@ def ablate(
         InputError: Something that was given cannot be used, or no engine delivered anything.
     """
     begin = time.perf_counter()
-    chosen = choice or Choice.parse()
     meter = _Phases(progress)
+    chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
     validation, evidence = validate_with_evidence(
         scene,
         choice=chosen,

@@ -19,7 +19,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling import distinct_starts, draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
@@ -214,7 +214,9 @@ def match(
         raise InputError(msg)
 
     def prepared(count: int, its_seed: int) -> _Field:
-        batch = draw_batch(scene, range(len(INTERVALS) * count), seed=its_seed)
+        batch = draw_batch(
+            scene, range(distinct_starts(scene, len(INTERVALS) * count)), seed=its_seed
+        )
         reference = run_references(scene, batch, cache=cache, workers=workers)
         return _Field(scene, batch, reference, workers, limit, meter)
 

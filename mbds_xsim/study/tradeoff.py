@@ -14,7 +14,7 @@ from mbds_xsim.choice import Choice, words_of
 from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import core_count
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.sampling import distinct_starts, draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
@@ -158,7 +158,8 @@ def _study(
 
 def _draw(scene: Scene, starts: int, seed: int) -> Batch:
     first = INTERVALS.index(_INTERVAL)
-    indices = range(first, first + starts * len(INTERVALS), len(INTERVALS))
+    count = distinct_starts(scene, starts)
+    indices = range(first, first + count * len(INTERVALS), len(INTERVALS))
     return draw_batch(scene, indices, seed=seed)
 
 

@@ -131,7 +131,7 @@ def test_a_stored_reference_is_used_unless_told_otherwise(
     validate: Callable[..., Validation],
 ) -> None:
     def cached(*words: str) -> int:
-        reference = validate("--engines", "mujoco", *words).reference
+        reference = validate("--engines", "mujoco", "--settings", "native", *words).reference
         assert reference is not None
         return reference.cached
 

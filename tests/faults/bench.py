@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
-from mbds_xsim.choice import Choice, Contender
-from mbds_xsim.engine import Settings
-from mbds_xsim.matched import settings_for
-from mbds_xsim.registry import load_adapter
+from mbds_xsim.choice import Choice
+from mbds_xsim.matched import Matched, settings_for
+from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.result import Validation
-from mbds_xsim.scene import Scene
 from mbds_xsim.validation import validate_with_evidence
 
 from .planting import Fault, planted
@@ -20,7 +18,7 @@ __all__ = ["ENGINES", "checked", "told"]
 ENGINES = ("mujoco", "pybullet", "dart", "exudyn")
 
 # Method, steps a frame and options at which the control passes, where the matched ones are slow.
-_SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, float | str]]] = {
+_SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
     ("3pendulum", "mujoco"): ("RK4", 8, {}),
     ("3pendulum", "pybullet"): ("semi-implicit-euler", 200, {}),
     ("3pendulum", "dart"): ("forward-dynamics-RK4", 8, {}),
@@ -44,21 +42,13 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, float | str]]] = {
 }
 
 
-@dataclass(frozen=True)
-class _Quick(Choice):
-    bench: str = ""
-    """Name of the scene."""
-
-    def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
-        return [
-            Contender(engine, "matched", self._quick(scene, engine)) for engine in self.engines
-        ], {}
-
-    def _quick(self, scene: Scene, engine: str) -> Settings:
-        if (self.bench, engine) not in _SETTINGS:
-            return settings_for(scene, load_adapter(engine), "matched")
-        method, count, options = _SETTINGS[self.bench, engine]
-        return Settings(method, scene.clock.frame / count, options)
+def _quick(name: str, engine: str) -> Matched:
+    """Give settings that are quick, or those stored for the scene that it was made from."""
+    if (name, engine) in _SETTINGS:
+        return Matched(*_SETTINGS[name, engine])
+    scene = load_scene(name.split()[0])
+    settings = settings_for(scene, load_adapter(engine), "matched")
+    return Matched(settings.method, settings.substeps(scene.clock.frame), dict(settings.options))
 
 
 def checked(
@@ -71,7 +61,7 @@ def checked(
     frames: int | None = None,
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
-    choice = _Quick(engines, bench=scene)
+    choice = Choice(engines, given={name: _quick(scene, name) for name in engines})
     with planted(fault, engine):
         return validate_with_evidence(
             scene_of(scene, frames), choice=choice, workers=0, readback=readback

@@ -1,0 +1,203 @@
+"""Settings for scenes that have none stored: found quickly, kept by physics, read from files."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbds_xsim import registry
+from mbds_xsim.choice import Choice
+from mbds_xsim.errors import InputError
+from mbds_xsim.matched import Matched, is_stored, settings_for
+from mbds_xsim.scene import Body, Clock, Force, Inertia, Joint, Scene
+from mbds_xsim.silence import Silent
+from mbds_xsim.study import quick
+from mbds_xsim.study.bisect import COUNTS
+from mbds_xsim.study.quick import fewest, searched
+from mbds_xsim.study.trial import Trial
+from mbds_xsim.validation import validate_with_evidence
+
+MUJOCO = registry.load_adapter("mujoco")
+DART = registry.load_adapter("dart")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+
+
+def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
+    """A pole on a cart that is pushed to and fro, as a user writes it: nothing is drawn."""
+    return Scene(
+        name=name,
+        dimension=2,
+        length=1.0,
+        bodies=(
+            Body("cart", inertia=Inertia(1.0, (0.01, 0.01, 0.01))),
+            Body("pole", inertia=Inertia(0.2, (0.017, 0.017, 0.001)), position=(0.0, 0.0, 0.5)),
+        ),
+        joints=(
+            Joint("rail", "slider", "world", "cart", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+            Joint("pivot", "hinge", "cart", "pole", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), rate=1.0),
+        ),
+        forces=(Force("cart", ((pull, 0.0, 0.0), (-pull, 0.0, 0.0)), hold=25),),
+        clock=Clock(0.02, 60),
+    )
+
+
+def _searched(scene: Scene, engines: str, **options: bool) -> dict[str, Matched]:
+    choice = Choice.parse(engines=engines)
+    return dict(searched(scene, choice, workers=0, progress=Silent(), **options).given)
+
+
+def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
+    scene = cart_pole()
+    found = _searched(scene, "mujoco,dart")
+
+    for adapter, least in ((MUJOCO, 3.0), (DART, 10.0)):
+        preset = adapter.settings(scene, "matched").substeps(scene.clock.frame)
+        assert found[adapter.name].steps_per_frame * least <= preset
+    choice = Choice(("mujoco", "dart"), given=found)
+    validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
+    assert [row.reasons for row in validation.engines] == [(), ()]
+
+
+def test_what_was_found_is_kept_by_physics_not_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _searched(cart_pole(), "mujoco")
+    tried: list[str] = []
+
+    def search(scene: Scene, *_: object) -> None:
+        tried.append(scene.name)
+
+    monkeypatch.setattr(quick, "_search", search)
+
+    assert _searched(cart_pole("another name"), "mujoco") == found
+    assert tried == []
+    _searched(cart_pole("pulled harder", pull=3.0), "mujoco")
+    _searched(cart_pole("afresh"), "mujoco", cache=False)
+    assert tried == ["pulled harder", "afresh"]
+
+
+def test_no_scene_gets_the_settings_of_another_by_its_name() -> None:
+    ladder = registry.load_scene("3ladder")
+    impostor = cart_pole("3ladder")
+
+    assert is_stored(ladder, "mujoco")
+    assert not is_stored(impostor, "mujoco")
+    assert settings_for(impostor, MUJOCO, "matched") == MUJOCO.settings(impostor, "matched")
+    assert settings_for(ladder, MUJOCO, "matched") != MUJOCO.settings(ladder, "matched")
+    short = msgspec.structs.replace(ladder, clock=Clock(ladder.clock.frame, 10))
+    assert is_stored(short, "mujoco")
+    assert _searched(ladder, "mujoco") == {}
+
+
+def test_where_nothing_is_found_in_time_the_presets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quick, "_LIMIT", -1.0)
+    scene = cart_pole()
+    choice = searched(scene, Choice.parse(engines="mujoco"), workers=0, progress=Silent())
+
+    (contender,), _ = choice.contenders(scene)
+    assert contender.settings == MUJOCO.settings(scene, "matched")
+
+
+def test_a_step_or_native_settings_need_no_search() -> None:
+    for choice in (
+        Choice.parse(engines="mujoco", step=0.005),
+        Choice.parse(engines="mujoco", profiles="native"),
+    ):
+        assert searched(cart_pole(), choice, workers=0, progress=Silent()) is choice
+
+
+@given(st.floats(-2.0, 6.0), st.integers(1, 4), st.integers(1, 30))
+@settings(deadline=None)
+def test_few_trials_find_about_the_fewest_steps(magnitude: float, order: int, stable: int) -> None:
+    """Errors fall with the order, and below some number of steps the motion is lost."""
+    tries: list[int] = []
+
+    def excess(count: int) -> float:
+        return 10.0**magnitude / count**order if count >= stable else math.inf
+
+    def tried(count: int) -> Trial:
+        tries.append(count)
+        off = excess(count)
+        return Trial(("off",) if off > 1.0 else (), off, 1.0, 1.0)
+
+    found = fewest(tried, order, time.monotonic() + 60.0)
+
+    good = [count for count in COUNTS if excess(count) <= 0.7]
+    assert len(tries) <= 9
+    assert (found is None) == (excess(COUNTS[-1]) > 1.0)
+    if good:
+        assert found in good
+        assert found <= 2.6 * good[0]
+
+
+def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text(
+        '[mujoco]\nmethod = "RK4"\nsteps_per_frame = 3\n[mujoco.options]\nspin = false\n'
+        '[mujoco.found]\nversion = "1"\n'
+    )
+    scene = cart_pole()
+    choice = Choice.parse(profiles=str(path))
+
+    (contender,), _ = choice.contenders(scene)
+    assert (contender.engine, contender.profile) == ("mujoco", "matched")
+    assert contender.settings.substeps(scene.clock.frame) == 3
+    assert contender.settings.options == {"spin": False}
+    assert searched(scene, choice, workers=0, progress=Silent()) == choice
+    native, matched = Choice.parse(profiles=f"native,{path}").contenders(scene)[0]
+    assert (native.profile, matched.settings) == ("native", contender.settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (None, "cannot be read"),
+        ("mujoco = 3", "Expected `object`"),
+        ('[mujoco]\nmethod = "RK4"', "missing required field `steps_per_frame`"),
+        ('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 0', "got 0, allowed is 1 or more"),
+        ('[muoco]\nmethod = "RK4"\nsteps_per_frame = 1', "no engine is called 'muoco'"),
+        ("", "no engine has settings there"),
+        ("[", "cannot be read"),
+    ],
+)
+def test_a_file_that_is_none_of_settings_is_refused(
+    tmp_path: Path, text: str | None, why: str
+) -> None:
+    path = tmp_path / "my.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=why):
+        Choice.parse(profiles=str(path))
+
+
+def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "my.toml"
+    path.write_text('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 3\n')
+    with pytest.raises(InputError, match="no settings of dart; there are: mujoco"):
+        Choice.parse(engines="dart", profiles=str(path))
+    with pytest.raises(InputError, match="one of matched and a file"):
+        Choice.parse(profiles=f"matched,{path}")
+
+
+def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> None:
+    scene = cart_pole()
+    choice = Choice(("mujoco",), given={"mujoco": Matched("Euler", 1)})
+    validation, evidence = validate_with_evidence(scene, choice=choice, trajectories=4, workers=0)
+
+    assert validation.trajectories == (0,)
+    assert len(evidence.batch) == 1
+    assert validation.engines[0].reasons
+    assert "(low)" not in " ".join(validation.engines[0].reasons)
+    with_noise = msgspec.structs.replace(scene, noise=0.1)
+    validation, _ = validate_with_evidence(with_noise, choice=choice, workers=0)
+    assert validation.trajectories == (0, 1, 2)
+    validation, _ = validate_with_evidence(with_noise, choice=choice, noise=False, workers=0)
+    assert validation.trajectories == (0,)
