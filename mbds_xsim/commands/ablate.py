@@ -23,6 +23,7 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
+from mbds_xsim.errors import InputError
 
 __all__ = ["ablate"]
 
@@ -35,7 +36,9 @@ __all__ = ["ablate"]
 def ablate(
     scenes: SceneNames,
     engines: EngineNames = None,
-    settings: Annotated[str, typer.Option(help="Of the engines: matched or native.")] = "matched",
+    settings: Annotated[
+        str, typer.Option(help="Of the engines: matched, native, or a file of `match --out`.")
+    ] = "matched",
     trajectories: Annotated[
         int, typer.Option(help="Starts of each interval.", min=1, max=1000)
     ] = 2,
@@ -48,7 +51,6 @@ def ablate(
     ] = None,
 ) -> None:
     """Drop and halve what a scene models; compare with the disagreement between engines."""
-    from mbds_xsim.catalogue import as_profile
     from mbds_xsim.choice import Choice
     from mbds_xsim.report.ablate_markdown import to_markdown
     from mbds_xsim.report.ablate_terminal import print_ablation
@@ -56,7 +58,10 @@ def ablate(
     from mbds_xsim.write import write_whole
 
     console = console_for(json)
-    choice = Choice.parse(engines=engines, profiles=as_profile(settings))
+    choice = Choice.parse(engines=engines, profiles=settings)
+    if len(choice.profiles) > 1:
+        msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
+        raise InputError(msg)
     check_targets(json=json, markdown=markdown)
     found = []
     for scene in [scene_named(name) for name in scenes]:

@@ -19,6 +19,7 @@ from mbds_xsim.commands.shared import (
     progress_on,
     write_json,
 )
+from mbds_xsim.errors import InputError
 
 __all__ = ["contact"]
 
@@ -49,6 +50,9 @@ def contact(
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings)
+    if choice.given:
+        msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
+        raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
     drawn = {} if figures is None else _figure_files(figures)
     check_targets(json=json, markdown=markdown, **drawn)
     with progress_on(console) as progress:

@@ -37,7 +37,9 @@ def generate(
     engines: EngineNames = None,
     settings: Annotated[
         str,
-        typer.Option(help="matched (certified), native (uncertified), or both: matched,native."),
+        typer.Option(
+            help="matched or a file of `match --out` (certified), native (uncertified), or two."
+        ),
     ] = "matched",
     trajectories: Annotated[
         int, typer.Option(help="How many are drawn; rejected ones are not replaced.", min=1)

@@ -72,7 +72,9 @@ def show(
         str | None,
         typer.Option(metavar="ENGINE", help="Print exactly what this engine is given, to run."),
     ] = None,
-    settings: Annotated[str, typer.Option(help="With --native: matched or native.")] = "matched",
+    settings: Annotated[
+        str, typer.Option(help="With --native: matched, native, or a file of `match --out`.")
+    ] = "matched",
     png: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw it into a file.")] = None,
     start: Annotated[
         int | None,

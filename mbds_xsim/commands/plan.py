@@ -32,7 +32,7 @@ def plan(
     trajectories: Annotated[int, typer.Option(help="How many are planned.", min=1)] = 15_000,
     engines: EngineNames = None,
     settings: Annotated[
-        str, typer.Option(help="matched, native, or both: matched,native.")
+        str, typer.Option(help="matched, native, a file of `match --out`, or two: matched,native.")
     ] = "matched",
     sample: Annotated[
         int, typer.Option(help="Trajectories of each of the two measured shards.", min=2, max=1000)

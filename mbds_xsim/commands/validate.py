@@ -38,7 +38,7 @@ def validate(
     scene: SceneName,
     engines: EngineNames = None,
     settings: Annotated[
-        str, typer.Option(help="matched, native, or both side by side (matched,native).")
+        str, typer.Option(help="matched, native, a file of `match --out`, or two (matched,native).")
     ] = "matched",
     trajectories: Annotated[
         int, typer.Option(help="Starts of each interval.", min=1, max=10_000)
