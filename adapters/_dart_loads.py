@@ -65,6 +65,10 @@ class Loads:
                     twist[body] = twist.get(body, 0.0) + sign * torque[k] * hinge.axis
         return twist
 
+    def springs(self) -> Array:
+        """Give what `Readback.spring` tells, in the present configuration."""
+        return np.array([spring.told() for spring in self._springs]).reshape(-1, 4)
+
     def apply(self) -> None:
         """Set the external forces for the present configuration."""
         for push, force in self.forces:
@@ -81,17 +85,26 @@ class _Spring:
         self._ends = [None if k == WORLD_INDEX else bodies[k] for k in pair.bodies]
         self.moving = [k for k in pair.bodies if k != WORLD_INDEX]
 
+    def told(self) -> tuple[float, float, float, float]:
+        """Give stiffness, damping, rest length and present length."""
+        pair = self._pair
+        return pair.stiffness, pair.damping, pair.length, float(np.linalg.norm(self._line()[0]))
+
+    def _line(self) -> tuple[Array, Array]:
+        """From the first end to the second in W [m], and its rate [m/s]."""
+        (first, first_rate), (second, second_rate) = (
+            _motion(end, point) for end, point in zip(self._ends, self._pair.in_body, strict=True)
+        )
+        return second - first, second_rate - first_rate
+
     def pull(self) -> None:
         """Add the force at the present configuration and velocity."""
         pair = self._pair
-        (first, first_rate), (second, second_rate) = (
-            _motion(end, point) for end, point in zip(self._ends, pair.in_body, strict=True)
-        )
-        line = second - first
+        line, rate = self._line()
         length = float(np.linalg.norm(line))
         along = line / length
         tension = pair.stiffness * (length - pair.length)
-        tension += pair.damping * float(along @ (second_rate - first_rate))
+        tension += pair.damping * float(along @ rate)
         for end, point, sign in zip(self._ends, pair.in_body, (1.0, -1.0), strict=True):
             if end is not None:
                 end.addExtForce(sign * tension * along, point)

@@ -13,7 +13,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
-from ._exudyn_model import Held, inertia_text, loads_listing
+from ._exudyn_model import Held, inertia_text, loads_listing, springs_listing
 from ._exudyn_script import graphics_listing
 
 __all__ = ["RigidBodies"]
@@ -48,11 +48,7 @@ class RigidBodies:
             yield from _joint(joint)
         for link in mechanism.distances:
             yield f"mbs.CreateDistanceConstraint({_ends(link)}, distance={link.length!r})"
-        for spring in mechanism.springs:
-            yield (
-                f"mbs.CreateSpringDamper({_ends(spring)}, referenceLength={spring.length!r}, "
-                f"stiffness={spring.stiffness!r}, damping={spring.damping!r})"
-            )
+        yield from springs_listing(mechanism, _ends)
         yield from loads_listing(mechanism)
 
     def graphics(self) -> Iterator[str]:

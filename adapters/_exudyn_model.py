@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PointPair
 
-__all__ = ["HEAD", "Held", "Model", "inertia_text", "loads_listing"]
+__all__ = ["HEAD", "Held", "Model", "inertia_text", "loads_listing", "springs_listing"]
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ from exudyn.utilities import RigidBodyInertia, TreeLink
 container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
-bodies, joints, frames, forces, torques = [], [], [], [], []"""
+bodies, joints, frames, springs, forces, torques = [], [], [], [], [], []"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,16 @@ class Model(Protocol):
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
+
+
+def springs_listing(mechanism: Mechanism, ends: Callable[[PointPair], str]) -> Iterator[str]:
+    """Lines that make `springs`, their ends as the model writes them."""
+    for spring in mechanism.springs:
+        yield (
+            f"springs.append(mbs.CreateSpringDamper({ends(spring)}, "
+            f"referenceLength={spring.length!r}, stiffness={spring.stiffness!r}, "
+            f"damping={spring.damping!r}))"
+        )
 
 
 def loads_listing(mechanism: Mechanism) -> Iterator[str]:

@@ -163,7 +163,15 @@ class ExudynRun(Run):
             contact=self._spheres.coefficients() if self._spheres is not None else None,
             sphere=self._spheres.centers() if self._spheres is not None else None,
             anchor=self._model.anchors(self._names, com, turn),
+            spring=self._springs(),
         )
+
+    def _springs(self) -> Array:
+        mbs, length = self._mbs, exudyn.OutputVariableType.Distance
+        held = [mbs.GetObject(number) for number in self._names["springs"]]
+        columns = [[s[key] for s in held] for key in ("stiffness", "damping", "referenceLength")]
+        columns += [[mbs.GetObjectOutput(number, length) for number in self._names["springs"]]]
+        return np.column_stack(columns)
 
     def _output(self, name: str) -> Array:
         """What the engine says of the markers at the centres of mass."""

@@ -12,7 +12,7 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
-from ._exudyn_model import Held, inertia_text, loads_listing
+from ._exudyn_model import Held, inertia_text, loads_listing, springs_listing
 
 __all__ = ["KinematicTree"]
 
@@ -41,12 +41,7 @@ class KinematicTree:
         yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r})"
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
-        for spring in mechanism.springs:
-            yield (
-                f"mbs.CreateSpringDamper(itemNumbers=[{self._ends(spring)}], "
-                f"referenceLength={spring.length!r}, "
-                f"stiffness={spring.stiffness!r}, damping={spring.damping!r})"
-            )
+        yield from springs_listing(mechanism, self._ends)
         yield from loads_listing(mechanism)
 
     def _link(self, link: Link) -> Iterator[str]:
@@ -79,12 +74,13 @@ class KinematicTree:
         )
 
     def _ends(self, pair: PointPair) -> str:
-        return ", ".join(
+        markers = ", ".join(
             f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition={at.tolist()}))"
             if body == WORLD_INDEX
             else self.marker(body, at)
             for body, at in zip(pair.bodies, pair.in_body, strict=True)
         )
+        return f"itemNumbers=[{markers}]"
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         links = to_links(self._mechanism, bodies)

@@ -203,6 +203,7 @@ class ModelRun(Run):
             contact=self._spheres.coefficients(model),
             sphere=self._spheres.centers(data),
             anchor=self._anchors(),
+            spring=self._springs(),
         )
 
     def _twist(self, body: int) -> Array:
@@ -248,6 +249,15 @@ class ModelRun(Run):
                 sites = [data.site(f"{closing_point(loop, k)} {side}").xpos for k in points]
                 anchors[loop.index, end] = np.mean(sites, axis=0)
         return anchors
+
+    def _springs(self) -> Array:
+        """Of the tendons behind those of the distance links; a slack range is no rest length."""
+        model, first = self._model, len(self._mechanism.distances)
+        shortest, longest = model.tendon_lengthspring[first:].T
+        rest = np.where(shortest == longest, longest, np.nan)
+        length = self._data.ten_length[first:]
+        constants = (model.tendon_stiffness[first:], model.tendon_damping[first:], rest, length)
+        return np.stack(constants, axis=1)
 
     def _place(self, body: int, point: Array) -> Array:
         """Place a point of MuJoCo's body in W."""

@@ -70,6 +70,12 @@ class Loads:
             for spring in self._springs:
                 self._pull(spring, state)
 
+    def springs(self, state: BodyStates) -> Array:
+        """Give what `Readback.spring` tells."""
+        constants = [(pair.stiffness, pair.damping, pair.length) for pair in self._springs]
+        lengths = [np.linalg.norm(np.subtract(*_ends(pair, state)[0])) for pair in self._springs]
+        return np.column_stack([np.array(constants).reshape(-1, 3), lengths])
+
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:
             number, link = self._address(body)
@@ -84,17 +90,22 @@ class Loads:
                 self._apply_torque(number, link, (sign * vector).tolist(), self._in_world)
 
     def _pull(self, spring: PointPair, state: BodyStates) -> None:
-        (first, first_rate), (second, second_rate) = (
-            _moving_point(state, body, arm)
-            for body, arm in zip(spring.bodies, spring.in_body, strict=True)
-        )
+        (first, second), faster = _ends(spring, state)
         apart = second - first
         length = float(np.linalg.norm(apart))
         along = apart / length
-        rate = float(along @ (second_rate - first_rate))
+        rate = float(along @ faster)
         tension = spring.stiffness * (length - spring.length) + spring.damping * rate
         self._push(spring.bodies[0], tension * along, first)
         self._push(spring.bodies[1], -tension * along, second)
+
+
+def _ends(pair: PointPair, state: BodyStates) -> tuple[tuple[Array, Array], Array]:
+    """Place the ends in W [m], and tell how fast the second leaves the first [m/s]."""
+    (first, first_rate), (second, second_rate) = (
+        _moving_point(state, body, arm) for body, arm in zip(pair.bodies, pair.in_body, strict=True)
+    )
+    return (first, second), second_rate - first_rate
 
 
 def _moving_point(state: BodyStates, body: int, in_body: Array) -> tuple[Array, Array]:

@@ -266,6 +266,7 @@ class _DartRun(Run):
             contact=pairs(model.shapes),
             sphere=centers(model.shapes),
             anchor=self._anchors(),
+            spring=self._loads.springs(),
         )
 
     def _joint_axes(self) -> Array:

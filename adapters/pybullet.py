@@ -284,6 +284,7 @@ class _Run(Run):
             contact=self._contact.readback(self._model.address) if self._contact else None,
             sphere=self._contact.centers(self._model.address, told) if self._contact else None,
             anchor=self._model.anchors(told),
+            spring=self._loads.springs(state),
         )
 
     def native(self, batch: Batch) -> str:

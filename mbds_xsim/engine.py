@@ -218,6 +218,10 @@ class Readback:
     anchor: Array | None = None
     """Anchors of the joints in scene order, as fixed in the parent and in the child, in W at that
     start [m], shape (joint, 2, 3); NaN where a joint has no native counterpart that tells."""
+    spring: Array | None = None
+    """Stiffness [N/m], damping [N·s/m], rest length [m] and length at that start [m] of the
+    springs in scene order, shape (spring, 4). Where an engine has none, what the adapter that
+    applies them goes by."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _TOLERANCE = 1e-9
 _MISSING = 1e-6
 _PAIR = ("radius of contact [m]", "friction", "restitution")
+_SPRING = ("stiffness [N/m]", "damping [N·s/m]", "rest length [m]", "length at the start [m]")
 
 
 def compare(
@@ -59,6 +60,7 @@ def compare(
     lines += _axis_differences(mechanism, batch, readback)
     lines += _anchor_differences(mechanism, batch, readback.anchor)
     lines += _sphere_differences(mechanism, batch, readback.sphere)
+    lines += _spring_differences(mechanism, batch, readback.spring)
     return lines + _contact(mechanism, readback)
 
 
@@ -119,11 +121,35 @@ def _contact(mechanism: Mechanism, readback: Readback) -> list[str]:
         return [f"contact: got shape {got.shape}, the scene has {len(spheres)} spheres"]
     pair = [(sphere.radius, ground.friction, ground.restitution) for sphere in spheres]
     names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(spheres)]
+    wanted = np.array(pair)
+    return _column_differences(_PAIR, np.where(np.isnan(got), wanted, got), wanted, names)
+
+
+def _spring_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
+    springs = mechanism.springs
+    if got is None or not springs:
+        return []
+    if got.shape != (len(springs), len(_SPRING)):
+        return [f"springs: got shape {got.shape}, the scene has {len(springs)}"]
+    wanted = np.zeros(got.shape)
+    for row, spring in zip(wanted, springs, strict=True):
+        ends = [
+            _placed(mechanism, batch, *end)
+            for end in zip(spring.bodies, spring.in_body, strict=True)
+        ]
+        apart = float(np.linalg.norm(ends[1] - ends[0]))
+        row[:] = spring.stiffness, spring.damping, spring.length, apart
+    return _column_differences(_SPRING, got, wanted, [spring.name for spring in springs])
+
+
+def _column_differences(
+    columns: tuple[str, ...], got: Array, wanted: Array, names: list[str]
+) -> list[str]:
+    """Compare coefficients, each with the largest of its kind, shape (item, column)."""
     lines = []
-    for what, column, wanted in zip(_PAIR, got.T, np.array(pair).T, strict=True):
-        told = np.where(np.isnan(column), wanted, column)
-        scale = float(wanted.max()) or 1.0
-        lines += _differences(what, told[:, None], wanted[:, None], scale, names)
+    for what, held, asked in zip(columns, got.T, wanted.T, strict=True):
+        scale = float(asked.max()) or 1.0
+        lines += _differences(what, held[:, None], asked[:, None], scale, names)
     return lines
 
 

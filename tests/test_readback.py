@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+import pytest
 
 from mbds_xsim import readback
 from mbds_xsim.engine import Adapter, Readback
@@ -71,3 +72,29 @@ def test_a_contact_sphere_three_millimetres_off_is_told(adapter: Adapter) -> Non
     assert len(lines) == 1, lines
     assert lines[0].startswith("centre of contact [m] of sphere 5 on ")
     assert "(1 differ)" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"stiffness": 1.01}, "stiffness [N/m]"),
+        ({"damping": 0.95}, "damping [N·s/m]"),
+        ({"rest_length": 1.001}, "rest length [m]"),
+        ({"points": 1.001}, "length at the start [m]"),
+    ],
+)
+def test_a_spring_or_damper_slightly_off_is_told(
+    adapter: Adapter, change: dict[str, float], told: str
+) -> None:
+    """Each changed by a factor; a fixed rest length keeps the changed ends from changing it."""
+    bench = load_scene("workbench")
+    (field, factor), (first, spring) = *change.items(), bench.springs
+    value = np.multiply(getattr(spring, field), factor)
+    other = msgspec.structs.replace(
+        spring, **{field: tuple(map(tuple, value)) if value.ndim else float(value)}
+    )
+
+    _, lines = _held(adapter, msgspec.structs.replace(bench, springs=(first, other)), bench)
+
+    assert len(lines) == 1, lines
+    assert lines[0].startswith(f"{told} of {spring.name}: got ")

@@ -159,7 +159,7 @@ MODELLING = (
         "exudyn",
         _LIMIT,
         _part("springs", "cart spring", "stiffness", _scaled(1.01)),
-        "",
+        "stiffness [N/m] of cart spring",
     ),
     _fault(
         "damper 5 % weak",
@@ -167,7 +167,7 @@ MODELLING = (
         "mujoco",
         _LIMIT,
         _part("springs", "cart spring", "damping", _scaled(0.95)),
-        "",
+        "damping [N·s/m] of cart spring",
     ),
     _fault(
         "spring 1 mm long",
@@ -175,7 +175,7 @@ MODELLING = (
         "mujoco",
         _LIMIT,
         _part("springs", "stay", "rest_length", lambda length: length + 1e-3),
-        "",
+        "rest length [m] of stay",
     ),
     _fault(
         "flywheel of 5 % more inertia",
