@@ -11,7 +11,10 @@ import pytest
 from mbds_xsim import registry
 from mbds_xsim.engine import Adapter
 from mbds_xsim.errors import EngineMissing
+from mbds_xsim.study import quick
 from tests.farm import Farm
+
+_WITHOUT = quick._without
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -34,6 +37,21 @@ def adapter(engine: str) -> Adapter:
         if engine in os.environ.get("MBDS_XSIM_MUST_RUN", "").split(","):
             raise
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _presets() -> Iterator[None]:
+    """Leave out the search for settings, seconds an engine, where a test does not ask for it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(quick, "_without", lambda *_: [])
+        yield
+
+
+@pytest.fixture
+def search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search settings where none are stored; nothing is known beforehand."""
+    monkeypatch.setattr(quick, "_without", _WITHOUT)
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.fixture

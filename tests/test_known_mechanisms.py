@@ -23,12 +23,7 @@ from mbds_xsim.validation import validate_with_evidence
 _FOLDER = Path(__file__).parent / "mechanisms"
 _FRAMES = {"bennett": 50, "fourbar-load": 50, "slider-crank": 100, "slider-crank-3d": 50}
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("search")]
 
 
 def _scene(name: str, frames: int) -> Scene:

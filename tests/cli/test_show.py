@@ -15,7 +15,6 @@ import pytest
 
 from mbds_xsim import catalogue, registry
 from mbds_xsim.isolate import Task
-from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene_file import save_scene
@@ -41,7 +40,12 @@ def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, he
         registry.load_scene("3pendulum"), gravity=(3.0, 0.0, -9.81), sampling=(), noise=0.0
     )
     save_scene(sideways, here / "sideways.toml")
-    (here / "model.xml").write_text(run("show", "sideways.toml", "--native", "mujoco").out)
+    settings = registry.load_adapter("mujoco").settings(sideways, "matched")
+    count = settings.substeps(sideways.clock.frame)
+    text = f'[mujoco]\nmethod = "{settings.method}"\nsteps_per_frame = {count}\n'
+    (here / "preset.toml").write_text(text)
+    shown = run("show", "sideways.toml", "--native", "mujoco", "--settings", "preset.toml")
+    (here / "model.xml").write_text(shown.out)
 
     model = mujoco.MjModel.from_xml_path("model.xml")
     data = mujoco.MjData(model)
@@ -53,8 +57,6 @@ def test_mujocos_file_gives_the_same_motion_in_mujoco_alone(run: CommandLine, he
         seen.append(data.xipos[bodies].copy())
         mujoco.mj_step(model, data, round(sideways.clock.frame / model.opt.timestep))
 
-    adapter = registry.load_adapter("mujoco")
-    settings = settings_for(sideways, adapter, "matched")
     ours = simulate(sideways, draw_batch(sideways, [0]), "mujoco", settings).trajectory
     np.testing.assert_allclose(seen, ours.position[0, :11], atol=1e-14)
     assert np.abs(seen[10] - seen[0]).max() > 0.01
@@ -80,7 +82,7 @@ def test_a_listing_names_every_body_joint_and_mass(
     (parallelogram,) = (case.scene for case in CASES if case.name == "parallelogram")
     save_scene(parallelogram, here / "parallelogram.toml")
 
-    ended = run("show", name, "--native", listing)
+    ended = run("show", name, "--native", listing, "--settings", "native")
 
     scene = registry.load_scene(name)
     assert ended.code == 0, ended.err
@@ -96,7 +98,7 @@ def test_what_an_engine_crashes_on_is_one_line(
 ) -> None:
     monkeypatch.setattr(catalogue, "Task", lambda *_: Task(os.abort, ()))
 
-    ended = run("show", "2pendulum", "--native", "mujoco")
+    ended = run("show", "2pendulum", "--native", "mujoco", "--settings", "native")
 
     assert (ended.code, ended.out) == (2, "")
     assert ended.err.startswith("mbds-xsim: mujoco cannot load the scene: the process crashed")

@@ -26,10 +26,7 @@ from mbds_xsim.validation import validate_with_evidence
 MUJOCO = registry.load_adapter("mujoco")
 DART = registry.load_adapter("dart")
 
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("search")
 
 
 def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
