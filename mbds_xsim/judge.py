@@ -195,11 +195,7 @@ def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
     for finding in findings:
         if not finding.passed.all():
             row = finding.worst
-            where = f" ({finding.where[row]})" if finding.where[row] else ""
-            lines.append(
-                f"{finding.check}: {finding.figure[row]:.3g} {finding.unit}, allowed "
-                f"{finding.budget:.3g}{where}, {batch.label(row)}, frame {finding.frame[row]}"
-            )
+            lines.append(f"{finding.line(row)}, {batch.label(row)}, frame {finding.frame[row]}")
     return lines
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
+from mbds_xsim.counted import apart
 from mbds_xsim.engine import Method
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
@@ -208,6 +209,13 @@ class Finding:
         if self.budget is None:
             return np.ones(len(self.figure), dtype=bool)
         return (self.figure <= self.budget + self.uncertainty) | ~self.applies
+
+    def line(self, row: int) -> str:
+        """Say in a line what a trajectory has of what is allowed."""
+        allowed = np.inf if self.budget is None else self.budget
+        figure, budget = apart(self.figure[row], allowed, lambda x, n: f"{x:.{n}g}", 3)
+        where = f" ({self.where[row]})" if self.where[row] else ""
+        return f"{self.check}: {figure} {self.unit}, allowed {budget}{where}"
 
     @property
     def worst(self) -> int:

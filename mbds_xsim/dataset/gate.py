@@ -151,8 +151,4 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
 
 
 def _reason(finding: Finding, row: int) -> str:
-    where = f" ({finding.where[row]})" if finding.where[row] else ""
-    return (
-        f"{finding.check}: {finding.figure[row]:.3g} {finding.unit}, allowed "
-        f"{finding.budget:.3g}{where}, frame {finding.frame[row]}"
-    )
+    return f"{finding.line(row)}, frame {finding.frame[row]}"

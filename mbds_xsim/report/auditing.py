@@ -72,10 +72,11 @@ def _table(audited: Audited) -> Table:
 def cells(finding: FindingResult) -> tuple[str, ...]:
     """Give a check's row."""
     judged = finding.budget is not None
+    figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
     return (
         finding.check,
-        quantity.with_unit(finding.figure, finding.unit),
-        quantity.with_unit(finding.budget, finding.unit) if judged else "shown",
+        figure,
+        budget if judged else "shown",
         str(finding.trajectory),
         str(finding.frame),
         finding.where,

@@ -76,9 +76,9 @@ def _figures(summary: Summary) -> Table:
 
 
 def _cells(figure: Range) -> tuple[str, ...]:
-    values = (figure.smallest, figure.median, figure.largest)
-    allowed = "shown" if figure.allowed is None else quantity.with_unit(figure.allowed, figure.unit)
-    shown = (quantity.with_unit(value, figure.unit) for value in values)
-    held = figure.allowed is None or figure.largest <= figure.allowed
-    mark = "" if figure.allowed is None else "✓" if held else "✗"
-    return figure.check, str(figure.trajectories), *shown, allowed, mark
+    shown = (quantity.with_unit(value, figure.unit) for value in (figure.smallest, figure.median))
+    largest, allowed = quantity.beside(figure.largest, figure.allowed, figure.unit)
+    if figure.allowed is None:
+        return figure.check, str(figure.trajectories), *shown, largest, "shown", ""
+    mark = "✓" if figure.largest <= figure.allowed else "✗"
+    return figure.check, str(figure.trajectories), *shown, largest, allowed, mark

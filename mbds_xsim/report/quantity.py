@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["NONE", "length", "number", "span", "with_unit"]
+from mbds_xsim.counted import apart
+
+__all__ = ["NONE", "beside", "length", "number", "span", "with_unit"]
 
 NONE = "–"
 """Shown where there is no figure."""
@@ -24,24 +26,33 @@ def span(seconds: float | None) -> str:
     return with_unit(seconds, "s")
 
 
-def number(value: float | None) -> str:
+def beside(figure: float | None, budget: float | None, unit: str) -> tuple[str, str]:
+    """Write a figure and its budget, with more digits where it would read as kept but is not."""
+    if figure is None or budget is None:
+        return with_unit(figure, unit), with_unit(budget, unit)
+    return apart(figure, budget, lambda value, digits: with_unit(value, unit, digits), 2)
+
+
+def number(value: float | None, digits: int = 2) -> str:
     """Write a plain number; very small and large ones with an exponent: `3.2e-07`, `1.5`, `0`."""
     if value is None or math.isnan(value):
         return NONE
     if math.isinf(value):
         return "∞" if value > 0 else "-∞"
-    if 0.01 <= abs(value) < 99.5:
-        return f"{value:.2g}"
+    if digits > 2 or 0.01 <= abs(value) < 99.5:
+        return f"{value:.{digits}g}"
     return f"{value:.0f}" if value == 0 or 1 <= abs(value) < 1e4 else f"{value:.1e}"
 
 
-def with_unit(value: float | None, unit: str) -> str:
+def with_unit(value: float | None, unit: str, digits: int = 2) -> str:
     """Write a value with a prefix before its unit where that is m or s, else as a number."""
     if value is None or not math.isfinite(value) or value == 0 or unit not in ("m", "s"):
-        text = number(value)
+        text = number(value, digits)
         return text if text == NONE or unit in _PLAIN else f"{text} {unit}"
     scale, prefix = next((p for p in _PREFIXES if abs(value) >= 0.9995 * p[0]), _PREFIXES[-1])
     scaled = value / scale
+    if digits > 2:
+        return f"{scaled:.{digits}g} {prefix}{unit}"
     if abs(scaled) < _SMALLEST:
         return f"<{_SMALLEST} {prefix}{unit}"
     return f"{_two_digits(scaled)} {prefix}{unit}"

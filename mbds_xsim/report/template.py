@@ -27,6 +27,7 @@ def rendered(template: str, **values: Any) -> str:
         "metres": quantity.length,
         "seconds": quantity.span,
         "number": quantity.number,
+        "beside": quantity.beside,
         "with_unit": quantity.with_unit,
         "value": text_of,
     }

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from mbds_xsim.checks.finding import Finding
 from mbds_xsim.report import quantity
 
 
@@ -42,3 +46,32 @@ def test_a_number_keeps_its_size(value: float, text: str) -> None:
 def test_other_units_take_no_prefix() -> None:
     assert quantity.with_unit(2e-5, "rad") == "2.0e-05 rad"
     assert quantity.with_unit(0.5, "") == "0.5"
+
+
+@pytest.mark.parametrize(
+    ("figure", "budget", "unit", "texts"),
+    [
+        (3.004, 3.0, "1", ("3.004", "3")),
+        (1.0301e-3, 1e-3, "m", ("1.03 mm", "1 mm")),
+        (1.2e-3, 1e-3, "m", ("1.2 mm", "1.0 mm")),
+        (2.999, 3.0, "1", ("3", "3")),
+        (2e-11, 1e-11, "m", ("0.02 nm", "0.01 nm")),
+        (None, 1e-3, "m", ("–", "1.0 mm")),
+        (1.0, None, "1", ("1", "–")),
+    ],
+)
+def test_a_figure_over_its_budget_never_reads_as_kept(
+    figure: float | None, budget: float | None, unit: str, texts: tuple[str, str]
+) -> None:
+    assert quantity.beside(figure, budget, unit) == texts
+
+
+@given(st.floats(1e-15, 1e5), st.floats(0.0, 1e-2), st.sampled_from(["m", "s", "1", "rad"]))
+def test_texts_of_a_figure_and_its_budget_differ(budget: float, excess: float, unit: str) -> None:
+    figure = math.nextafter(budget * (1.0 + excess), math.inf)
+    shown, allowed = quantity.beside(figure, budget, unit)
+    assert shown != allowed
+
+    finding = Finding.of("gap", unit, np.array([[[figure]]]), budget=budget)
+    line = finding.line(0)
+    assert line.removeprefix("gap: ").split(f" {unit}, allowed ")[0] != line.split()[-1]
