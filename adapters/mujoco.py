@@ -7,6 +7,8 @@ from functools import partial
 from importlib.metadata import version
 from typing import ClassVar
 
+import numpy as np
+
 from mbds_xsim.engine import (
     LOOPS,
     Adapter,
@@ -46,6 +48,8 @@ _CAREFUL_COUNT = 4
 _DEFAULT_IMPACT = 0.02
 # With fewer steps an impact's restitution depends on how it lies between them.
 _SHORTEST_IMPACT = 4
+# What MuJoCo's compiler takes of a body: mjMINVAL [kg] and mjEPS [kg·m²].
+_LEAST_MASS, _LEAST_MOMENT = 1e-15, 1e-14
 # That a spring's oscillation turns by in a step: forty steps a period [rad].
 _SPRING_ANGLE = 0.15
 # Of a damper's decay in a step; RK4 is unstable from 2.8.
@@ -112,6 +116,19 @@ class MuJoCo(Adapter):
     }
     coordinates = "reduced"
     contact_law = CONTACT_LAW
+    smallest = f"masses of {_LEAST_MASS:g} kg and principal moments of {_LEAST_MOMENT:g} kg·m²"
+
+    def too_small(self, scene: Scene) -> str:
+        mechanism = Mechanism.of(scene)
+        moment = np.linalg.eigvalsh(mechanism.inertia)[:, 0]
+        small = np.flatnonzero((mechanism.mass < _LEAST_MASS) | (moment < _LEAST_MOMENT))
+        if not len(small):
+            return ""
+        body = int(small[0])
+        return (
+            f"{scene.bodies[body].name!r} has {mechanism.mass[body]:.3g} kg and "
+            f"{moment[body]:.3g} kg·m², MuJoCo's compiler takes {self.smallest}, or more"
+        )
 
     def version(self) -> str:
         return version(self.package)

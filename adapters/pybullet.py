@@ -23,7 +23,7 @@ from mbds_xsim.engine import (
 )
 from mbds_xsim.errors import InputError
 from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.mechanism import Link, Mechanism
 from mbds_xsim.registry import package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
@@ -62,6 +62,8 @@ _OPTION_RANGES = {
 _BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
 _TURN_CAP = math.pi / 4
+# Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
+_LEAST = float(np.finfo(float).eps)
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
 _USUAL_CONTACT = {"bounce_threshold": 0.2, "contact_reach": 1e18, "contact_slop": 1e-5}
 _USUAL_CONTACT_ERP = 0.08
@@ -101,6 +103,19 @@ class PyBullet(Adapter):
     }
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
     contact_law = CONTACT_LAW
+    smallest = (
+        f"masses of {_LEAST:.3g} kg where a body is free or on a slider, moments about a hinge of "
+        f"{_LEAST:.3g} kg·m²: what is less stands still without a warning"
+    )
+
+    def too_small(self, scene: Scene) -> str:
+        mechanism = Mechanism.of(scene)
+        for link in mechanism.links:
+            moved = _moved(mechanism, link)
+            if moved < _LEAST:
+                held = f"PyBullet moves {_LEAST:.3g} or more"
+                return f"{scene.bodies[link.body].name!r} has {moved:.3g} kg or kg·m², {held}"
+        return ""
 
     def version(self) -> str:
         return package_version(self.package)
@@ -298,6 +313,17 @@ class _Run(Run):
 
     def close(self) -> None:
         self._client.close()
+
+
+def _moved(mechanism: Mechanism, link: Link) -> float:
+    """Give what a body has against the motion of its joint: mass [kg] or moment [kg·m²]."""
+    mass, joint = float(mechanism.mass[link.body]), link.joint
+    if joint is None or joint.kind == "slider":
+        return mass
+    if joint.kind != "hinge":
+        return np.inf
+    arm = np.cross(joint.axis, joint.in_child)
+    return float(joint.axis @ mechanism.inertia[link.body] @ joint.axis + mass * arm @ arm)
 
 
 def _divisible_step(frame: float, substeps: int) -> float:

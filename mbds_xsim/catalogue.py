@@ -64,6 +64,8 @@ class EngineRow(msgspec.Struct, frozen=True):
     """What it cannot do, with the reason."""
     contact_law: ContactLaw | None = None
     """What contact is in it."""
+    smallest: str = ""
+    """Which masses and moments of inertia it holds."""
 
 
 class SceneRow(msgspec.Struct, frozen=True):
@@ -163,6 +165,7 @@ def _engine_row(name: str) -> EngineRow:
         options={key: OptionRow(o.default, o.meaning) for key, o in adapter.options.items()},
         limits=_told(adapter.limits),
         contact_law=adapter.contact_law,
+        smallest=adapter.smallest,
     )
 
 

@@ -133,6 +133,8 @@ def _profiles(
 
 
 def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
+    if adapter.too_small(scene):
+        return []
     return [name for name in adapter.methods if not adapter.refusals(scene, name)]
 
 

@@ -294,6 +294,8 @@ class Adapter(ABC):
     coordinates: ClassVar[Literal["reduced", "maximal"]]
     contact_law: ClassVar[ContactLaw | None] = None
     """None without contact."""
+    smallest: ClassVar[str] = "none that a scene file can name is too small"
+    """Which masses and moments of inertia the engine holds; `too_small` finds others."""
 
     @final
     def open(self, scene: Scene, settings: Settings) -> Run:
@@ -320,6 +322,9 @@ class Adapter(ABC):
             feature, reason = next(iter(refusals.items()))
             msg = f"{self.name} {settings.method} cannot do {feature.value}: {reason}"
             raise Unsupported(msg)
+        small = self.too_small(scene)
+        if small:
+            raise Unsupported(f"{self.name} cannot do so small a body: {small}")
 
     @final
     def refusals(self, scene: Scene, method: str) -> dict[Feature, str]:
@@ -332,6 +337,11 @@ class Adapter(ABC):
     def option(self, settings: Settings, name: str) -> Any:
         """Value of an option, or its default."""
         return settings.options.get(name, self.options[name].default)
+
+    def too_small(self, scene: Scene) -> str:
+        """Name a body that is smaller than the engine can hold, and what it holds; "": none is."""
+        del scene
+        return ""
 
     def contact_scales(self, settings: Settings) -> ContactScales:
         """Tell how finely contact is resolved; impulses of one step unless an adapter says so."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.errors import Unsupported
-from mbds_xsim.scene import Body, DistanceLink, Particle, Scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, DistanceLink, Inertia, Joint, Particle, Scene
+from mbds_xsim.simulate import simulate
 
 ENDS = ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 LINKED = Scene(
@@ -32,3 +35,52 @@ def test_an_engine_asked_for_by_name_must_be_able_to() -> None:
 def test_some_engine_must_be_able_to() -> None:
     with pytest.raises(Unsupported, match="no engine given here can"):
         Choice(("pybullet", "dart"), named=False).contenders(LINKED)
+
+
+def _hinged(moment: float, mass: float) -> Scene:
+    """A rod that falls on a hinge 1 mm from its centre of mass."""
+    inertia = Inertia(mass, (moment, moment, moment))
+    rod = Body("rod", inertia=inertia, position=(1e-3, 0.0, 0.0))
+    pin = Joint("pin", "hinge", "world", "rod", (0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    return Scene("small", (rod,), length=2e-3, joints=(pin,), clock=Clock(0.001, 20))
+
+
+def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> None:
+    small = _hinged(8e-20, 2e-15)
+
+    contenders, left_out = Choice.parse().contenders(small)
+
+    assert {contender.engine for contender in contenders} == {"dart", "exudyn"}
+    assert left_out["mujoco"] == (
+        "mujoco cannot do so small a body: 'rod' has 2e-15 kg and 8e-20 kg·m², MuJoCo's compiler "
+        "takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
+    )
+    assert "PyBullet moves 2.22e-16 or more" in left_out["pybullet"]
+    with pytest.raises(Unsupported, match=r"so small a body: 'rod'.*use --engines dart"):
+        Choice.parse(engines="mujoco,dart").contenders(small)
+
+
+@pytest.mark.parametrize(
+    ("name", "moment", "mass"),
+    [
+        ("mujoco", 1.001e-14, 1.001e-8),
+        ("mujoco", 1.001e-14, 1.001e-15),
+        ("pybullet", 2.23e-16, 2.23e-16),
+        ("dart", 1e-30, 1e-24),
+        ("exudyn", 1e-30, 1e-24),
+    ],
+)
+def test_what_an_engine_holds_it_moves(name: str, moment: float, mass: float) -> None:
+    """As a body of 10⁶ times the mass and moment, which falls alike; see benchmarks/smallest.py."""
+    scenes = [_hinged(moment * scale, mass * scale) for scale in (1.0, 1e6)]
+    small, large = (
+        simulate(scene, draw_batch(scene, [0]), name, contender.settings)
+        for scene in scenes
+        for contender in Choice((name,)).contenders(scene)[0]
+    )
+
+    moved = small.trajectory.orientation - small.trajectory.orientation[:, :1]
+    assert np.abs(moved).max() > 1e-8
+    np.testing.assert_allclose(
+        small.trajectory.orientation, large.trajectory.orientation, rtol=0, atol=1e-6
+    )

@@ -26,6 +26,12 @@ Which to use for what: [choose-an-engine.md](choose-an-engine.md). A fifth one:
 “yes” means with all its methods, “some” not with all of them, “no” with none. The notes give the
 reasons.
 """
+_SMALLEST = """
+## How small a body may be
+
+What is smaller is refused before the engine sees it. Measured, to four digits, by
+`python benchmarks/smallest.py`; a scene file may name masses down to 1e-30 kg.
+"""
 _CONTACT = """
 ## What contact is
 
@@ -63,6 +69,8 @@ def engines_page(rows: list[EngineRow]) -> str:
         _HEAD,
         _table(["", *(row.engine for row in rows)], features),
         "".join(f"[^{k}]: {note}\n" for k, note in enumerate(notes, 1)).rstrip("\n"),
+        _SMALLEST,
+        "\n".join(f"- **{row.engine}**: {row.smallest}." for row in rows if row.smallest),
         _CONTACT,
         _contact(rows),
         _METHODS,
