@@ -22,6 +22,7 @@ from mbds_xsim.dataset import disk, durable, shard
 from mbds_xsim.dataset.content import check_content
 from mbds_xsim.dataset.lock import locked
 from mbds_xsim.errors import InputError
+from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import save_scene
 
@@ -101,11 +102,16 @@ class _Program:
     """`mbds-xsim generate`, as a program of its own."""
 
     def __init__(self, scene: Scene, folder: Path) -> None:
-        self._file = folder / "1pendulum.toml"
+        self._file, self._settings = folder / "1pendulum.toml", folder / "settings.toml"
         save_scene(scene, self._file)
+        preset = load_adapter("mujoco").settings(scene, "matched")
+        count = preset.substeps(scene.clock.frame)
+        text = f'[mujoco]\nmethod = "{preset.method}"\nsteps_per_frame = {count}\n'
+        self._settings.write_text(text)
 
     def start(self, out: Path, *more: str, **options: Any) -> subprocess.Popen[str]:
-        words = [str(self._file), "--engines", "mujoco", "--trajectories", str(TRAJECTORIES)]
+        words = [str(self._file), "--trajectories", str(TRAJECTORIES)]
+        words += ["--settings", str(self._settings)]
         return subprocess.Popen(
             [sys.executable, "-m", "mbds_xsim", "generate", *words, "--out", str(out), *more],
             stdout=subprocess.PIPE,
