@@ -15,6 +15,7 @@ import pytest
 
 from mbds_xsim import catalogue, registry
 from mbds_xsim.isolate import Task
+from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene_file import save_scene
