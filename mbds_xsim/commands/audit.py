@@ -84,5 +84,5 @@ def audit(
 
         write_whole(page, to_html(audited, command_line()).encode())
     tell_page(page, console, opened=opened)
-    write_json(encoded(audited), json)
+    write_json(encoded(audited, "audit"), json)
     raise typer.Exit(0 if audited.verdict == "pass" else 1)

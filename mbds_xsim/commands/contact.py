@@ -72,7 +72,7 @@ def contact(
         from mbds_xsim.write import write_whole
 
         write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())
-    write_json(encoded(study), json)
+    write_json(encoded(study, "contact"), json)
 
 
 def _figure_files(folder: Path) -> dict[str, Path]:

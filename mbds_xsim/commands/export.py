@@ -61,4 +61,4 @@ def export(
     console.print("not carried over:")
     for line in done.lost:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
-    write_json(encoded(done), json)
+    write_json(encoded(done, "export"), json)

@@ -86,5 +86,5 @@ def generate(
         progress = stack.enter_context(GeneratingBar(console))
         generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
     print_counts(generated, console)
-    write_json(encoded(generated), json)
+    write_json(encoded(generated, "generate"), json)
     raise typer.Exit(0 if all(count.published for count in generated.variants) else 1)

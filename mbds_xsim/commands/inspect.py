@@ -49,4 +49,4 @@ def inspect(
     if png is not None:
         draw_paths(load_dataset(found[0].file), png)
         console.print(f"written: {png}", highlight=False)
-    write_json(encoded(found), json)
+    write_json(encoded(found, "inspect"), json)

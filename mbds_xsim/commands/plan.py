@@ -60,5 +60,5 @@ def plan(
             progress=progress,
         )
     print_plan(found, console)
-    write_json(encoded(found), json)
+    write_json(encoded(found, "plan"), json)
     raise typer.Exit(0 if all(not one.failure for one in found.estimates) else 1)

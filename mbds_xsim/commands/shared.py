@@ -215,8 +215,11 @@ def write_json(text: bytes, path: Path | None) -> None:
     write_whole(path, text + b"\n")
 
 
-def encoded(value: object) -> bytes:
-    """Give JSON that people can read too."""
+def encoded(value: object, command: str = "") -> bytes:
+    """Give JSON that people can read too; a result without a schema gets the command's."""
     import msgspec
 
-    return msgspec.json.format(msgspec.json.encode(value), indent=2)
+    plain = msgspec.to_builtins(value)
+    schema = {"schema": f"mbds-xsim/{command}/1"} if command else {}
+    plain = [schema | one for one in plain] if isinstance(plain, list) else schema | plain
+    return msgspec.json.format(msgspec.json.encode(plain), indent=2)

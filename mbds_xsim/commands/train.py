@@ -123,10 +123,10 @@ def train(
         if plan:
             measured = _costs(campaign, *carrier, console)
             print_blocked(campaign, console)
-            write_json(encoded({"cost": measured, "left_out": campaign.left_out}), json)
+            write_json(encoded({"cost": measured, "left_out": campaign.left_out}, "train"), json)
             return
         told = _trained(campaign, request, *carrier, console)
-    write_json(encoded(told), json)
+    write_json(encoded(told, "train"), json)
     _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
 

@@ -45,5 +45,5 @@ def verify(
     with progress_on(console) as progress:
         verified = run(path, seed=seed, workers=workers, progress=progress)
     print_verified(verified, console)
-    write_json(encoded(verified), json)
+    write_json(encoded(verified, "verify"), json)
     raise typer.Exit(0 if verified.sound else 1)

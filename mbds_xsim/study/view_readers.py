@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +13,7 @@ import msgspec
 from mbds_xsim import result
 from mbds_xsim.errors import InputError
 from mbds_xsim.study import match, rows
+from mbds_xsim.study.plain_view import plain_view
 from mbds_xsim.study.stability import rows as stability_rows
 from mbds_xsim.study.stored import StoredEngine, StoredFound, StoredMatch, StoredValidation
 from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
@@ -20,6 +22,7 @@ __all__ = ["READERS", "read_views"]
 
 T = TypeVar("T")
 
+_RESULT = re.compile("mbds-xsim/[a-z]+/1")
 _VERDICTS = {"pass": 0, "warn": 1, "fail": FAILING}
 _POINTS = {"failed": FAILING + 1, "crashed": FAILING + 1, "refused": FAILING + 1}
 """Points that were too slow or timed out tell of the machine: they have no rank."""
@@ -44,7 +47,7 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
         raise InputError(msg)
     (schema,) = schemas
     try:
-        views = [READERS[schema](part) for part in parts]
+        views = list(map(READERS[schema], parts)) if schema in READERS else [plain_view(parts)]
         return schema, _named((view.scene, view) for view in views)
     except (msgspec.ValidationError, InputError) as error:
         msg = f"{path}: is not what {schema} stands for: {error}"
@@ -64,10 +67,10 @@ def _content(path: Path) -> object:
 
 def _schema(part: object, path: Path) -> str:
     schema = part.get("schema") if isinstance(part, dict) else None
-    if isinstance(schema, str) and schema in READERS:
+    if isinstance(schema, str) and _RESULT.fullmatch(schema):
         return schema
     got = "no schema" if schema is None else f"schema {schema!r}"
-    msg = f"{path}: has {got}; compared are {', '.join(READERS)}, as written with --json"
+    msg = f"{path}: has {got}; compared are mbds-xsim/<command>/1, as written with --json"
     raise InputError(msg)
 
 
@@ -305,4 +308,4 @@ READERS: dict[str, Callable[[Any], View]] = {
     match.SCHEMA: _match,
     stability_rows.SCHEMA: _stability,
 }
-"""What can be compared, by the `schema` of the file."""
+"""Readers that know what is better and what is a budget, by `schema`; `plain_view` has the rest."""

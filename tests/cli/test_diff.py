@@ -444,7 +444,7 @@ _FILES: dict[str, tuple[bytes, str]] = {
     "truncated": (_KEPT.read_bytes()[:-100], "is not JSON, or was cut short"),
     "not text": (b"\x89PNG\r\n\x1a\n\xff\xfe", "is not JSON, or was cut short"),
     "nested without end": (b"[" * 100_000, "is not JSON, or was cut short"),
-    "foreign": (b'{"name": "x"}', "has no schema; compared are mbds-xsim/validate/1"),
+    "foreign": (b'{"name": "x"}', "has no schema; compared are mbds-xsim/<command>/1"),
     "a number": (b"3", "has no schema"),
     "an empty list": (b"[]", "holds an empty list"),
     "a schema of later": (b'{"schema": "mbds-xsim/validate/2"}', "schema 'mbds-xsim/validate/2'"),
@@ -494,3 +494,30 @@ def test_other_scenes_are_refused(compare: CommandLine, edit: Edit, said: str) -
     assert (ended.code, told) == (2, {})
     assert said in ended.err
     assert ended.err.count("\n") == 1
+
+
+def _audit() -> Json:
+    cases = [
+        {"start": f"trajectory {i}", "verdict": "pass", "reasons": [], "gap_m": 1e-6 * (i + 1)}
+        for i in range(3)
+    ]
+    return {"schema": "mbds-xsim/audit/1", "scene": "3ladder", "seed": 0, "cases": cases}
+
+
+def test_results_of_any_command_are_compared(compare: CommandLine) -> None:
+    def edit(new: Json) -> None:
+        new["cases"][1].update(verdict="fail", reasons=["gap: 1 mm, allowed 0.1 mm"], gap_m=1e-3)
+        del new["cases"][2]
+
+    ended, told = compare(_audit(), edit)
+
+    (scene,) = told["scenes"]
+    assert (ended.code, scene["scene"], told["verdict"]) == (1, "3ladder", "worse")
+    (entry,) = scene["entries"]
+    assert entry["name"] == "cases trajectory 1"
+    assert entry["figures"] == [
+        {"what": "gap_m", "unit": "1", "old": 2e-6, "new": 1e-3, "ratio": pytest.approx(500)}
+    ]
+    assert entry["reasons_new"] == ["gap: 1 mm, allowed 0.1 mm"]
+    assert [one["name"] for one in scene["only_old"]] == ["cases trajectory 2"]
+    assert compare(_audit(), lambda _: None)[1]["verdict"] == "same"

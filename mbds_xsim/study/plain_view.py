@@ -1,0 +1,88 @@
+"""Results without a reader of their own: every number is a figure, named by where it stands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
+
+__all__ = ["plain_view"]
+
+_ABOUT = ("scene", "scenes", "study")
+_SAMPLE = ("seed", "trajectories", "index", "budget", "limit_s", "duration_s", "length_m")
+_CIRCUMSTANCES = ("versions", "machine", "workers")
+_SPENT = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
+"""Names of figures that the machine decides."""
+_REASONS = ("reasons", "reason", "failures", "left_out")
+_JUDGED = (*_REASONS, "verdict")
+
+
+def plain_view(parts: list[Any]) -> View:
+    """See a result of any command: an entry for each record in it, named by its own words."""
+    part = parts[0] if len(parts) == 1 else {"result": parts}
+    scene = next((str(part[key]) for key in _ABOUT if part.get(key)), "all")
+    rest = {key: part[key] for key in part if key not in (*_ABOUT, "schema", "command", "note")}
+    return View(
+        scene=scene,
+        command=str(part.get("command", "")),
+        identity={},
+        sample=dict(_leaves({key: rest.pop(key) for key in _SAMPLE if key in rest})),
+        circumstances=dict(_leaves({key: rest.pop(key) for key in _CIRCUMSTANCES if key in rest})),
+        entries=dict(_entries("", rest)),
+        left_out={},
+    )
+
+
+def _entries(name: str, record: Mapping[str, Any]) -> Iterator[tuple[str, Entry]]:
+    """Make an entry of a record's own leaves, then of the records in it."""
+    inner = {key: value for key, value in record.items() if _holds_records(value)}
+    own = {key: value for key, value in record.items() if key not in inner}
+    if own:
+        yield name or "result", _entry(own)
+    for key, value in inner.items():
+        records = value.items() if isinstance(value, dict) else _labelled(value)
+        for label, one in records:
+            yield from _entries(" ".join(filter(None, (name, key, str(label)))), one)
+
+
+def _holds_records(value: Any) -> bool:
+    if not isinstance(value, dict | list) or not value:
+        return False
+    return all(isinstance(v, dict) for v in (value.values() if isinstance(value, dict) else value))
+
+
+def _labelled(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name records by their words, where no two have the same, or else by their place."""
+    words = [
+        [v for k, v in one.items() if isinstance(v, str) and k not in _JUDGED] for one in records
+    ]
+    said = [" ".join(some) for some in words]
+    unique = len(set(said)) == len(said)
+    for place, one in enumerate(records):
+        yield said[place] if unique and said[place] else str(place), one
+
+
+def _entry(own: Mapping[str, Any]) -> Entry:
+    leaves = dict(_leaves({key: own[key] for key in own if key not in _REASONS}))
+    passed = own.get("passed", own.get("ok"))
+    failed = passed is False or own.get("verdict") == "fail"
+    numbers = {k: v for k, v in leaves.items() if isinstance(v, int | float) and v is not passed}
+    return Entry(
+        verdict=str(own.get("verdict", "" if passed is None else "pass" if passed else "fail")),
+        rank=FAILING * failed if passed is not None or "verdict" in own else None,
+        settings={k: v for k, v in leaves.items() if k not in numbers and k != "verdict"},
+        reasons=tuple(str(v) for k, v in _leaves({k: own[k] for k in own if k in _REASONS}) if v),
+        figures={k: Figure(float(v)) for k, v in numbers.items() if not _SPENT.search(k)},
+        timings={k: float(v) for k, v in numbers.items() if _SPENT.search(k)},
+    )
+
+
+def _leaves(tree: object, name: str = "") -> Iterator[tuple[str, Value]]:
+    if isinstance(tree, dict | list):
+        pairs = tree.items() if isinstance(tree, dict) else enumerate(tree)
+        for key, value in pairs:
+            yield from _leaves(value, f"{name} {key}".lstrip())
+    elif isinstance(tree, str | int | float | bool | None):
+        yield name, tree
