@@ -1,0 +1,132 @@
+"""Freeze what the program does now, and see later whether it still does the same.
+
+    python -m benchmarks.frozen make out/frozen        # before a change that should change nothing
+    python -m benchmarks.frozen compare out/frozen     # after it: 0 the same, 1 not
+
+Kept are results of every command at small sizes, checksums of the contents of data sets, and the
+help of every command. Figures of physics must repeat to 1e-9 and data to the bit: run both on the
+same machine with the same packages. What is kept already is not made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mbds_xsim import load_dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.study.diff import compare_files
+
+_SCENES = (
+    "5pendulum", "6pendulum", "2ladder", "3ladder",
+    "ballscroll", "balldrop", "particlecar", "simplecubli",
+)  # fmt: skip
+_HELP = (
+    "", "scenes", "engines", "show", "validate", "tradeoff", "match", "stability", "ablate",
+    "contact", "diff", "plan", "generate", "verify", "inspect", "export", "audit", "train", "shift",
+)  # fmt: skip
+_SMALL = "1pendulum --engines mujoco,pybullet --settings native"
+_COMMANDS = {
+    **{f"validate-{scene}-{seed}": f"validate {scene} --seed {seed}"
+       for scene in _SCENES for seed in (1, 2)},
+    "match": "match 2pendulum --engines mujoco --trajectories 1 --held-out 2 --out match.toml",
+    "tradeoff": "tradeoff 2pendulum --starts 1 --limit 2 --fresh",
+    "stability": "stability pace --quick --limit 10 --fresh",
+    "ablate": "ablate 2pendulum --engines mujoco --trajectories 1",
+    "contact": "contact --engines mujoco,dart",
+    "generate": f"generate {' '.join(_SCENES)} --trajectories 3 --settings native --out data",
+    "verify": "verify data --seed 0",
+    "inspect": "inspect data",
+    "audit": "audit data/3ladder/mujoco-native.h5",
+    "learn": f"generate {_SMALL} --trajectories 60 --out learn",
+    "train": "train learn --models gns,hgnn --on each --seeds 1 --profile smoke --out models",
+    "shift": "shift models learn",
+}  # fmt: skip
+
+
+def main() -> None:
+    """Make or compare."""
+    match sys.argv[1:]:
+        case ["make", folder]:
+            _make(Path(folder).resolve())
+        case ["compare", folder]:
+            sys.exit(_compare(Path(folder).resolve()))
+        case _:
+            sys.exit(__doc__)
+
+
+def _make(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, words in _COMMANDS.items():
+        if not (folder / f"{name}.json").exists():
+            print(name, flush=True)
+            _run(folder, *words.split(), "--json", f"{name}.json")
+    for command in _HELP:
+        text = _run(folder, *command.split(), "--help")
+        (folder / f"help-{command}.txt").write_text(text, "utf-8")
+    sums = "".join(f"{line}\n" for line in _checksums(folder / "data"))
+    (folder / "data.txt").write_text(sums, "utf-8")
+
+
+def _run(folder: Path, *words: str) -> str:
+    """Give standard output; a verdict of fail (exit code 1) is a result too."""
+    command = [sys.executable, "-c", "from mbds_xsim.cli import main; main()", *words]
+    ended = subprocess.run(
+        command,
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "100", "MBDS_XSIM_CACHE": str(folder / "cache")},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    if ended.returncode not in (0, 1):
+        sys.exit(f"mbds-xsim {' '.join(words)}: exit code {ended.returncode}")
+    return ended.stdout
+
+
+def _checksums(data: Path) -> Iterator[str]:
+    """Give a line for each series of each data set, of what it holds whatever the file's layout."""
+    for path in sorted(data.glob("*/*-*.h5")):
+        for name, values in load_dataset(path).items():
+            content = np.asarray(values)
+            whole = content.astype("S") if content.dtype == object else content
+            digest = hashlib.sha256(np.ascontiguousarray(whole).tobytes()).hexdigest()
+            yield f"{path.relative_to(data)} {name} {content.shape} {digest}"
+
+
+def _compare(before: Path) -> int:
+    after = before.with_name(f"{before.name}-now")
+    _make(after)
+    wrong = [*_other_results(before, after), *_other_texts(before, after)]
+    print("\n".join(wrong) or f"{len(_COMMANDS)} results, data and help as before")
+    return 1 if wrong else 0
+
+
+def _other_results(before: Path, after: Path) -> Iterator[str]:
+    for name in _COMMANDS:
+        try:
+            found = compare_files(before / f"{name}.json", after / f"{name}.json", rtol=1e-9)
+        except InputError as error:
+            yield f"{name}: {error}"
+            continue
+        for scene in found.scenes:
+            changed = [entry.name for entry in scene.entries if entry.changed]
+            changed += [one.name for one in (*scene.only_old, *scene.only_new)]
+            if changed:
+                yield f"{name} {scene.scene}: {', '.join(changed)}"
+
+
+def _other_texts(before: Path, after: Path) -> Iterator[str]:
+    for path in sorted(before.glob("*.txt")):
+        if path.read_text("utf-8") != (after / path.name).read_text("utf-8"):
+            yield f"{path.name}: another text; diff {path} {after / path.name}"
+
+
+if __name__ == "__main__":
+    main()
