@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.choice import Contender
+from mbds_xsim.cost import Work, forewarnings
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
@@ -29,6 +30,8 @@ __all__ = [
     "Outcome",
     "ProgressSink",
     "ReferenceOutcome",
+    "Running",
+    "Watch",
     "other_steps",
     "run_campaign",
     "run_references",
@@ -52,6 +55,45 @@ class ProgressSink(Protocol):
 
     def advance(self, what: str) -> None:
         """Count one task as done."""
+
+
+class Watch(ProgressSink, Protocol):
+    """Where is told, too, what is under way."""
+
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+
+    def notice(self, line: str) -> None:
+        """Say what is to stay and be read."""
+
+
+@dataclass
+class Running:
+    """Names the tasks that are under way, the one that was begun first before all others.
+
+    Args:
+        watch: Where it is told.
+        names: Of all tasks.
+    """
+
+    watch: Watch
+    names: list[str]
+    _now: list[int] = field(default_factory=list)
+
+    def started(self, place: int) -> None:
+        """Note that a task begins."""
+        self._now.append(place)
+        self.watch.doing(self._told())
+
+    def finished(self, place: int, _answer: Any) -> None:
+        """Note that a task has ended."""
+        self._now.remove(place)
+        self.watch.advance(self._told() or self.names[place])
+
+    def _told(self) -> str:
+        names = list(dict.fromkeys(self.names[place] for place in self._now))
+        others = f" and {len(names) - 1} more" if names[1:] else ""
+        return names[0] + others if names else ""
 
 
 @dataclass
@@ -134,7 +176,7 @@ def run_campaign(
     *,
     cache: bool,
     workers: int | None,
-    progress: ProgressSink,
+    progress: Watch,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
     """Simulate everything.
 
@@ -150,11 +192,16 @@ def run_campaign(
     for outcome in outcomes:
         work += _engine_work(scene, batch, outcome)
     progress.begin(len(work))
-    labels = [label for label, _, _ in work]
+    progress.doing("costs of the runs")
+    costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
+    for line in forewarnings(scene, batch[[0]], costs, workers=workers):
+        progress.notice(line)
+    running = Running(progress, [label for label, _, _ in work])
     answers = run_tasks(
         [task for _, task, _ in work],
         workers=workers,
-        finished=lambda place, _: progress.advance(labels[place]),
+        started=running.started,
+        finished=running.finished,
     )
     for (_, _, store), answer in zip(work, answers, strict=True):
         store(answer)
@@ -179,24 +226,36 @@ def _engine_work(
     scene: Scene, batch: Batch, outcome: Outcome
 ) -> list[tuple[str, Task, Callable[[Any], None]]]:
     contender = outcome.contender
-    label = f"{contender.engine} ({contender.profile})"
+    label = partial("{}, step {:.3g} s".format, contender.name)
     work: list[tuple[str, Task, Callable[[Any], None]]] = []
     for rows in _chunks(len(batch)):
         arguments = (scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
-        work.append((label, Task(simulate, arguments, _TIMEOUT), outcome.parts.append))
+        task = Task(simulate, arguments, contender.limit)
+        work.append((label(contender.settings.step), task, outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
     for step in other_steps(scene, contender.settings):
         task = step_task(scene, batch, outcome, step)
-        work.append((f"{label} consistency", task, partial(outcome.keep_step, step, batch)))
+        work.append((label(step), task, partial(outcome.keep_step, step, batch)))
     return work
+
+
+def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
+    """Sum up the steps of all runs."""
+    contender = outcome.contender
+    steps = [len(batch) * scene.clock.duration / contender.settings.step]
+    others = other_steps(scene, contender.settings)
+    steps += [len(outcome.sample) * scene.clock.duration / step for step in others]
+    return Work(contender.name, contender.engine, contender.settings, sum(steps))
 
 
 def step_task(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Task:
     """Run the sample of an engine at another step [s]."""
     contender = outcome.contender
     settings = Settings(contender.settings.method, step, contender.settings.options)
-    return Task(simulate, (scene, batch[outcome.sample], contender.engine, settings), _TIMEOUT)
+    return Task(
+        simulate, (scene, batch[outcome.sample], contender.engine, settings), contender.limit
+    )
 
 
 def other_steps(scene: Scene, settings: Settings) -> list[float]:

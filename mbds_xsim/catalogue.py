@@ -9,7 +9,7 @@ import msgspec
 from mbds_xsim import registry
 from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.engine import ContactLaw, Feature, Method, Profile, Settings, features_of
-from mbds_xsim.errors import EngineMissing, InputError, UnknownName
+from mbds_xsim.errors import EngineFaulty, EngineMissing, InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
@@ -57,6 +57,8 @@ class EngineRow(msgspec.Struct, frozen=True):
     engine: str
     version: str
     """"not installed" where it is missing; the rest is empty then."""
+    fault: str = ""
+    """Why an adapter of another package cannot be used; the rest is empty then, too."""
     coordinates: str = ""
     methods: tuple[MethodRow, ...] = ()
     options: dict[str, OptionRow] = {}
@@ -155,6 +157,8 @@ def by_reason(refusals: dict[str, str]) -> dict[str, list[str]]:
 def _engine_row(name: str) -> EngineRow:
     try:
         adapter = registry.load_adapter(name)
+    except EngineFaulty as error:
+        return EngineRow(name, "cannot be used", fault=str(error))
     except EngineMissing:
         return EngineRow(name, "not installed")
     return EngineRow(

@@ -11,6 +11,7 @@ from mbds_xsim import registry
 from mbds_xsim.catalogue import as_profile
 from mbds_xsim.engine import Adapter, Profile, Settings
 from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.isolate import LIMIT
 from mbds_xsim.matched import Matched, read_matched, settings_for
 from mbds_xsim.scene import Scene
 
@@ -24,6 +25,13 @@ class Contender:
     engine: str
     profile: Profile
     settings: Settings
+    limit: float = field(default=LIMIT, compare=False)
+    """Longest that one piece of its work may take [s]."""
+
+    @property
+    def name(self) -> str:
+        """Engine and profile."""
+        return f"{self.engine} ({self.profile})"
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class Choice:
     otherwise it is left out, and the result says so."""
     given: Mapping[str, Matched] = field(default_factory=dict, hash=False)
     """Matched settings by engine, from a file or a search, that go before those stored."""
+    limit: float = LIMIT
+    """Longest that one piece of an engine's work may take [s]."""
 
     @staticmethod
     def parse(
@@ -47,6 +57,7 @@ class Choice:
         profiles: str | Iterable[str] = "matched",
         method: str | None = None,
         step: float | None = None,
+        limit: float = LIMIT,
     ) -> Choice:
         """Read names, or words separated by commas; no engine named means all installed.
 
@@ -65,7 +76,7 @@ class Choice:
         if method is not None and len(names) != 1:
             msg = f"--method {method}: methods differ between engines, name one with --engines"
             raise InputError(msg)
-        return Choice(names, words, method, step, named, given)
+        return Choice(names, words, method, step, named, given, limit)
 
     def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
         """Settle the settings of every engine.
@@ -82,16 +93,21 @@ class Choice:
         for profile in self.profiles:
             for name in self.engines:
                 adapter = registry.load_adapter(name)
-                settings = self._settings(scene, adapter, profile)
                 try:
+                    settings = self._settings(scene, adapter, profile)
                     adapter.check(scene, settings)
                 except Unsupported as error:
                     left_out[name] = str(error)
                 else:
-                    found.append(Contender(name, profile, settings))
+                    found.append(Contender(name, profile, settings, self.limit))
         if left_out and (self.named or not found):
             raise Unsupported(self._refusal(scene, left_out))
-        return found, left_out
+        return found, left_out | self.faulty
+
+    @property
+    def faulty(self) -> dict[str, str]:
+        """Adapters that would take part but cannot be used, each with the reason."""
+        return {} if self.named or self.given else registry.faulty_engines()
 
     def _settings(self, scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
         preset = (

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from mbds_xsim import registry
-from mbds_xsim.campaign import Outcome, ProgressSink, ReferenceOutcome, step_task
+from mbds_xsim.campaign import Outcome, ReferenceOutcome, Running, Watch, step_task
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, consistency, unsettled
 from mbds_xsim.isolate import run_tasks
@@ -62,7 +62,7 @@ def refine(
     reference: ReferenceOutcome,
     *,
     workers: int | None,
-    progress: ProgressSink,
+    progress: Watch,
 ) -> None:
     """Run samples at further steps until they show how each engine converges."""
     while True:
@@ -71,13 +71,10 @@ def refine(
         if not asked:
             return
         progress.begin(len(asked))
-        labels = [f"{o.contender.engine} ({o.contender.profile}) finer" for o, _ in asked]
+        names = [f"{o.contender.name}, step {step:.3g} s" for o, step in asked]
         tasks = [step_task(scene, batch, outcome, step) for outcome, step in asked]
-
-        def finished(place: int, _: Any, labels: list[str] = labels) -> None:
-            progress.advance(labels[place])
-
-        answers = run_tasks(tasks, workers=workers, finished=finished)
+        now = Running(progress, names)
+        answers = run_tasks(tasks, workers=workers, started=now.started, finished=now.finished)
         for (outcome, step), answer in zip(asked, answers, strict=True):
             outcome.keep_step(step, batch, answer)
 

@@ -28,5 +28,9 @@ class EngineMissing(InputError):
     """An adapter is known but its engine is not installed."""
 
 
+class EngineFaulty(EngineMissing):
+    """An adapter of another package that cannot be used; the text says why."""
+
+
 class Unsupported(InputError):
     """An engine cannot represent what the scene or the settings ask for; the text says why."""

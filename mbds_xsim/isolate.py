@@ -23,7 +23,10 @@ from typing import Any
 from mbds_xsim.interruption import held_back
 from mbds_xsim.spent import Spent, memory_bytes
 
-__all__ = ["Crash", "Task", "begin", "core_count", "run_tasks"]
+__all__ = ["LIMIT", "Crash", "Task", "begin", "core_count", "in_worker", "run_tasks"]
+
+LIMIT = 3600.0
+"""Longest that one piece of work may take where nothing else is asked for [s]."""
 
 _POLL = 0.01
 _START_UP = 600.0  # longest that a process may import what its task names [s]
@@ -37,7 +40,7 @@ class Task:
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
-    timeout: float = 3600.0
+    timeout: float = LIMIT
     """Of its own time [s]: neither the start of its process nor what other work on the machine
     keeps it from counts."""
 
@@ -68,6 +71,11 @@ def begin(path: Path | None = None) -> None:
         _begun.touch()
 
 
+def in_worker() -> bool:
+    """Say whether this process carries out a task of another."""
+    return _begun is not None
+
+
 _begun: Path | None = None
 
 
@@ -80,6 +88,7 @@ def run_tasks(
     tasks: Sequence[Task],
     *,
     workers: int | None = None,
+    started: Callable[[int], None] | None = None,
     finished: Callable[[int, Any], None] | None = None,
 ) -> list[Any]:
     """Carry out all tasks, in order of their listing as workers come free.
@@ -89,13 +98,14 @@ def run_tasks(
         workers: Processes at a time; all cores when left out. 0 runs the tasks in this process,
             one after the other, for debuggers and for tests that change what a task does: there
             is no timeout then, and an error is raised where it happens.
+        started: Called with a task's place as its process begins.
         finished: Called with a task's place and answer as each one ends.
 
     Returns:
         One answer a task, or a `Crash`.
     """
     if workers == 0:
-        return [_run_here(place, task, finished) for place, task in enumerate(tasks)]
+        return [_run_here(place, task, started, finished) for place, task in enumerate(tasks)]
     answers: list[Any] = [None] * len(tasks)
     waiting = list(range(len(tasks)))[::-1]
     running: list[_Process] = []
@@ -111,6 +121,8 @@ def run_tasks(
                 while waiting and len(running) < most:
                     place = waiting.pop()
                     running.append(_Process(place, tasks[place], Path(folder), line))
+                    if started is not None:
+                        started(place)
                 if sum(process.bytes for process in running) > memory:
                     max(running, key=lambda process: process.bytes).end_for_memory()
                 for process in [process for process in running if process.ended()]:
@@ -126,7 +138,14 @@ def run_tasks(
     return answers
 
 
-def _run_here(place: int, task: Task, finished: Callable[[int, Any], None] | None) -> Any:
+def _run_here(
+    place: int,
+    task: Task,
+    started: Callable[[int], None] | None,
+    finished: Callable[[int, Any], None] | None,
+) -> Any:
+    if started is not None:
+        started(place)
     answer = task.function(*task.arguments)
     if finished is not None:
         finished(place, answer)
@@ -195,7 +214,10 @@ class _Process:
     def answer(self) -> Any:
         if not self._answer.exists():
             return Crash(self._last_words(), timed_out=self._timed_out)
-        kind, value = pickle.loads(self._answer.read_bytes())
+        try:
+            kind, value = pickle.loads(self._answer.read_bytes())
+        except Exception as error:  # it may hold what only that process could make
+            return Crash(f"its answer cannot be read: {type(error).__name__}: {error}")
         return value if kind == "done" else Crash(value, refused=kind == "input error")
 
     def _last_words(self) -> str:

@@ -64,8 +64,9 @@ def judge(
     trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
     if trajectory is None:
         return Row(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
-    settings, adapter = outcome.contender.settings, registry.load_adapter(outcome.contender.engine)
-    method, spread = adapter.methods[settings.method], adapter.contact_scales(settings).time
+    settings = outcome.contender.settings
+    method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
+    spread = outcome.simulations[0].contact_time
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
     findings = [
         *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),

@@ -50,10 +50,8 @@ def compare(
     if readback.gravity is not None:
         gravity = np.array([mechanism.scene.gravity])
         lines += _differences("gravity [m/s²]", readback.gravity[None], gravity, 1.0, ["W"])
-    if (
-        readback.step is not None
-        and abs(readback.step - settings.step) > _TOLERANCE * settings.step
-    ):
+    off = 0.0 if readback.step is None else abs(readback.step - settings.step)
+    if not off <= _TOLERANCE * settings.step:
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
     if readback.damping is not None and np.any(readback.damping):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")

@@ -10,11 +10,13 @@ from importlib.resources import files
 from pathlib import Path
 
 from mbds_xsim.engine import Adapter
-from mbds_xsim.errors import EngineMissing, InputError, UnknownName
+from mbds_xsim.errors import EngineFaulty, EngineMissing, InputError, UnknownName
+from mbds_xsim.plugin import made, stand_in
 from mbds_xsim.scene import Scene
 
 __all__ = [
     "engine_names",
+    "faulty_engines",
     "installed_engines",
     "load_adapter",
     "load_scene",
@@ -41,14 +43,21 @@ def engine_names() -> list[str]:
 
 def installed_engines() -> list[str]:
     """Names of the adapters whose engine can be imported."""
-    names = []
-    for name in engine_names():
-        try:
-            load_adapter(name)
-        except EngineMissing:
-            continue
-        names.append(name)
-    return names
+    return [name for name in engine_names() if _lack(name) is None]
+
+
+def faulty_engines() -> dict[str, str]:
+    """Names of adapters of other packages that cannot be used, each with the reason."""
+    lacks = {name: _lack(name) for name in engine_names()}
+    return {name: str(lack) for name, lack in lacks.items() if isinstance(lack, EngineFaulty)}
+
+
+def _lack(name: str) -> EngineMissing | None:
+    try:
+        load_adapter(name)
+    except EngineMissing as error:
+        return error
+    return None
 
 
 def load_adapter(name: str) -> Adapter:
@@ -57,22 +66,24 @@ def load_adapter(name: str) -> Adapter:
     Raises:
         UnknownName: No adapter has that name.
         EngineMissing: Its engine is not installed.
+        EngineFaulty: It is another package's, and goes wrong before it can be asked anything.
     """
     points = _points("mbds_xsim.adapters")
     if name not in points:
         raise UnknownName.of("engine", name, engine_names())
+    other = stand_in(points[name])
+    if isinstance(other, str):
+        raise EngineFaulty(f"the engine {name} cannot be used: {other}; repair or uninstall it")
+    if other is not None:
+        return other
     try:
-        adapter = points[name].load()()
+        return made(points[name])
     except ImportError as error:
         msg = (
             f"the engine {name} is not installed ({error}); "
             f"install it with: pip install 'mbds-xsim[{name}]'"
         )
         raise EngineMissing(msg) from error
-    if not isinstance(adapter, Adapter):
-        msg = f"the entry point {name!r} gives {type(adapter).__name__}, not an Adapter"
-        raise InputError(msg)
-    return adapter
 
 
 def scene_names() -> list[str]:

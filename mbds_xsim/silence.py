@@ -14,5 +14,11 @@ class Silent:
     def advance(self, what: object, rejected: int = 0) -> None:
         """Discard what is done."""
 
+    def doing(self, what: str) -> None:
+        """Discard what is under way."""
+
+    def notice(self, line: str) -> None:
+        """Discard what was to be read."""
+
     def forecast(self, left_s: float) -> None:
         """Discard how long it will take."""

@@ -27,6 +27,8 @@ class Simulation:
     trajectory: Trajectory
     readback: Readback
     size: ModelSize
+    contact_time: float
+    """Over which the engine spreads an impact [s]."""
     setup_s: float
     """Loading the model [s]."""
     rollout_s: float
@@ -47,7 +49,7 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
     begin = time.perf_counter()
     with adapter.open(scene, settings) as run:
         loaded = time.perf_counter()
-        readback = run.readback(batch)
+        readback = _read_back(run, batch)
         start, spent = time.perf_counter(), time.process_time()
         trajectory = recorded(run, batch)
         end, spent = time.perf_counter(), time.process_time() - spent
@@ -57,7 +59,8 @@ def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Sim
             settings=settings,
             trajectory=trajectory,
             readback=readback,
-            size=run.size,
+            size=_size(run),
+            contact_time=adapter.contact_scales(settings).time,
             setup_s=loaded - begin,
             rollout_s=end - start,
             cpu_s=spent,
@@ -88,10 +91,42 @@ def recorded(run: Run, batch: Batch) -> Trajectory:
             got = f"{given.dtype} {given.shape}" if isinstance(given, np.ndarray) else type(given)
             msg = f"the adapter gave {name} as {got}, not as float64 {shape}"
             raise ValueError(msg)
-    told = trajectory.failures
-    if len(told) != len(batch) or not all(one is None or isinstance(one, Failure) for one in told):
+    told: object = trajectory.failures
+    sound = isinstance(told, tuple) and all(isinstance(one, Failure | None) for one in told)
+    if not sound or len(trajectory.failures) != len(batch):
         msg = f"the adapter gave failures {told!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
     turned = rotation.continuous(whole.orientation, batch.orientation)
     return dataclasses.replace(whole, orientation=turned)
+
+
+def _read_back(run: Run, batch: Batch) -> Readback:
+    """Read the native model back, and hold it against what a `Readback` is."""
+    found: object = run.readback(batch)
+    if not isinstance(found, Readback) or not isinstance(found.step, float | None):
+        raise TypeError(f"the adapter read back {found!r:.60}, not a Readback with a step or None")
+    bodies = batch.position.shape[1]
+    shapes: dict[str, tuple[int, ...]] = {
+        "mass": (bodies,),
+        "inertia": (bodies, 3, 3),
+        "com": (bodies, 3),
+        "orientation": (bodies, 4),
+        "velocity": (bodies, 3),
+        "angular_velocity": (bodies, 3),
+    }
+    for name in {field.name: None for field in dataclasses.fields(found)}.keys() - {"step"}:
+        given, shape = getattr(found, name), shapes.get(name)
+        sound = isinstance(given, np.ndarray) and given.dtype == float
+        if not (sound and shape in (None, given.shape)) and (shape or given is not None):
+            msg = f"the adapter read back {name} as {given!r:.60}, not as float64 {shape or ''}"
+            raise ValueError(msg)
+    return found
+
+
+def _size(run: Run) -> ModelSize:
+    size: object = run.size
+    if not isinstance(size, ModelSize):
+        msg = f"the adapter gave its size as {size!r:.60}, not as a ModelSize"
+        raise TypeError(msg)
+    return size

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import registry
-from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_campaign
+from mbds_xsim.campaign import ReferenceOutcome, Watch, run_campaign
 from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.choice import Choice
 from mbds_xsim.convergence import refine
@@ -45,7 +45,7 @@ def validate_with_evidence(
     cache: bool = True,
     workers: int | None = None,
     readback: bool = True,
-    progress: ProgressSink | None = None,
+    progress: Watch | None = None,
     command: str = "",
 ) -> tuple[Validation, Evidence]:
     """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
@@ -61,7 +61,10 @@ def validate_with_evidence(
         scene, batch, contenders, cache=cache, workers=workers, progress=progress
     )
     refine(scene, batch, outcomes, reference, workers=workers, progress=progress)
-    rows = [judge(scene, batch, outcome, reference, native=readback) for outcome in outcomes]
+    rows = []
+    for outcome in outcomes:
+        progress.doing(f"{outcome.contender.name}: checks")
+        rows.append(judge(scene, batch, outcome, reference, native=readback))
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
     evidence = Evidence(

@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     CacheUse,
     EngineNames,
     JsonFile,
     SceneNames,
     Seed,
+    TimeLimit,
     WorkerCount,
     check_targets,
     command,
@@ -45,6 +47,7 @@ def ablate(
     seed: Seed = 0,
     cache: CacheUse = True,
     workers: WorkerCount = None,
+    limit: TimeLimit = LIMIT,
     json: JsonFile = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
@@ -58,7 +61,7 @@ def ablate(
     from mbds_xsim.write import write_whole
 
     console = console_for(json)
-    choice = Choice.parse(engines=engines, profiles=settings)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if len(choice.profiles) > 1:
         msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
         raise InputError(msg)

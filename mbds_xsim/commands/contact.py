@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     EngineNames,
     JsonFile,
+    TimeLimit,
     WorkerCount,
     check_targets,
     command,
@@ -35,6 +37,7 @@ def contact(
         str, typer.Option(help="native, matched, or both side by side (native,matched).")
     ] = "native,matched",
     workers: WorkerCount = None,
+    limit: TimeLimit = LIMIT,
     json: JsonFile = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the page docs/contact.md.")
@@ -49,7 +52,7 @@ def contact(
     from mbds_xsim.study.contact import study_contact
 
     console = console_for(json)
-    choice = Choice.parse(engines=engines, profiles=settings)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if choice.given:
         msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
         raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")

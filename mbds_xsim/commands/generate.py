@@ -9,10 +9,12 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     EngineNames,
     JsonFile,
     SceneNames,
     Seed,
+    TimeLimit,
     WorkerCount,
     check_targets,
     command,
@@ -47,6 +49,7 @@ def generate(
     seed: Seed = 0,
     noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
     workers: WorkerCount = None,
+    limit: TimeLimit = LIMIT,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -69,7 +72,7 @@ def generate(
     check_targets(json=json)
     request = Request(
         scenes=tuple(scene_named(name) for name in dict.fromkeys(scenes)),
-        choice=Choice.parse(engines=engines, profiles=settings),
+        choice=Choice.parse(engines=engines, profiles=settings, limit=limit),
         trajectories=trajectories,
         out=out,
         seed=seed,
@@ -87,4 +90,5 @@ def generate(
         generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
     print_counts(generated, console)
     write_json(encoded(generated, "generate"), json)
-    raise typer.Exit(0 if all(count.published for count in generated.variants) else 1)
+    whole = not generated.failed and all(count.published for count in generated.variants)
+    raise typer.Exit(0 if whole else 1)

@@ -7,9 +7,11 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     EngineNames,
     JsonFile,
     SceneName,
+    TimeLimit,
     check_targets,
     command,
     console_for,
@@ -40,6 +42,7 @@ def plan(
     workers: Annotated[
         int | None, typer.Option(help="Processes that will work; all cores when left out.", min=1)
     ] = None,
+    limit: TimeLimit = LIMIT,
     json: JsonFile = None,
 ) -> None:
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
@@ -49,7 +52,7 @@ def plan(
 
     console = console_for(json)
     check_targets(json=json)
-    choice = Choice.parse(engines=engines, profiles=settings)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     with progress_on(console) as progress:
         found = run(
             scene_named(scene),

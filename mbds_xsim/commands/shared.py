@@ -15,6 +15,7 @@ import typer
 
 from mbds_xsim.commands.help import Chapter, Command, Commands
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import LIMIT
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from mbds_xsim.scene import Scene
 
 __all__ = [
+    "LIMIT",
     "CacheUse",
     "Device",
     "DeviceWorkers",
@@ -33,6 +35,7 @@ __all__ = [
     "SceneName",
     "SceneNames",
     "Seed",
+    "TimeLimit",
     "WorkerCount",
     "app",
     "check_targets",
@@ -121,6 +124,12 @@ HtmlFile = Annotated[
 Opened = Annotated[
     bool,
     typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
+]
+TimeLimit = Annotated[
+    float,
+    typer.Option(
+        "--limit", help="Longest that one piece of an engine's work may take [s].", min=1.0
+    ),
 ]
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")

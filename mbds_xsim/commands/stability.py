@@ -98,12 +98,13 @@ def stability(
         return
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     others = _models(models)
-    named = () if others and engines == "none" else Choice.parse(engines=engines).engines
+    choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None
     plans = [
         Plan(
             study=study,
-            engines=named,
+            engines=choice.engines,
+            faulty=choice.faulty,
             others=others,
             methods=_words(methods),
             profiles=profiles_of(settings),

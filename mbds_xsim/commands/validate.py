@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     CacheUse,
     EngineNames,
     HtmlFile,
@@ -15,6 +16,7 @@ from mbds_xsim.commands.shared import (
     Opened,
     SceneName,
     Seed,
+    TimeLimit,
     WorkerCount,
     check_targets,
     command,
@@ -54,6 +56,7 @@ def validate(
     inputs: Annotated[bool, typer.Option(help="Drawn inputs: wind, drives.")] = True,
     cache: CacheUse = True,
     workers: WorkerCount = None,
+    limit: TimeLimit = LIMIT,
     json: JsonFile = None,
     html: HtmlFile = None,
     opened: Opened = False,
@@ -67,7 +70,7 @@ def validate(
     from mbds_xsim.validation import Choice, validate_with_evidence
 
     console = console_for(json)
-    choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step)
+    choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step, limit=limit)
     check_targets(json=json, html=html, markdown=markdown)
     with progress_on(console) as progress:
         validation, evidence = validate_with_evidence(

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from mbds_xsim.commands.shared import (
+    LIMIT,
     JsonFile,
+    TimeLimit,
     WorkerCount,
     check_targets,
     command,
@@ -34,6 +36,7 @@ def verify(
         typer.Option(help="Chooses what is simulated again; left out, at random.", min=0),
     ] = None,
     workers: WorkerCount = None,
+    limit: TimeLimit = LIMIT,
     json: JsonFile = None,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
@@ -43,7 +46,7 @@ def verify(
     console = console_for(json)
     check_targets(json=json)
     with progress_on(console) as progress:
-        verified = run(path, seed=seed, workers=workers, progress=progress)
+        verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
     print_verified(verified, console)
     write_json(encoded(verified, "verify"), json)
     raise typer.Exit(0 if verified.sound else 1)

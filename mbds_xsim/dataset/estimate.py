@@ -25,7 +25,6 @@ __all__ = ["Estimate", "Measured", "Plan", "estimate", "plan"]
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
-_TIMEOUT = 3600.0  # [s]
 _AUDIT_EVERY = 15_000
 _AUDITED = 3
 _JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split
@@ -116,7 +115,9 @@ def plan(
     variants = [Variant(scene, contender, seed, noise) for contender in contenders]
     progress.begin(len(variants))
     # The reference is the same for all engines; what it costs is measured once.
-    tasks = [Task(measure, (one, sample, one is variants[0]), _TIMEOUT) for one in variants]
+    tasks = [
+        Task(measure, (one, sample, one is variants[0]), one.contender.limit) for one in variants
+    ]
     answers = run_tasks(
         tasks, workers=1, finished=lambda place, _: progress.advance(variants[place].name)
     )

@@ -48,6 +48,8 @@ class Generated:
     variants: tuple[VariantCount, ...]
     left_out: dict[str, str]
     """Scenes and engines that do not go together, with the reason."""
+    failed: dict[str, str]
+    """Variants that were begun but cannot be made, with the reason; the others are whole."""
     made: int
     """Trajectories that this run made; an earlier one may have made others."""
     wall_s: float
@@ -87,11 +89,15 @@ def generate(
         progress.begin(total, total - missing)
         with watched([variant.folder(out) for variant in variants], progress):
             processes = core_count() if workers is None else workers
-            make(todo, out, workers=processes, carry_out=carry_out)
-        counts = tuple(join(variants, request.trajectories, request.out))
-        for folder in dict.fromkeys(variant.folder(request.out).parent for variant in variants):
+            failures = make(todo, out, workers=processes, carry_out=carry_out)
+        failed = {f"{v.scene.name} {v.name}": reason for v, reason in failures.items()}
+        whole = [variant for variant in variants if variant not in failures]
+        if not whole:
+            raise InputError("; ".join(f"{name}: {reason}" for name, reason in failed.items()))
+        counts = tuple(join(whole, request.trajectories, request.out))
+        for folder in dict.fromkeys(variant.folder(request.out).parent for variant in whole):
             write_card(folder)
-    return Generated(counts, left_out, missing, time.perf_counter() - begin)
+    return Generated(counts, left_out, failed, missing, time.perf_counter() - begin)
 
 
 def _variants(

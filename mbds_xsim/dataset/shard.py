@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import faulthandler
 import json
 import os
 import time
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim import isolate
 from mbds_xsim.dataset.content import Datasets, encode
 from mbds_xsim.dataset.durable import put
 from mbds_xsim.dataset.gate import Making, Verdict, judge_rows
@@ -30,7 +30,6 @@ from mbds_xsim.state import Batch, Failure, Trajectory
 
 __all__ = [
     "LOG",
-    "SHARD_TIMEOUT",
     "Crashes",
     "claim",
     "make_shard",
@@ -42,9 +41,6 @@ __all__ = [
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
 
-SHARD_TIMEOUT = 3600.0
-"""Longest that a shard may take [s]."""
-
 Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
 
@@ -55,10 +51,8 @@ def make_shards(
     """Make those of some shards that no other process has claimed, one after the other."""
     for item, crashes in work:
         if claim(claims, variant, item):
-            # An engine that hangs must not be waited for; this ends the process even then.
-            faulthandler.dump_traceback_later(SHARD_TIMEOUT, exit=True)
+            isolate.begin()  # the limit is one shard's
             make_shard(variant, item, out, crashes=crashes)
-            faulthandler.cancel_dump_traceback_later()
 
 
 def claim(claims: Path, variant: Variant, item: Item) -> bool:

@@ -22,12 +22,11 @@ from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metada
 from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.isolate import LIMIT, Crash, Task, run_tasks
 from mbds_xsim.silence import Silent
 
 __all__ = ["Verified", "verify"]
 
-_TIMEOUT = 3600.0  # [s]
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
 _AGAIN = 3  # trajectories of a shard that are simulated again
 _SHARDS_AGAIN = 3  # shards of a variant of which some are
@@ -60,6 +59,7 @@ def verify(
     *,
     seed: int | None = None,
     workers: int | None = None,
+    limit: float = LIMIT,
     progress: ProgressSink | None = None,
 ) -> Verified:
     """Check everything again that a file, with its shards, or a folder holds.
@@ -68,6 +68,7 @@ def verify(
         path: A data file, or a folder of them.
         seed: Chooses the trajectories that are simulated again; left out, nobody can foresee it.
         workers: Processes at a time; all cores when left out.
+        limit: Longest that one file may take [s].
         progress: Where it is told.
 
     Raises:
@@ -79,7 +80,7 @@ def verify(
     shards = [file for file, kind in kinds.items() if kind == "shard"]
     seed = secrets.randbits(32) if seed is None else seed
     again = _resimulated(shards, seed)
-    tasks = [_task(file, kinds[file], again, seed) for file in files]
+    tasks = [_task(file, kinds[file], again, seed, limit) for file in files]
     progress.begin(len(tasks))
     answers = run_tasks(
         tasks, workers=workers, finished=lambda place, _: progress.advance(files[place].name)
@@ -134,7 +135,7 @@ def _resimulated(shards: list[Path], seed: int) -> set[Path]:
     return found
 
 
-def _task(file: Path, kind: str, again: set[Path], seed: int) -> Task:
+def _task(file: Path, kind: str, again: set[Path], seed: int, limit: float) -> Task:
     others: dict[str, Callable[[Path], FileReport]] = {
         "joined": recheck_joined,
         "joint": recheck_joint,
@@ -143,8 +144,8 @@ def _task(file: Path, kind: str, again: set[Path], seed: int) -> Task:
     }
     path = file.resolve()
     if kind in others:
-        return Task(others[kind], (path,), _TIMEOUT)
-    return Task(reaudit, (path, _AGAIN if file in again else 0, seed), _TIMEOUT)
+        return Task(others[kind], (path,), limit)
+    return Task(reaudit, (path, _AGAIN if file in again else 0, seed), limit)
 
 
 def _loose(shards: list[Path], joined: list[Path]) -> set[str]:

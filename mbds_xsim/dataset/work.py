@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -10,15 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from mbds_xsim.dataset.shard import SHARD_TIMEOUT, Crashes, claim, make_shards, try_out
+from mbds_xsim.dataset.shard import Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
 
 __all__ = ["Carrier", "make"]
 
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
+_FEW = 5
 
 Job = tuple[Variant, Item]
 
@@ -36,36 +35,42 @@ class Carrier(Protocol):
         """Give one answer a task, or a `Crash`; in the order of the tasks."""
 
 
-def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) -> None:
+def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) -> dict[Variant, str]:
     """Make shards; those that are there when this ends abnormally are complete.
 
     Each process makes shards of one variant, the next that no other has claimed. Where one ends
     without an answer the shard is tried again, for it may have been killed from outside. Where
     that ends again the trajectories that end it are looked for and rejected.
 
-    Raises:
-        InputError: One cannot be written, or cannot be made at all.
+    Returns:
+        Of variants that cannot be made, why: a shard that cannot be written, or an engine that
+        refuses the scene or always ends its process. The others are whole.
     """
     todo = list(jobs)
     tries: Counter[Job] = Counter()
     crashes: dict[Job, Crashes] = {}
+    failed: dict[Variant, str] = {}
     idle = 0  # rounds in which processes ended before they came to anything
     while todo:
         with _claims(out) as claims:
             tasks = list(_tasks(todo, crashes, out, claims, workers))
-            answers = carry_out(tasks, workers=workers, finished=_refuse)
-            left = [job for job in todo if _missing(*job, out)]
+            answers = carry_out(tasks, workers=workers)
+            for task, answer in zip(tasks, answers, strict=True):
+                if isinstance(answer, Crash) and answer.refused:
+                    failed.setdefault(task.arguments[0], answer.reason)
+            left = [job for job in todo if job[0] not in failed and _missing(*job, out)]
             guilty = [job for job in left if not claim(claims, *job)]
         idle = 0 if guilty or len(left) < len(todo) else idle + 1
         if idle > _TRIES:
-            raise InputError(_despair(*left[0], answers))
+            failed[left[0][0]] = _despair(*left[0], tasks, answers)
         for job in guilty:
             tries[job] += 1
             if tries[job] == _TRIES:
                 crashes[job] = _crashes(*job, workers, carry_out)
             elif tries[job] > _TRIES:
-                raise InputError(_despair(*job, answers))
-        todo = left
+                failed.setdefault(job[0], _despair(*job, tasks, answers))
+        todo = [job for job in left if job[0] not in failed]
+    return failed
 
 
 @contextmanager
@@ -85,37 +90,35 @@ def _tasks(
 ) -> Iterator[Task]:
     for variant in dict.fromkeys(variant for variant, _ in jobs):
         work = [(item, crashes.get((other, item), {})) for other, item in jobs if other is variant]
-        task = Task(make_shards, (variant, work, out, claims), math.inf)
+        task = Task(make_shards, (variant, work, out, claims), variant.contender.limit)
         yield from [task] * max(1, min(workers, len(work)))
 
 
-def _refuse(_place: int, answer: Any) -> None:
-    """End everything at once where a worker was refused, as by a full disk."""
-    if isinstance(answer, Crash) and answer.refused:
-        raise InputError(answer.reason)
-
-
 def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> Crashes:
-    """Find the trajectories that end the engine's process, by halving."""
+    """Find the trajectories that end the engine's process, by halving.
+
+    Where each of a few from all over the shard does, none of the others is tried.
+    """
+
+    def tried(groups: list[list[int]]) -> list[tuple[list[int], str]]:
+        limits = [min(_TRAJECTORY_TIMEOUT * len(g), variant.contender.limit) for g in groups]
+        tasks = [Task(try_out, (variant, g), t) for g, t in zip(groups, limits, strict=True)]
+        answers = zip(groups, carry_out(tasks, workers=workers), strict=True)
+        return [(group, one.reason) for group, one in answers if isinstance(one, Crash)]
+
+    few = [[item.indices[k * (item.count - 1) // (_FEW - 1)]] for k in range(_FEW)]
+    guilty = tried(few) if item.count > _FEW else []
+    if len(guilty) == _FEW:
+        others = f"not tried, as each of {_FEW} others of its shard ended: {guilty[0][1]}"
+        return dict.fromkeys(item.indices, others) | {group[0]: why for group, why in guilty}
     found: dict[int, str] = {}
     groups = [list(item.indices)]
     while groups:
-        tasks = [Task(try_out, (variant, group), _patience(len(group))) for group in groups]
-        answers = carry_out(tasks, workers=workers)
-        guilty = [
-            (group, answer.reason)
-            for group, answer in zip(groups, answers, strict=True)
-            if isinstance(answer, Crash)
-        ]
+        guilty = tried(groups)
         found |= {group[0]: reason for group, reason in guilty if len(group) == 1}
         larger = [group for group, _ in guilty if len(group) > 1]
         groups = [half for group in larger for half in _halves(group)]
     return found
-
-
-def _patience(count: int) -> float:
-    """Give the longest that so many trajectories may take [s]: no longer than a whole shard may."""
-    return min(_TRAJECTORY_TIMEOUT * count, SHARD_TIMEOUT)
 
 
 def _halves(group: list[int]) -> tuple[list[int], list[int]]:
@@ -127,10 +130,8 @@ def _missing(variant: Variant, item: Item, out: Path) -> bool:
     return not (variant.folder(out) / item.file_name).exists()
 
 
-def _despair(variant: Variant, item: Item, answers: Sequence[Any]) -> str:
-    reasons = [answer.reason for answer in answers if isinstance(answer, Crash)]
+def _despair(variant: Variant, item: Item, tasks: Sequence[Task], answers: Sequence[Any]) -> str:
+    own = [a for task, a in zip(tasks, answers, strict=True) if task.arguments[0] is variant]
+    reasons = [answer.reason for answer in own if isinstance(answer, Crash)]
     reason = reasons[0] if reasons else "its file is not where it was put"
-    return (
-        f"{variant.scene.name} {variant.name}: the trajectories {item.first} to "
-        f"{item.indices[-1]} cannot be made: {reason}"
-    )
+    return f"the trajectories {item.first} to {item.indices[-1]} cannot be made: {reason}"

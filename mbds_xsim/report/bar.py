@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+from rich.text import Text
 
 from mbds_xsim.safe_text import on_a_line
 
@@ -53,12 +54,23 @@ class Bar:
         self._ended.set()
         self._progress.stop()
 
+    def notice(self, line: str) -> None:
+        """Say what is to stay and be read: above the bar, or on standard error."""
+        if self._seen:
+            self._progress.console.print(Text(line))
+        else:
+            _log(line)
+
     def _tell(self) -> None:
         """Show in a log that work goes on, and how far it is."""
         while not self._ended.wait(_EVERY):
             (task,) = self._progress.tasks
             words = (str(column.render(task)) for column in self._columns)
-            print(f"mbds-xsim: {on_a_line(' '.join(words))}", file=sys.stderr, flush=True)
+            _log(" ".join(words))
 
     def _show(self, **what: Any) -> None:
         self._progress.update(self._task, **what)
+
+
+def _log(line: str) -> None:
+    print(f"mbds-xsim: {on_a_line(line)}", file=sys.stderr, flush=True)

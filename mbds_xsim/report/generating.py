@@ -59,6 +59,8 @@ def print_counts(generated: Generated, console: Console) -> None:
     console.print(table)
     for pair, reason in generated.left_out.items():
         console.print(f"{pair} left out: {reason}", highlight=False)
+    for variant, reason in generated.failed.items():
+        console.print(f"{variant} failed: {reason}", highlight=False, markup=False)
     rate = generated.made / generated.wall_s
     console.print(
         f"{counted(generated.made, 'trajectory')} made in {generated.wall_s:.1f} s ({rate:.3g}/s)",

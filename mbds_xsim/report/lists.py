@@ -21,6 +21,8 @@ def print_engines(rows: list[EngineRow], console: Console) -> None:
     for row in rows:
         coordinates = f", {row.coordinates} coordinates" if row.coordinates else ""
         console.print(Text.assemble((row.engine, "bold"), f" {row.version}{coordinates}"))
+        if row.fault:
+            console.print(Text(f"  {row.fault}"))
         grid = Table.grid(padding=(0, 2, 0, 0), pad_edge=False)
         grid.add_column(no_wrap=True)
         grid.add_column(overflow="fold")

@@ -31,6 +31,10 @@ class ProgressBar(Bar):
         """Say how many tasks there are, and what is done."""
         self._show(total=total, completed=0, description=what)
 
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+        self._show(description=what)
+
     def advance(self, what: str) -> None:
         """Count one task as done."""
         self._show(advance=1, description=what)

@@ -7,13 +7,14 @@ import platform
 import time
 from collections.abc import Sequence
 
-from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.campaign import Watch
 from mbds_xsim.choice import Choice, Contender
 from mbds_xsim.counted import counted
 from mbds_xsim.engine import ModelSize
 from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.result import Validation
 from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
 from mbds_xsim.study.ablate_bench import Bench
 from mbds_xsim.study.ablate_effects import EFFECTS, Effect
 from mbds_xsim.study.ablate_result import Ablation, Row, Size
@@ -34,7 +35,7 @@ def ablate(
     seed: int = 0,
     cache: bool = True,
     workers: int | None = None,
-    progress: ProgressSink | None = None,
+    progress: Watch | None = None,
     command: str = "mbds_xsim.study.ablate.ablate",
 ) -> Ablation:
     """Drop and halve each effect of a scene and hold the change of motion to the floor.
@@ -124,15 +125,11 @@ def _result(
 class _Phases:
     """Tells the progress of one piece of work after another as one."""
 
-    def __init__(self, progress: ProgressSink | None) -> None:
-        self._progress = progress
-        self._before = 0
+    def __init__(self, progress: Watch | None) -> None:
+        watch: Watch = progress or Silent()
+        self._begin, self._before = watch.begin, 0
+        self.advance, self.doing, self.notice = watch.advance, watch.doing, watch.notice
 
     def begin(self, total: int) -> None:
         self._before += total
-        if self._progress is not None:
-            self._progress.begin(self._before)
-
-    def advance(self, what: str) -> None:
-        if self._progress is not None:
-            self._progress.advance(what)
+        self._begin(self._before)

@@ -91,7 +91,7 @@ class Bench:
         if self.judge is None:
             return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
         batch = variant.batch.truncated(max(self.window.frames - 1, 1))
-        return Task(_simulated, (variant.scene, batch, self.judge), _TIMEOUT)
+        return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
 
     def _row(self, variant: Variant, answer: Trajectory | Crash | None) -> Row:
         effect, factor = variant.effect, variant.factor

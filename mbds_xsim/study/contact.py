@@ -25,7 +25,6 @@ from mbds_xsim.study.contact_rest import rest
 
 __all__ = ["ContactStudy", "Missing", "study_contact"]
 
-_TIMEOUT = 300.0  # of one part in one engine [s]
 # The longest first, which leaves no core without work at the end.
 _PARTS: dict[str, Callable[[str, Profile], list[Measured]]] = {
     "impacts": impacts,
@@ -89,7 +88,7 @@ def study_contact(
     ]
     progress.begin(len(work))
     answers = run_tasks(
-        [Task(_PARTS[part], (engine, profile), _TIMEOUT) for engine, profile, part in work],
+        [Task(_PARTS[part], (engine, profile), choice.limit) for engine, profile, part in work],
         workers=workers,
         finished=lambda place, _: progress.advance(f"{work[place][0]}: {work[place][2]}"),
     )
@@ -101,7 +100,14 @@ def study_contact(
         profiles=choice.profiles,
         laws={engine: law for engine, law in laws.items() if law is not None},
         figures=tuple(m for _, part in told if not isinstance(part, Crash) for m in part),
-        missing=tuple(Missing(*w, part.reason) for w, part in told if isinstance(part, Crash)),
+        missing=(
+            *(Missing(*w, part.reason) for w, part in told if isinstance(part, Crash)),
+            *(
+                Missing(engine, profile, "the study", why)
+                for engine, why in choice.faulty.items()
+                for profile in choice.profiles
+            ),
+        ),
         command=command,
         machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         wall_s=time.perf_counter() - begin,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
 import os
 import platform
 from pathlib import Path
@@ -15,6 +14,7 @@ import mbds_xsim
 from mbds_xsim import registry
 from mbds_xsim.counted import counted
 from mbds_xsim.engine import Settings
+from mbds_xsim.plugin import source_of
 from mbds_xsim.reference.cache import key_of
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
@@ -71,7 +71,7 @@ def adapter_files(engine: str) -> list[Path]:
         UnknownName: There is no such engine.
         MissingPackage: It is not installed.
     """
-    adapter = Path(inspect.getfile(type(registry.load_adapter(engine))))
+    adapter = source_of(registry.load_adapter(engine))
     return [adapter, *sorted(adapter.parent.glob(f"_{adapter.stem}_*.py"))]
 
 

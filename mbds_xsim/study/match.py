@@ -207,6 +207,7 @@ def match(
         InputError: Something that was given cannot be used.
     """
     curves, left_out = curves_of(scene, choice.engines)
+    left_out |= choice.faulty
     curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
     curves = [c for c in curves if registry.load_adapter(c.engine).methods[c.method].own]
     if not curves:

@@ -60,7 +60,11 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[s
     left_out: dict[str, str] = {}
     for name in engines:
         adapter = registry.load_adapter(name)
-        matched = settings_for(scene, adapter, "matched")
+        try:
+            matched = settings_for(scene, adapter, "matched")
+        except Unsupported as error:
+            left_out[name] = str(error)
+            continue
         for method in adapter.methods:
             curve = Curve(name, method, "", dict(matched.options), _counts(scene, matched, method))
             try:
@@ -95,8 +99,8 @@ def _variations(scene: Scene, adapter: Adapter, base: Curve, preferred: str) -> 
 
 
 def _native(scene: Scene, adapter: Adapter) -> Iterator[Curve]:
-    settings = adapter.settings(scene, "native")
     try:
+        settings = adapter.settings(scene, "native")
         adapter.check(scene, settings)
     except Unsupported:
         return

@@ -89,6 +89,7 @@ def tradeoff_with_rows(
     """Chart a scene, and keep the raw rows. See `tradeoff`."""
     begin = time.perf_counter()
     curves, left_out = curves_of(scene, choice.engines)
+    left_out |= choice.faulty
     if not curves:
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)

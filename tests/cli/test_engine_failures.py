@@ -5,19 +5,21 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mbds_xsim import campaign, registry
+from mbds_xsim import campaign, isolate, plugin, registry
 from mbds_xsim.isolate import Task
+from tests.plugins import installed
 
-_HANG = 4.0  # [s] until a hanging task is ended
+_HANG = 3.0  # [s] until a hanging task is ended
 
 # Engines that stand on the ground MuJoCo gives and go wrong in one way each.
 _ENGINES = """
-import os, sys, time
+import dataclasses, os, sys, time
 import numpy as np
 from mbds_xsim.state import Trajectory
 from mbds_xsim_adapters.mujoco import MuJoCo
@@ -49,8 +51,43 @@ class Misshapen(MuJoCo):
         run = super().load(scene, settings)
         run.rollout = lambda batch: Trajectory.empty(np.arange(3.0), 1, 7)
         return run
+
+class Ageless(MuJoCo):
+    name = "ageless"
+    def version(self):
+        raise OSError("no version file")
+
+class Leaking(MuJoCo):
+    name = "leaking"
+    def load(self, scene, settings):
+        kept = []
+        while True:
+            kept.append(bytearray(10**7))
+
+class Unread(MuJoCo):
+    name = "unread"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.readback = lambda batch: dataclasses.replace(type(run).readback(run, batch), mass=None)
+        return run
+
+class Pondering(MuJoCo):
+    name = "pondering"
+    def settings(self, scene, profile):
+        time.sleep(600)
 """
-_NAMES = ("aborting", "raising", "leaving", "hanging", "misshapen")
+_MODULES = {
+    "faulty_engines": _ENGINES,
+    "broken_import": "raise RuntimeError('its licence\\nhas expired')",
+    "dead_import": "import os; os.abort()",
+    "endless_import": "import time; time.sleep(600)",
+}
+_PLACES = {
+    "brokenly": "broken_import:X",
+    "deadly": "dead_import:X",
+    "endlessly": "endless_import:X",
+}
+_RUNNING = ("aborting", "raising", "leaving", "hanging", "misshapen", "leaking", "unread")
 
 _BOB = """
 name = "bob"
@@ -69,22 +106,20 @@ anchor = [0, 0, 0]
 
 
 @pytest.fixture
-def faulty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Install the faulty engines, and lose patience with the one that hangs."""
-    packages = tmp_path / "packages"
-    metadata = packages / "faulty-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (packages / "faulty_engines.py").write_text(_ENGINES)
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty\nVersion: 1.0\n")
-    points = (f"{name} = faulty_engines:{name.capitalize()}" for name in _NAMES)
-    (metadata / "entry_points.txt").write_text("\n".join(["[mbds_xsim.adapters]", *points]))
-    monkeypatch.syspath_prepend(packages)
-    monkeypatch.setenv("PYTHONPATH", str(packages))
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Install some of the faulty engines, and lose patience with those that hang."""
     monkeypatch.setattr(campaign, "Task", _impatient)
     monkeypatch.setattr(campaign, "_REFINEMENT", ())  # one run an engine tells enough
-    registry._points.cache_clear()
-    yield
-    registry._points.cache_clear()
+    monkeypatch.setattr(campaign, "_CHUNKS", 1)
+    monkeypatch.setattr(plugin, "_TIMEOUT", _HANG)
+    with ExitStack() as stack:
+        yield lambda *names: stack.enter_context(
+            installed(
+                tmp_path / "packages",
+                _MODULES,
+                {n: _PLACES.get(n, f"faulty_engines:{n.capitalize()}") for n in names},
+            )
+        )
 
 
 @functools.wraps(Task)
@@ -92,20 +127,24 @@ def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout
     return Task(function, arguments, _HANG if "hanging" in arguments else timeout)
 
 
-@pytest.mark.usefixtures("faulty")
 @pytest.mark.slow
 def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
-    run: Callable[..., Any], here: Path
+    run: Callable[..., Any],
+    here: Path,
+    install: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (here / "bob.toml").write_text(_BOB)
-    chosen = f"mujoco,{','.join(_NAMES)}"
+    install(*_RUNNING)
+    monkeypatch.setattr(isolate, "memory_bytes", lambda: 2e9)
+    chosen = ",".join(["mujoco", *_RUNNING])
 
-    ended = run("validate", "bob.toml", "--engines", chosen, "--json", "out.json", "--workers", "8")
+    ended = run("validate", "bob.toml", "--engines", chosen, "--json", "out.json", "--workers", "4")
 
-    assert ended.code == 1
-    assert "Traceback" not in ended.out + ended.err
     told = json.loads((here / "out.json").read_text())
     rows = {row["engine"]: row for row in told["engines"]}
+    assert ended.code == 1
+    assert "Traceback" not in ended.out + ended.err
     assert told["verdict"] == "fail"
     assert rows["mujoco"]["failures"] == []
     assert rows["mujoco"]["error_max_m"] < 1e-6
@@ -115,9 +154,64 @@ def test_each_fault_is_told_and_the_sound_engine_keeps_its_result(
         "leaving": "crash: the process crashed with exit code 3: licence expired",
         "hanging": f"crash: no answer within {_HANG:g} s",
         "misshapen": "crash: ValueError: the adapter gave time as float64 (3,), not as ",
+        "leaking": "crash: it had taken ",
+        "unread": "crash: ValueError: the adapter read back mass as None, not as float64 (1,)",
     }
     for name, reason in expected.items():
         assert rows[name]["verdict"] == "fail"
         assert rows[name]["failures"][0].startswith(reason)
         assert rows[name]["reasons"][0].startswith(reason)
         assert name in ended.out
+
+
+@pytest.mark.slow
+def test_a_package_that_breaks_when_it_is_looked_at_is_named_and_left_out(
+    run: Callable[..., Any], here: Path, install: Callable[..., None]
+) -> None:
+    (here / "bob.toml").write_text(_BOB)
+    install("ageless", "brokenly", "deadly", "endlessly")
+    faults = {
+        "ageless": "faulty_engines:Ageless of the package packages: OSError: no version file",
+        "brokenly": "broken_import:X of the package packages: RuntimeError: its licence has",
+        "deadly": "dead_import:X of the package packages: the process crashed with SIGABRT",
+        "endlessly": f"endless_import:X of the package packages: no answer within {_HANG:g} s",
+    }
+
+    listed = run("engines", "--json", "engines.json")
+    named = {name: run("validate", "bob.toml", "--engines", name) for name in faults}
+
+    rows = {row["engine"]: row for row in json.loads((here / "engines.json").read_text())}
+    assert listed.code == 0
+    assert rows["mujoco"]["fault"] == ""
+    for name, fault in faults.items():
+        assert rows[name]["version"] == "cannot be used"
+        assert fault in rows[name]["fault"]
+        assert named[name].code == 2
+        assert f"mbds-xsim: the engine {name} cannot be used: {fault}" in named[name].err
+        assert named[name].err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_data_of_sound_engines_are_made_beside_hopeless_ones(
+    run: Callable[..., Any],
+    here: Path,
+    install: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    install("raising", "ageless", "pondering")
+    usable = ["mujoco", "raising", "pondering"]
+    monkeypatch.setattr(registry, "installed_engines", lambda: usable)
+
+    ended = run(
+        "generate", "1pendulum", "--trajectories", "6", "--out", "data", "--json", "told.json",
+        "--limit", "30",
+    )  # fmt: skip
+
+    told = json.loads((here / "told.json").read_text())
+    counts = {count["variant"]: count for count in told["variants"]}
+    left_out = told["left_out"]
+    assert ended.code == 1
+    assert counts["mujoco-matched"]["published"] == 6
+    assert counts["raising-matched"]["rejected_by"] == {"ended early": 6}
+    assert left_out["1pendulum ageless"].startswith("the engine ageless cannot be used")
+    assert left_out["1pendulum pondering"].endswith(f"no answer within {_HANG:g} s")

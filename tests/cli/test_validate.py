@@ -37,7 +37,8 @@ def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) 
     told = _decoded((here / "new/v.json").read_text())
     page = (here / "new/v.html").read_text()
     assert ended.code == (1 if told.verdict == "fail" else 0), ended.err
-    assert ended.err == ""
+    # On a slow machine the progress is told once a minute, and nothing else.
+    assert all(" left " in line for line in ended.err.splitlines())
     assert [row.engine for row in told.engines] == registry.engine_names()
     assert told.command == "mbds-xsim validate 2pendulum"
     for row in told.engines:

@@ -16,7 +16,7 @@ from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.generate import Generated, Request, generate
 from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task
+from mbds_xsim.isolate import LIMIT, Crash, Task
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 
@@ -101,7 +101,7 @@ def test_a_search_for_crashes_waits_no_longer_than_for_a_shard(
     _fatal_to(FATAL, monkeypatch)
     request = Request((rod,), Choice.parse(engines="mujoco"), 700, tmp_path)
     generate(request, workers=2, progress=Silence(), carry_out=noted)
-    assert (min(waited), max(waited)) == (600.0, shard.SHARD_TIMEOUT)
+    assert (min(waited), max(waited)) == (600.0, LIMIT)
 
 
 def test_nothing_crashes_here(rod: Scene, whole: Path, tmp_path: Path) -> None:

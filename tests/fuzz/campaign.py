@@ -33,6 +33,7 @@ CASES = {
     "csv": 60,
     "model": 30,
     "scene": 40,
+    "plugin": 20,
 }
 """Cases of each campaign by default: how quick a case is decides how many there are."""
 

@@ -15,7 +15,7 @@ from tests.fuzz.campaign import CASES, TooLong, cases_of, fuzz, run_command
 
 
 def test_there_are_as_many_cases_as_promised() -> None:
-    tests = [path.read_text("utf-8") for path in Path(__file__).parent.glob("test_*_files.py")]
+    tests = [path.read_text("utf-8") for path in Path(__file__).parent.glob("test_*.py")]
     assert set(re.findall(r'@fuzz\(\s*"(\w+)"', "".join(tests))) == CASES.keys()
     assert sum(CASES.values()) >= 300
     assert sum(map(cases_of, CASES)) >= campaign._ALL

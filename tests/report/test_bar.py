@@ -41,3 +41,14 @@ def test_a_terminal_shows_what_is_done_as_it_is_called() -> None:
         progress.advance("[/x] matched")
 
     assert "[/x] matched" in shown.getvalue()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_notice_stays_to_be_read(terminal: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = io.StringIO()
+    with ProgressBar(Console(file=shown, force_terminal=terminal, width=120)) as progress:
+        progress.begin(2)
+        progress.notice("dart on [m]: 3 min")
+
+    told = shown.getvalue() if terminal else capsys.readouterr().err
+    assert "dart on [m]: 3 min\n" in told

@@ -24,6 +24,7 @@ from mbds_xsim.study.stability.studies import STUDIES, study_named
 from mbds_xsim.study.stability.survey import survey
 from mbds_xsim.study.stability.verdict import judge
 from mbds_xsim.study.stability.words import meaning, who_told
+from tests.plugins import installed
 
 
 @pytest.fixture(autouse=True)
@@ -266,22 +267,12 @@ class Hanging(MuJoCo):
 
 
 @pytest.fixture
-def faulty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def faulty(tmp_path: Path) -> Iterator[None]:
     """Install engines that crash and hang."""
-    packages = tmp_path / "packages"
-    metadata = packages / "faulty-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (packages / "faulty_engines_of_stability.py").write_text(_ENGINES)
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty\nVersion: 1.0\n")
-    points = (
-        f"{name.lower()} = faulty_engines_of_stability:{name}" for name in ("Aborting", "Hanging")
-    )
-    (metadata / "entry_points.txt").write_text("\n".join(["[mbds_xsim.adapters]", *points]))
-    monkeypatch.syspath_prepend(packages)
-    monkeypatch.setenv("PYTHONPATH", str(packages))
-    registry._points.cache_clear()
-    yield
-    registry._points.cache_clear()
+    module = "faulty_engines_of_stability"
+    engines = {name.lower(): f"{module}:{name}" for name in ("Aborting", "Hanging")}
+    with installed(tmp_path / "packages", {module: _ENGINES}, engines):
+        yield
 
 
 @pytest.mark.usefixtures("faulty")

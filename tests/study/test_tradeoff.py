@@ -26,6 +26,7 @@ from mbds_xsim.study.store import Store
 from mbds_xsim.study.sweep import Curve, curves_of
 from mbds_xsim.study.tradeoff import tradeoff, tradeoff_with_rows
 from mbds_xsim.study.truths import LIMIT_COUNT
+from tests.plugins import installed
 
 _HANG = 2.0  # [s] until a hanging task is ended
 
@@ -282,19 +283,10 @@ def _lost(scene, batch):
 
 
 @pytest.fixture
-def faulty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    packages = tmp_path / "packages"
-    metadata = packages / "faulty-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (packages / "faulty.py").write_text(_ENGINES)
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty\nVersion: 1.0\n")
-    points = (f"{n} = faulty:{n.capitalize()}" for n in ("aborting", "hanging", "blowing"))
-    (metadata / "entry_points.txt").write_text("\n".join(["[mbds_xsim.adapters]", *points]))
-    monkeypatch.syspath_prepend(packages)
-    monkeypatch.setenv("PYTHONPATH", str(packages))
-    registry._points.cache_clear()
-    yield
-    registry._points.cache_clear()
+def faulty(tmp_path: Path) -> Iterator[None]:
+    engines = {n: f"faulty:{n.capitalize()}" for n in ("aborting", "hanging", "blowing")}
+    with installed(tmp_path / "packages", {"faulty": _ENGINES}, engines):
+        yield
 
 
 @functools.wraps(Task)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -170,14 +171,16 @@ def contenders_of(
     Raises:
         InputError: Nobody takes part, or a method that is named belongs to none of the engines.
     """
-    asked: list[Contender] = [
-        EngineMethod(name, method, profile)
-        for name in engines
-        for profile in profiles
-        for method in _methods(registry.load_adapter(name), scenes[0], profile, methods)
-    ]
+    asked: list[Contender] = []
     found: list[Contender] = []
     left_out: dict[str, str] = {}
+    for name, profile in itertools.product(engines, profiles):
+        try:
+            able = _methods(registry.load_adapter(name), scenes[0], profile, methods)
+        except Unsupported as error:
+            left_out[name] = str(error)
+        else:
+            asked += [EngineMethod(name, method, profile) for method in able]
     for contender in [*asked, *others]:
         reasons = [contender.refusal(study, scene) for scene in scenes]
         if all(reasons):

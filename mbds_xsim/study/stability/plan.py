@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mbds_xsim.engine import Profile
@@ -44,6 +45,8 @@ class Plan:
     command: str = ""
     others: tuple[Contender, ...] = ()
     """Who takes part beside the engines' methods."""
+    faulty: Mapping[str, str] = field(default_factory=dict)
+    """Engines that would take part but cannot be used, each with the reason."""
 
 
 @dataclass(frozen=True, eq=False)

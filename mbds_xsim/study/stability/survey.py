@@ -63,7 +63,7 @@ def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
             _panel(contender, rows, measuring)
             for contender, rows in zip(contenders, grid, strict=True)
         ),
-        left_out=left_out,
+        left_out=left_out | dict(plan.faulty),
         unknown=unknown,
         command=plan.command,
         versions=_versions(contenders),

@@ -1,0 +1,92 @@
+"""What will take long is announced, with an estimate that measurement confirms."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import pytest
+
+from mbds_xsim import cost
+from mbds_xsim.campaign import Running
+from mbds_xsim.choice import Choice
+from mbds_xsim.cost import Work, forewarnings
+from mbds_xsim.engine import Settings
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.silence import Silent
+from mbds_xsim.validation import validate_with_evidence
+
+_SCENE = load_scene("1pendulum")
+_START = draw_batch(_SCENE, [0])
+
+
+class _Notes(Silent):
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def doing(self, what: str) -> None:
+        self.done.append(what)
+
+    def notice(self, line: str) -> None:
+        self.done.append(line)
+
+    def advance(self, what: object, rejected: int = 0) -> None:
+        del rejected
+        self.done.append(f"then {what}")
+
+
+def test_what_takes_minutes_is_announced_and_the_rest_is_not_even_tried() -> None:
+    tiny = Settings("RK4", 1e-7)
+    work = [
+        Work("mujoco (matched)", "mujoco", tiny, 4e7),
+        Work("short", "no such engine", tiny, 1e5),
+    ]
+
+    (line,) = forewarnings(_SCENE, _START, work, workers=None)
+
+    told = r"mujoco \(matched\) on 1pendulum: 4e\+07 steps of 1e-07 s, about \d+ (s|min|h) of proc"
+    assert re.match(told, line)
+
+
+def test_an_estimate_is_near_what_the_steps_take() -> None:
+    settings = Settings("RK4", 1e-4)
+    with load_adapter("mujoco").open(_SCENE, settings) as run:
+        begin = time.process_time()
+        run.rollout(_START)
+        spent = (time.process_time() - begin) / 40_000
+
+    each = min(cost._seconds_a_step(_SCENE, _START, "mujoco", settings) for _ in range(3))
+
+    assert 0.25 * spent < each < 4.0 * spent
+
+
+def test_what_is_under_way_is_named_the_oldest_first() -> None:
+    notes = _Notes()
+    running = Running(notes, ["reference", "dart, step 1 s", "dart, step 2 s"])
+
+    for place in range(3):
+        running.started(place)
+    for place in (1, 0, 2):
+        running.finished(place, None)
+
+    assert notes.done == [
+        "reference", "reference and 1 more", "reference and 2 more",
+        "then reference and 1 more", "then dart, step 2 s", "then dart, step 2 s",
+    ]  # fmt: skip
+
+
+def test_a_validation_announces_its_costs_and_names_its_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cost, "_LONG", 0.0)
+    notes = _Notes()
+
+    validate_with_evidence(_SCENE, choice=Choice.parse(engines="mujoco"), progress=notes, workers=0)
+
+    parts = [part for part in dict.fromkeys(notes.done) if not part.startswith("then")]
+    name = "mujoco (matched)"
+    announced = f"{name} on 1pendulum: 4.2e+03 steps of 0.005 s, about 0 s of processor time"
+    assert parts[:3] == ["costs of the runs", announced, "reference"]
+    assert parts[3:6] == [f"{name}, step {step} s" for step in ("0.005", "0.01", "0.02")]
+    assert parts[-1] == f"{name}: checks"
