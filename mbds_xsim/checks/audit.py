@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mbds_xsim.checks.balance import balance, balance_drift
+from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
@@ -43,6 +44,7 @@ CHECKS: tuple[Check, ...] = (
     velocity_lag,
     energy_balance,
     momentum,
+    coefficients,
     penetration,
     contact_gap,
     passivity,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
@@ -17,6 +19,7 @@ __all__ = [
     "damper_loss",
     "energy_balance",
     "energy_of",
+    "hinge_rates",
     "hinge_turns",
     "input_work",
 ]
@@ -79,6 +82,7 @@ def energy_balance(record: Record) -> Finding | None:
     )
 
 
+@functools.lru_cache(maxsize=4)
 def energy_of(record: Record) -> Energy:
     """Compute kinetic and potential energy at every frame."""
     mechanism, bodies = record.mechanism, record.bodies
@@ -97,6 +101,7 @@ def energy_of(record: Record) -> Energy:
     return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
 
 
+@functools.lru_cache(maxsize=4)
 def input_work(record: Record) -> Array:
     """Work of forces and torques from frame 0 on [J], shape (trajectory, frame).
 
@@ -110,24 +115,34 @@ def input_work(record: Record) -> Array:
     return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
 
 
+@functools.lru_cache(maxsize=4)
 def hinge_turns(record: Record) -> Array:
     """Angles by which the hinges turn over each step [rad], shape (trajectory, step, hinge).
 
     A frame gives a hinge's angle up to full turns; the mean of the hinge rates at the two ends
     of the step chooses among them.
     """
-    bodies, world = record.bodies, with_world(record.bodies)
+    bodies, rates = record.bodies, hinge_rates(record)
     turns = []
-    for joint in record.mechanism.hinges:
-        axis = rotation.rotate(world.native[..., joint.parent, :], joint.axis)
-        spin = world.angular_velocity
-        rate = np.sum((spin[..., joint.child, :] - spin[..., joint.parent, :]) * axis, axis=-1)
+    for k, joint in enumerate(record.mechanism.hinges):
         turn = np.diff(joint_coordinate(joint, bodies.position, bodies.native), axis=1)
-        expected = 0.5 * (rate[:, 1:] + rate[:, :-1]) * record.frame
+        expected = 0.5 * (rates[:, 1:, k] + rates[:, :-1, k]) * record.frame
         turns.append(turn + 2 * np.pi * np.round((expected - turn) / (2 * np.pi)))
     return np.stack(turns, axis=-1)
 
 
+@functools.lru_cache(maxsize=4)
+def hinge_rates(record: Record) -> Array:
+    """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
+    world, rates = with_world(record.bodies), []
+    for joint in record.mechanism.hinges:
+        axis = rotation.rotate(world.native[..., joint.parent, :], joint.axis)
+        spin = world.angular_velocity
+        rates.append(np.sum((spin[..., joint.child, :] - spin[..., joint.parent, :]) * axis, -1))
+    return np.stack(rates, axis=-1)
+
+
+@functools.lru_cache(maxsize=4)
 def damper_loss(record: Record) -> tuple[Array, Array]:
     """Energy taken by dampers [J], shape (trajectory, frame), and its error, (trajectory,).
 

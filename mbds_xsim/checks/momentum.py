@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +14,7 @@ from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.supports import Balance, balances_of
 from mbds_xsim.mechanism import WORLD_INDEX
 
-__all__ = ["momentum"]
+__all__ = ["Gain", "flights_of", "gain_of", "momentum"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,12 +30,7 @@ def momentum(record: Record) -> Finding | None:
     places, by the cubic that meets the places and velocities at both ends of the step; their error
     is the finding's uncertainty. With contact, periods of flight are looked at.
     """
-    balances = balances_of(record.mechanism)
-    flights = [
-        flying(record.mechanism, record.bodies, record.frame, balance.bodies)
-        for balance in balances
-    ]
-    seen = [pair for pair in zip(balances, flights, strict=True) if pair[1].any()]
+    seen = flights_of(record)
     if not seen:
         return None
     parts, errors = zip(*(_unbalanced(record, *pair) for pair in seen), strict=True)
@@ -48,21 +46,53 @@ def momentum(record: Record) -> Finding | None:
     )
 
 
-def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
-    """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
+def flights_of(record: Record) -> list[tuple[Balance, Mask]]:
+    """Give the balances that hold in some steps, each with these, shape (trajectory, step)."""
+    found = [
+        (balance, flying(record.mechanism, record.bodies, record.frame, balance.bodies))
+        for balance in balances_of(record.mechanism)
+    ]
+    return [pair for pair in found if pair[1].any()]
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """What components of momentum gained in each step; axes are (trajectory, step, component)."""
+
+    left: Array
+    """Beside all impulses."""
+    given: Array
+    """Impulses of the inputs."""
+    blur: Array
+    """Error of the impulses, shape (trajectory, step)."""
+    scale: Array
+    """What it is held against, shape (trajectory,)."""
+
+
+@functools.lru_cache(maxsize=8)
+def gain_of(record: Record, balance: Balance) -> Gain:
+    """Take momenta, inputs and gravity of a group together."""
     bodies = _rows(balance)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
-    load = record.batch.force[:, : record.steps, bodies]
-    load = load + record.mechanism.mass[bodies, None] * np.array(record.scene.gravity)
-    impulse, blur = _total(load) * record.frame, np.zeros(load.shape[:2])
+    force, mass = record.batch.force[:, : record.steps, bodies], record.mechanism.mass[bodies]
     if balance.angular:
-        impulse, blur = _moments(record, balance, load)
-    left = (np.diff(state, axis=1) - impulse) @ balance.directions.T
-    drift = rotation.norm(summed(left, flights))
-    error = np.where(np.isfinite(blur) & flights, blur, 0.0).sum(axis=1)
+        given, weight, blur = _moments(record, balance, force, mass)
+    else:
+        given, blur = _total(force) * record.frame, np.zeros(force.shape[:2])
+        weight = record.frame * float(mass.sum()) * np.array(record.scene.gravity)
+    left = np.diff(state, axis=1) - given - weight
+    across = balance.directions.T
+    return Gain(left @ across, given @ across, blur, scale)
+
+
+def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
+    """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
+    gain = gain_of(record, balance)
+    drift = rotation.norm(summed(gain.left, flights))
+    error = np.where(np.isfinite(gain.blur) & flights, gain.blur, 0.0).sum(axis=1)
     found = np.concatenate([np.zeros((len(drift), 1)), drift], axis=1)
     found[~record.finite] = np.nan
-    return found / scale[:, None], error / scale
+    return found / gain.scale[:, None], error / gain.scale
 
 
 def _linear(record: Record, balance: Balance) -> tuple[Array, Array]:
@@ -94,8 +124,10 @@ def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
     return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
 
 
-def _moments(record: Record, balance: Balance, load: Array) -> tuple[Array, Array]:
-    """Impulses of moments over each step, (trajectory, step, 3), and errors, (trajectory, step).
+def _moments(
+    record: Record, balance: Balance, force: Array, mass: Array
+) -> tuple[Array, Array, Array]:
+    """Impulses of moments of inputs and of gravity, (trajectory, step, 3), and their error.
 
     Momenta of lagging velocities lag too, by the moments at the two ends.
     """
@@ -103,16 +135,18 @@ def _moments(record: Record, balance: Balance, load: Array) -> tuple[Array, Arra
     speed = record.bodies.velocity[:, :, _rows(balance)]
     if balance.about is None:
         speed = speed - _mean(record.mechanism.mass[_rows(balance)], speed)
-    frame = record.frame
+    frame, gravity = record.frame, np.array(record.scene.gravity)
     held = frame / 2 * (arm[:, 1:] + arm[:, :-1]) + frame**2 / 12 * (speed[:, :-1] - speed[:, 1:])
     held = held + record.lag * (arm[:, 1:] - arm[:, :-1])
-    impulse = _total(rotation.cross(held, load)) + frame * _driving(record, balance)
+    given = _total(rotation.cross(held, force)) + frame * _driving(record, balance)
+    weight = rotation.cross(np.einsum("b,tfbi->tfi", mass, held), gravity)
     # What a parabola leaves of the step's displacement shows the third derivative of the place;
     # the integral is off by H⁵/720 of the fourth.
     bend = np.diff(arm, axis=1) - frame / 2 * (speed[:, 1:] + speed[:, :-1])
     change = np.diff(bend, axis=1, prepend=bend[:, 1:2] if bend.shape[1] > 1 else 0.0)
+    load = force + mass[:, None] * gravity
     error = frame / 60 * rotation.norm(change) * rotation.norm(load)
-    return impulse, error.sum(axis=2)
+    return given, weight, error.sum(axis=2)
 
 
 def _driving(record: Record, balance: Balance) -> Array:

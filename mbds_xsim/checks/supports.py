@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ class Balance:
     angular: bool = False
 
 
+@functools.lru_cache(maxsize=64)
 def balances_of(mechanism: Mechanism) -> list[Balance]:
     """Find the balances that the scene's supports leave.
 

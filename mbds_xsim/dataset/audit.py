@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 _OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
 _MOVING = ("gap rate", "angle gap rate", "displacement")
-_SMOOTH = ("kinematics", "velocity lag", "energy", "momentum")
+_SMOOTH = ("kinematics", "velocity lag", "energy", "momentum", "coefficients")
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
 _SAME_START = 1e-12

@@ -176,6 +176,7 @@ CHECKS: dict[str, str] = {
     "velocity lag": "s",
     "energy": "1",
     "momentum": "1",
+    "coefficients": "1",
     "penetration": "1",
     "contact gap": "1",
     "passivity": "1",

@@ -1,0 +1,239 @@
+"""Do inputs, gravity and masses count as much as the scene says?
+
+In a step outside contact energy changes by the work of the inputs, and by nothing else. Were an
+input, gravity or a mass otherwise by a share ε, the step's balance would be off by -ε times its
+part in it. So what is left of the balances is regressed on each part. What a method leaves of its
+own hardly looks like any of them, so that shares show that are far below the budget of energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.energy import (
+    damper_loss,
+    energy_of,
+    hinge_rates,
+    hinge_turns,
+    input_work,
+)
+from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.flight import flying
+from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
+from mbds_xsim.checks.momentum import flights_of, gain_of
+
+__all__ = ["Part", "coefficients", "parts_of"]
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SURE = 3e-3  # share that methods and solvers may leave
+_ERRORS = 6.0  # standard errors (measured: 3.0)
+_ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
+_UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
+_FEW = 10.0  # steps that count; fewer tell nothing
+_NEAR = 4  # steps to either side that tell how well a step is balanced
+_CLOSE = 3  # the same, of a single step
+_FAINT = 1e-9  # of the largest, below which what is left over is rounding
+_SEEN = 6.0  # times what neighbours leave: less of an input is not looked for in a single step
+_NONE = 3.0  # times nearer to no input than to the input
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of each step's balance of energy [J], (trajectory, step), and what is left by it."""
+
+    name: str
+    score: Array
+    """Weighted sum of its products with what is left over, shape (trajectory,)."""
+    square: Array
+    """That of its squares."""
+    spread: Array
+    """Sum of squares of what the score is made of, but for the share."""
+    counting: Array
+    """Number of steps that count."""
+    errors: float
+    """Standard errors that are no finding."""
+
+    @property
+    def share(self) -> Array:
+        """By which the part counts too much [1], shape (trajectory,)."""
+        return -self.score / np.maximum(self.square, np.finfo(float).tiny)
+
+    @property
+    def error(self) -> Array:
+        """Its standard error."""
+        return np.sqrt(self.spread) / np.maximum(self.square, np.finfo(float).tiny)
+
+    @property
+    def known(self) -> Mask:
+        """Whether enough steps count."""
+        return np.asarray(self.counting >= _FEW)
+
+
+def coefficients(record: Record) -> Finding | None:
+    """Measure by how much inputs, gravity and masses count otherwise than they should.
+
+    Over what is allowed: 3e-3 and some standard errors of the regression. Inputs are those of the
+    frame, and besides of the one before and after. In single steps it is measured how much nearer
+    energy and momentum come to a motion without its inputs. None where nothing flies.
+    """
+    if record.steps < 1 or not flying(record.mechanism, record.bodies, record.frame).any():
+        return None
+    parts = parts_of(record)
+    sure = _SURE
+    if record.method is None or record.step is None:
+        sure += _UNKNOWN * (record.step or record.frame) / record.frame
+    allowed = [sure + part.errors * part.error for part in parts]
+    shares = [
+        np.where(part.known, np.abs(part.share) / most, 0.0)
+        for part, most in zip(parts, allowed, strict=True)
+    ]
+    found = np.full((*record.finite.shape, len(parts) + 1), np.nan)
+    last = np.maximum(record.finite.sum(axis=1) - 1, 0)
+    found[np.arange(len(found)), last, :-1] = np.stack(shares, axis=-1)
+    found[:, 1:, -1] = _left_out(record)
+    found[:, 0, -1] = 0.0
+    found[~record.finite] = np.nan
+    seen = [f"{part.name} {np.median(most):.2g}" for part, most in zip(parts, allowed, strict=True)]
+    return Finding.of(
+        "coefficients",
+        "1",
+        found,
+        budget=1.0,
+        names=(*(part.name for part in parts), "inputs of a step"),
+        note=f"allowed in half of the trajectories: {', '.join(seen[:2] + seen[3:])}",
+    )
+
+
+def parts_of(record: Record) -> list[Part]:
+    """Regress what is left of the balance of energy on each part of it."""
+    left = _left(record)
+    known = np.isfinite(left)
+    left = np.where(known, left, 0.0)
+    near = _around(left**2, _NEAR) / np.maximum(_around(known.astype(float), _NEAR), 1.0)
+    most = np.max(left**2, axis=1, keepdims=True, initial=0.0)
+    weight = known / np.maximum(near, np.maximum(_FAINT * most, np.finfo(float).tiny))
+    return [
+        _regressed(name, weight * part, np.where(known, part, 0.0), left, errors)
+        for name, part, errors in _parts(record)
+    ]
+
+
+def _regressed(name: str, weighted: Array, part: Array, left: Array, errors: float) -> Part:
+    weighted = np.where(weighted * part > 0.0, weighted, 0.0)
+    square = np.einsum("ts,ts->t", weighted, part)
+    score = np.einsum("ts,ts->t", weighted, left)
+    share = score / np.maximum(square, np.finfo(float).tiny)
+    rest = weighted * (left - share[:, None] * part)
+    fourth = np.einsum("ts,ts,ts,ts->t", weighted, weighted, part, part)
+    return Part(
+        name=name,
+        score=score,
+        square=square,
+        spread=np.einsum("ts,ts->t", rest, rest),
+        counting=square**2 / np.maximum(fourth, np.finfo(float).tiny),
+        errors=errors,
+    )
+
+
+def _parts(record: Record) -> Iterator[tuple[str, Array, float]]:
+    """Names of the parts, what they give in each step [J], and errors that are no finding."""
+    mechanism = record.mechanism
+    here = _work(record, 0)
+    yield "inputs", here, _ERRORS
+    yield "inputs a frame late", _work(record, -1) - here, _ERRORS
+    yield "inputs a frame early", _work(record, 1) - here, _ERRORS
+    bodies = mechanism.body_count
+    change = np.diff(energy_of(record).by_body, axis=1)
+    yield "gravity", change[..., bodies:].sum(axis=-1), _ERRORS
+    whole = change[..., :bodies] + change[..., bodies:]
+    for k, body in enumerate(record.scene.bodies):
+        yield f"mass of {body.name}", whole[..., k], _ERRORS_OF_BODIES
+
+
+def _work(record: Record, shift: int) -> Array:
+    """Work of the inputs of other frames in each step [J], shape (trajectory, step)."""
+    if shift == 0:
+        return np.diff(input_work(record), axis=1)
+    frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
+    moved = np.diff(record.bodies.position, axis=1)
+    work = np.einsum("tsbi,tsbi->ts", record.batch.force[:, frames], moved)
+    if record.mechanism.hinges:
+        work += np.einsum("tsh,tsh->ts", record.batch.torque[:, frames], hinge_turns(record))
+    return work
+
+
+def _left(record: Record) -> Array:
+    """Energy that each step gains beside its inputs [J], NaN in contact, (trajectory, step).
+
+    Energies of lagging velocities lag by the powers of what acts in the step.
+    """
+    energy = energy_of(record).total + damper_loss(record)[0] - input_work(record)
+    left = np.diff(energy, axis=1)
+    if record.lag:
+        left = left - record.lag * _power_gained(record)
+    return np.where(flying(record.mechanism, record.bodies, record.frame), left, np.nan)
+
+
+def _power_gained(record: Record) -> Array:
+    """Change of the power of a step's inputs, gravity and springs [W], (trajectory, step)."""
+    mechanism, steps = record.mechanism, slice(record.steps)
+    load = record.batch.force[:, steps] + mechanism.mass[:, None] * np.array(record.scene.gravity)
+    gained = np.einsum("tsbi,tsbi->ts", np.diff(record.bodies.velocity, axis=1), load)
+    if mechanism.hinges:
+        rates = np.diff(hinge_rates(record), axis=1)
+        gained += np.einsum("tsh,tsh->ts", rates, record.batch.torque[:, steps])
+    if mechanism.springs:
+        states, springs = with_world(record.bodies), mechanism.springs
+        rate = pair_rate(states, springs)
+        stretch = pair_distance(states, springs) - [spring.length for spring in springs]
+        tension = stretch * [spring.stiffness for spring in springs]
+        tension = tension + rate * [spring.damping for spring in springs]
+        gained -= np.diff((tension * rate).sum(axis=-1), axis=1)
+    return gained
+
+
+def _left_out(record: Record) -> Array:
+    """How much nearer a step is to one without its inputs, over 3, (trajectory, step).
+
+    Energy and momenta count by what they leave in the steps around; 0 where the inputs' part is
+    not 6 times that.
+    """
+    balances = [(_left(record)[..., None], _work(record, 0)[..., None])]
+    for balance, flights in flights_of(record):
+        gain = gain_of(record, balance)
+        balances.append((np.where(flights[..., None], gain.left, np.nan), gain.given))
+    squares = np.zeros((3, len(record.finite), record.steps))
+    for left, given in balances:
+        left = np.where(np.isfinite(left), left, 0.0)
+        given = np.where(np.isfinite(given), given, 0.0)
+        size, without, input_size = map(_size, (left, left + given, given))
+        floor = _FAINT * np.max(input_size, axis=1, keepdims=True, initial=0.0)
+        scale = np.maximum(_besides(size, _CLOSE), floor + np.finfo(float).tiny)
+        squares += (np.stack([size, without, input_size]) / scale) ** 2
+    here, without, inputs = np.sqrt(squares)
+    nearer = here / np.maximum(without, np.finfo(float).tiny) / _NONE
+    return np.where(inputs > _SEEN, nearer, 0.0)
+
+
+def _size(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("tsc,tsc->ts", values, values)))
+
+
+def _around(values: Array, reach: int) -> Array:
+    """Sum over a step and those around it, shape (trajectory, step)."""
+    padded = np.pad(values, ((0, 0), (reach + 1, reach)))
+    total = np.cumsum(padded, axis=1)
+    return np.maximum(total[:, 2 * reach + 1 :] - total[:, : -2 * reach - 1], 0.0)
+
+
+def _besides(values: Array, reach: int) -> Array:
+    """Largest of the steps around a step, without it."""
+    padded, count = np.pad(values, ((0, 0), (reach, reach))), values.shape[1]
+    others = [k for k in range(2 * reach + 1) if k != reach]
+    return np.asarray(np.max([padded[:, k : k + count] for k in others], axis=0))

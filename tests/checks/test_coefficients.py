@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim import reference
+from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks.coefficients import coefficients
+from mbds_xsim.engine import Method
+from mbds_xsim.registry import load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Scene
+from mbds_xsim.state import Batch
+
+RK4 = Method("RK4", "RK4", 4)
+LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
+
+
+def _found(case: Any, scene: Scene | None = None, batch: Batch | None = None) -> Finding:
+    """Hold a motion to another scene or inputs than those that made it."""
+    finding = coefficients(Record(scene or case.scene, batch or case.batch, case.exact, RK4, 2e-3))
+    assert finding is not None
+    return finding
+
+
+def test_exact_motions_of_chains_loops_and_free_bodies_pass(
+    pendulum: Any, tumbling: Any, linkage: Any
+) -> None:
+    for case in (pendulum, tumbling, linkage):
+        assert (_found(case).figure < 0.1).all()
+
+
+def test_gravity_one_per_cent_off_shows_in_chains_and_loops(pendulum: Any, linkage: Any) -> None:
+    for case in (pendulum, linkage):
+        gravity = tuple(1.01 * pull for pull in case.scene.gravity)
+        finding = _found(case, msgspec.structs.replace(case.scene, gravity=gravity))
+
+        assert not finding.passed.any()
+        assert set(finding.where) <= {"gravity", *(f"mass of {b.name}" for b in case.scene.bodies)}
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_weak_and_strong_inputs_show(pendulum: Any, linkage: Any, share: float) -> None:
+    for case in (pendulum, linkage):
+        batch = dataclasses.replace(
+            case.batch, force=share * case.batch.force, torque=share * case.batch.torque
+        )
+        assert not _found(case, batch=batch).passed.any()
+
+
+def test_inputs_of_another_frame_or_seed_show_by_name(pendulum: Any) -> None:
+    force = pendulum.batch.force
+    late = dataclasses.replace(pendulum.batch, force=np.roll(force, -1, axis=1))
+    early = dataclasses.replace(pendulum.batch, force=np.roll(force, 1, axis=1))
+    for batch in (late, early):
+        finding = _found(pendulum, batch=batch)
+        assert not finding.passed.any()
+        assert all(where.startswith("inputs a frame") for where in finding.where)
+    # Of 40 steps, forces of another seed are as large as what they leave.
+    other = draw_batch(pendulum.scene, range(len(force)), seed=77)
+    foreign = dataclasses.replace(pendulum.batch, force=other.force[:, : force.shape[1]])
+    assert not _found(pendulum, batch=foreign).passed.all()
+
+
+def test_a_body_one_per_cent_heavier_shows(pendulum: Any) -> None:
+    def heavier(body: Body) -> Body:
+        (one,) = body.particles
+        return msgspec.structs.replace(
+            body, particles=(msgspec.structs.replace(one, mass=1.01 * one.mass),)
+        )
+
+    *others, last = pendulum.scene.bodies
+    scene = msgspec.structs.replace(pendulum.scene, bodies=(*others, heavier(last)))
+    finding = _found(pendulum, scene)
+
+    assert not finding.passed.any()
+    assert f"mass of {last.name}" in finding.where
+
+
+def test_inputs_left_out_in_a_single_step_are_named(pendulum: Any, simulate: Any) -> None:
+    batch = pendulum.batch
+    force = batch.force.copy()
+    force[:, 12] = 0.0
+    lacking = simulate(pendulum.scene, dataclasses.replace(batch, force=force), 8)
+    finding = coefficients(Record(pendulum.scene, batch, lacking, RK4, 2.5e-3))
+
+    assert finding is not None
+    assert not finding.passed.any()
+    assert (finding.series[:, 13] > 1.0).all()
+
+
+def test_lagging_velocities_are_put_in_time(
+    drawn: Callable[..., Any], simulate: Callable[..., Any]
+) -> None:
+    scene, batch = drawn(load_scene("3pendulum"), 40)
+    motion = simulate(scene, batch, 20, "euler_reduced")
+    finding = coefficients(Record(scene, batch, motion, LEAPFROG, 1e-3))
+
+    assert finding is not None
+    assert finding.passed.all()
+    unknown = coefficients(Record(scene, batch, motion))
+    assert unknown is not None
+    assert unknown.passed.all()
+
+
+def test_frames_after_a_failure_and_contact_are_left_out(pendulum: Any) -> None:
+    velocity = pendulum.exact.velocity.copy()
+    velocity[0, 30:] = np.nan
+    velocity[1] = np.nan
+    broken = dataclasses.replace(
+        pendulum, exact=dataclasses.replace(pendulum.exact, velocity=velocity)
+    )
+    with np.errstate(all="raise"):
+        finding = _found(broken)
+
+    assert np.isnan(finding.series[0, 30:]).all()
+    assert finding.passed.tolist() == [True, False, True]
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, [0])
+    assert coefficients(Record(scene, batch, reference.solve(scene, batch), RK4, 1e-3)) is None
