@@ -1,6 +1,6 @@
 """Checks that read only what is published: scene, inputs and trajectory."""
 
-from mbds_xsim.checks.audit import CHECKS, audit
+from mbds_xsim.checks.audit import CHECKS, audit, audited
 from mbds_xsim.checks.finding import Finding, Record
 
-__all__ = ["CHECKS", "Finding", "Record", "audit"]
+__all__ = ["CHECKS", "Finding", "Record", "audit", "audited"]

@@ -27,7 +27,7 @@ from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["CHECKS", "audit"]
+__all__ = ["CHECKS", "audit", "audited"]
 
 Check = Callable[[Record], Finding | None]
 
@@ -86,7 +86,11 @@ def audit(
         steps_compared: First step, and every how many, over which displacements are held against
             velocities; every second takes in all frames, and may cost more than all other checks.
     """
-    record = Record(scene, batch, trajectory, method, step, contact_time, steps_compared)
+    return audited(Record(scene, batch, trajectory, method, step, contact_time, steps_compared))
+
+
+def audited(record: Record) -> list[Finding]:
+    """Run every check that applies to the scene of a record."""
     # A blow-up may overflow on its way to infinity; the check `finite` reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         found = (check(record) for check in CHECKS)

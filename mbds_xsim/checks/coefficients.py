@@ -8,6 +8,7 @@ own hardly looks like any of them, so that shares show that are far below the bu
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -26,12 +27,14 @@ from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
 from mbds_xsim.checks.momentum import flights_of, gain_of
 
-__all__ = ["Part", "coefficients", "parts_of"]
+__all__ = ["SURE", "Part", "Steps", "coefficients", "parts_of", "steps_of"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_SURE = 3e-3  # share that methods and solvers may leave
+SURE = 3e-3
+"""Share that methods and solvers may leave."""
+
 _ERRORS = 6.0  # standard errors (measured: 3.0)
 _ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
 _UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
@@ -45,29 +48,17 @@ _NONE = 3.0  # times nearer to no input than to the input
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of each step's balance of energy [J], (trajectory, step), and what is left by it."""
+    """A part of the steps' balances: inputs, gravity or a mass."""
 
     name: str
-    score: Array
-    """Weighted sum of its products with what is left over, shape (trajectory,)."""
-    square: Array
-    """That of its squares."""
-    spread: Array
-    """Sum of squares of what the score is made of, but for the share."""
+    share: Array
+    """By which it counts otherwise than it should [1], shape (trajectory,)."""
+    error: Array
+    """Standard error of the share."""
     counting: Array
     """Number of steps that count."""
     errors: float
     """Standard errors that are no finding."""
-
-    @property
-    def share(self) -> Array:
-        """By which the part counts too much [1], shape (trajectory,)."""
-        return -self.score / np.maximum(self.square, np.finfo(float).tiny)
-
-    @property
-    def error(self) -> Array:
-        """Its standard error."""
-        return np.sqrt(self.spread) / np.maximum(self.square, np.finfo(float).tiny)
 
     @property
     def known(self) -> Mask:
@@ -85,7 +76,7 @@ def coefficients(record: Record) -> Finding | None:
     if record.steps < 1 or not flying(record.mechanism, record.bodies, record.frame).any():
         return None
     parts = parts_of(record)
-    sure = _SURE
+    sure = SURE
     if record.method is None or record.step is None:
         sure += _UNKNOWN * (record.step or record.frame) / record.frame
     allowed = [sure + part.errors * part.error for part in parts]
@@ -96,7 +87,7 @@ def coefficients(record: Record) -> Finding | None:
     found = np.full((*record.finite.shape, len(parts) + 1), np.nan)
     last = np.maximum(record.finite.sum(axis=1) - 1, 0)
     found[np.arange(len(found)), last, :-1] = np.stack(shares, axis=-1)
-    found[:, 1:, -1] = _left_out(record)
+    found[:, 1:, -1] = steps_of(record).nearer / _NONE
     found[:, 0, -1] = 0.0
     found[~record.finite] = np.nan
     seen = [f"{part.name} {np.median(most):.2g}" for part, most in zip(parts, allowed, strict=True)]
@@ -110,45 +101,54 @@ def coefficients(record: Record) -> Finding | None:
     )
 
 
+@functools.lru_cache(maxsize=4)
 def parts_of(record: Record) -> list[Part]:
-    """Regress what is left of the balance of energy on each part of it."""
-    left = _left(record)
-    known = np.isfinite(left)
-    left = np.where(known, left, 0.0)
-    near = _around(left**2, _NEAR) / np.maximum(_around(known.astype(float), _NEAR), 1.0)
-    most = np.max(left**2, axis=1, keepdims=True, initial=0.0)
-    weight = known / np.maximum(near, np.maximum(_FAINT * most, np.finfo(float).tiny))
-    return [
-        _regressed(name, weight * part, np.where(known, part, 0.0), left, errors)
-        for name, part, errors in _parts(record)
-    ]
+    """Regress what is left of the balances on each part of them.
 
-
-def _regressed(name: str, weighted: Array, part: Array, left: Array, errors: float) -> Part:
-    weighted = np.where(weighted * part > 0.0, weighted, 0.0)
-    square = np.einsum("ts,ts->t", weighted, part)
-    score = np.einsum("ts,ts->t", weighted, left)
-    share = score / np.maximum(square, np.finfo(float).tiny)
-    rest = weighted * (left - share[:, None] * part)
-    fourth = np.einsum("ts,ts,ts,ts->t", weighted, weighted, part, part)
-    return Part(
-        name=name,
-        score=score,
-        square=square,
-        spread=np.einsum("ts,ts->t", rest, rest),
-        counting=square**2 / np.maximum(fourth, np.finfo(float).tiny),
-        errors=errors,
-    )
-
-
-def _parts(record: Record) -> Iterator[tuple[str, Array, float]]:
-    """Names of the parts, what they give in each step [J], and errors that are no finding."""
-    mechanism = record.mechanism
+    The inputs' part is that of energy and of the momenta that no support touches, others that of
+    energy alone.
+    """
+    left, weight = _weighed(_left(record)[..., None])
     here = _work(record, 0)
-    yield "inputs", here, _ERRORS
+    products = weight * left[..., 0] * here
+    squares = weight * here**2
+    for balance, flights in flights_of(record):
+        gain = gain_of(record, balance)
+        rest, counts = _weighed(np.where(flights[..., None], gain.left, np.nan))
+        products += counts * np.einsum("tsc,tsc->ts", rest, gain.given)
+        squares += counts * np.einsum("tsc,tsc->ts", gain.given, gain.given)
+    found = [_part("inputs", products, squares, _ERRORS)]
+    for name, part, errors in _parts(record, here):
+        found.append(_part(name, weight * left[..., 0] * part, weight * part**2, errors))
+    return found
+
+
+def _weighed(left: Array) -> tuple[Array, Array]:
+    """What is left of a balance, 0 where it does not hold, and what a step counts, (…, step)."""
+    known = np.asarray(np.isfinite(left).all(axis=-1))
+    left = np.where(known[..., None], left, 0.0)
+    size = np.einsum("tsc,tsc->ts", left, left)
+    near = _around(size, _NEAR) / np.maximum(_around(known.astype(float), _NEAR), 1.0)
+    floor = np.maximum(_FAINT * np.max(size, axis=1, keepdims=True), np.finfo(float).tiny)
+    return left, known / np.maximum(near, floor)
+
+
+def _part(name: str, products: Array, squares: Array, errors: float) -> Part:
+    """Sum up a part's products with what is left, and its squares, of all steps."""
+    products, squares = np.nan_to_num(products), np.nan_to_num(squares)
+    total = np.maximum(squares.sum(axis=1), np.finfo(float).tiny)
+    share = -products.sum(axis=1) / total
+    rest = np.sqrt(np.sum((products + share[:, None] * squares) ** 2, axis=1))
+    of_all = squares / total[:, None]
+    counting = of_all.any(axis=1) / np.maximum(np.sum(of_all**2, axis=1), np.finfo(float).eps)
+    return Part(name, share, rest / total, np.asarray(counting), errors)
+
+
+def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:
+    """Names of other parts, what they give in each step [J], and errors that are no finding."""
     yield "inputs a frame late", _work(record, -1) - here, _ERRORS
     yield "inputs a frame early", _work(record, 1) - here, _ERRORS
-    bodies = mechanism.body_count
+    bodies = record.mechanism.body_count
     change = np.diff(energy_of(record).by_body, axis=1)
     yield "gravity", change[..., bodies:].sum(axis=-1), _ERRORS
     whole = change[..., :bodies] + change[..., bodies:]
@@ -198,12 +198,33 @@ def _power_gained(record: Record) -> Array:
     return gained
 
 
-def _left_out(record: Record) -> Array:
-    """How much nearer a step is to one without its inputs, over 3, (trajectory, step).
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Balances of single steps, counted by what the steps around leave; (trajectory, step)."""
 
-    Energy and momenta count by what they leave in the steps around; 0 where the inputs' part is
-    not 6 times that.
-    """
+    left: Array
+    """What is left of all balances together."""
+    without: Array
+    """What would be, had the step no inputs."""
+    inputs: Array
+    """What the inputs give to them."""
+
+    @property
+    def nearer(self) -> Array:
+        """How much nearer a step is to one without inputs; 0 where they are not 6 times seen."""
+        ratio = self.left / np.maximum(self.without, np.finfo(float).tiny)
+        return np.where(self.inputs > _SEEN, ratio, 0.0)
+
+    @property
+    def share(self) -> Array:
+        """By which the step's inputs are too small, by least squares."""
+        lost = (self.left**2 + self.inputs**2 - self.without**2) / 2.0
+        return np.asarray(lost) / np.maximum(self.inputs**2, np.finfo(float).tiny)
+
+
+@functools.lru_cache(maxsize=4)
+def steps_of(record: Record) -> Steps:
+    """Take energy and the momenta that no support touches together."""
     balances = [(_left(record)[..., None], _work(record, 0)[..., None])]
     for balance, flights in flights_of(record):
         gain = gain_of(record, balance)
@@ -212,13 +233,11 @@ def _left_out(record: Record) -> Array:
     for left, given in balances:
         left = np.where(np.isfinite(left), left, 0.0)
         given = np.where(np.isfinite(given), given, 0.0)
-        size, without, input_size = map(_size, (left, left + given, given))
-        floor = _FAINT * np.max(input_size, axis=1, keepdims=True, initial=0.0)
-        scale = np.maximum(_besides(size, _CLOSE), floor + np.finfo(float).tiny)
-        squares += (np.stack([size, without, input_size]) / scale) ** 2
-    here, without, inputs = np.sqrt(squares)
-    nearer = here / np.maximum(without, np.finfo(float).tiny) / _NONE
-    return np.where(inputs > _SEEN, nearer, 0.0)
+        sizes = np.stack([_size(each) for each in (left, left + given, given)])
+        most = np.max(sizes[2], axis=1, keepdims=True, initial=0.0)
+        scale = np.maximum(_besides(sizes[0], _CLOSE), _FAINT * most + np.finfo(float).tiny)
+        squares += np.where(most > 0.0, sizes / scale, 0.0) ** 2
+    return Steps(*np.sqrt(squares))
 
 
 def _size(values: Array) -> Array:

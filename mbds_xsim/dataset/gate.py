@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.checks import Finding, audit
+from mbds_xsim.checks import Finding, Record, audited
 from mbds_xsim.checks.mismatch import EVERY_SECOND
+from mbds_xsim.checks.shared import Evidence, evidence_of, shared_faults
 from mbds_xsim.choice import Contender
 from mbds_xsim.dataset.audit_sample import sample_findings, sampled
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY
@@ -18,7 +19,7 @@ from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Making", "Verdict", "judge_rows"]
+__all__ = ["SHARED", "Making", "Verdict", "judge_rows"]
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,9 @@ _BODY_FRAMES = 100_000
 # finds, frames that belong to another time, is in all of a trajectory.
 _SPARSE = 96
 _MANY = 192  # steps; of shorter trajectories all frames are looked at
+
+SHARED = "together"
+"""How a reason begins that trajectories give together and none of them by itself."""
 
 _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
 
@@ -50,7 +54,7 @@ class Verdict:
     ended: NDArray[np.bool_]
     """Whether the engine ended it before its time: no check can then pass it; (trajectory,)."""
     misbuilt: list[str]
-    """What the engine's model has otherwise than the scene."""
+    """What the engine's model has otherwise than the scene: all trajectories are wrong then."""
 
     @staticmethod
     def empty(count: int) -> Verdict:
@@ -114,21 +118,30 @@ def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Makin
         if failure is not None:
             verdict.ended[row] = True
             verdict.reasons[row].append(f"ended at frame {failure.frame}: {failure.reason}")
+    evidence = []
     for group, rows in _groups(scene, batch.index):
-        findings = audit(
+        record = Record(
             scene,
             batch[_view(rows)],
             trajectory[_view(rows)],
             making.method,
-            step=making.step,
-            contact_time=making.contact_time,
-            steps_compared=_steps_compared(scene, group),
+            making.step,
+            making.contact_time,
+            _steps_compared(scene, group),
         )
-        verdict.add(rows, findings)
+        verdict.add(rows, audited(record))
+        evidence.append(_evidence_of(record))
+    verdict.misbuilt += [f"{SHARED}: {line}" for line in shared_faults(evidence)]
     rows = sampled(batch.index)
     if len(rows):
         verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()]))
     return verdict
+
+
+def _evidence_of(record: Record) -> Evidence | None:
+    # A blow-up may overflow on its way to infinity; the check `finite` reports it.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return evidence_of(record)
 
 
 def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:

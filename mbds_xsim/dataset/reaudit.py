@@ -13,7 +13,7 @@ from mbds_xsim import rotation
 from mbds_xsim.dataset.content import check_content
 from mbds_xsim.dataset.facts import attributes_of, scene_of
 from mbds_xsim.dataset.fit import misfits
-from mbds_xsim.dataset.gate import Verdict, judge_rows
+from mbds_xsim.dataset.gate import SHARED, Verdict, judge_rows
 from mbds_xsim.dataset.held import Held
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.opened import opened
@@ -185,7 +185,8 @@ def _checks(held: Held) -> Iterator[str]:
         for row in np.flatnonzero(~passed):
             yield f"published trajectory {held.batch.index[row]} fails: {verdict.reason(int(row))}"
     else:
-        misbuilt = np.array([text.startswith("read-back") for text in held.arrays["reason"]])
+        of_all = ("read-back", SHARED)
+        misbuilt = np.array([text.startswith(of_all) for text in held.arrays["reason"]])
         for row in np.flatnonzero(passed & ~misbuilt):
             yield f"rejected trajectory {held.batch.index[row]} passes every check"
 

@@ -1,0 +1,55 @@
+"""Does a check blame a sound engine? python -m benchmarks.false_alarms [SCENE…] [--seeds N]
+
+Validates scenes at their defaults, as `mbds-xsim validate SCENE --seed SEED`, with seeds that no
+setting was searched on, and prints the runs of each engine, those that failed and the reasons. The
+second table has the largest figure of each check over its budget.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+
+from mbds_xsim.choice import Choice
+from mbds_xsim.registry import load_scene
+from mbds_xsim.result import EngineResult
+from mbds_xsim.validation import validate_with_evidence
+
+SCENES = (
+    *("ballscroll", "balldrop", "5pendulum", "6pendulum"),
+    *("2ladder", "3ladder", "particlecar", "simplecubli"),
+)
+FIRST = 9001
+
+
+def main(scenes: tuple[str, ...], seeds: int) -> None:
+    """Print a line for each engine and scene, then one for each check."""
+    nearest: dict[str, tuple[float, str]] = defaultdict(lambda: (0.0, ""))
+    print("| scene | engine | seeds | blamed | by |")
+    print("| --- | --- | --- | --- | --- |")
+    for name in scenes:
+        runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
+        for seed in range(FIRST, FIRST + seeds):
+            found, _ = validate_with_evidence(load_scene(name), choice=Choice.parse(), seed=seed)
+            for row in found.engines:
+                runs[row.engine].append((seed, row))
+                _keep(nearest, row, f"{name}, {row.engine}, seed {seed}")
+        for engine, rows in runs.items():
+            blamed = [(seed, row) for seed, row in rows if row.verdict == "fail"]
+            why = "; ".join(f"seed {seed}: {', '.join(row.reasons)}" for seed, row in blamed)
+            print(f"| {name} | {engine} | {len(rows)} | {len(blamed)} | {why or '–'} |", flush=True)
+    print("\n| check | largest, of its budget | where |\n| --- | --- | --- |")
+    for check, (share, where) in sorted(nearest.items(), key=lambda item: -item[1][0]):
+        print(f"| {check} | {share:.2f} | {where} |")
+
+
+def _keep(nearest: dict[str, tuple[float, str]], row: EngineResult, where: str) -> None:
+    for found in row.findings:
+        if found.budget and found.figure is not None:
+            nearest[found.check] = max(nearest[found.check], (found.figure / found.budget, where))
+
+
+if __name__ == "__main__":
+    count = int(sys.argv[sys.argv.index("--seeds") + 1]) if "--seeds" in sys.argv else 10
+    named = sys.argv[1 : sys.argv.index("--seeds")] if "--seeds" in sys.argv else sys.argv[1:]
+    main(tuple(named) or SCENES, count)
