@@ -30,7 +30,9 @@ def main(scenes: tuple[str, ...], seeds: int) -> None:
     for name in scenes:
         runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
         for seed in range(FIRST, FIRST + seeds):
-            found, _ = validate_with_evidence(load_scene(name), choice=Choice.parse(), seed=seed)
+            found, _ = validate_with_evidence(
+                load_scene(name), choice=Choice.parse(), seed=seed, workers=0
+            )
             for row in found.engines:
                 runs[row.engine].append((seed, row))
                 _keep(nearest, row, f"{name}, {row.engine}, seed {seed}")

@@ -13,6 +13,7 @@ __all__ = ["friction", "rolling"]
 Array = NDArray[np.float64]
 
 _LITTLE = 0.05  # of the weight, or of the slip that friction takes in a step
+_SPRUNG = 0.01  # of what friction takes in an impact, which springs give back (MuJoCo: 1.2e-3)
 _LASTING = 0.2  # of its change, which a slip must keep
 _ALIKE = 0.5  # between the direction of a slip and its mean, as vectors
 _SURE = 0.9  # of the slip that friction can take in a step
@@ -96,7 +97,8 @@ def _beside(record: Record, push: Push) -> Array:
     toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
     spread = np.linalg.norm(ahead[0] - toward, axis=-1)
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
-    least = _LITTLE * mu * _weight(record, push) / push.mass
+    takes = np.maximum(_LITTLE * _weight(record, push), _SPRUNG * up)
+    least = mu * takes / push.mass
     slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
     slips &= (spread < _ALIKE) & (up > _LITTLE * _weight(record, push))
     left = push.impulse[..., :2] / (mu * up)[..., None] + toward

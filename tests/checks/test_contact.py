@@ -155,6 +155,15 @@ def test_a_pyramid_shows_at_45_degrees(share: float, part: str) -> None:
     assert part == "slip, ball" or (findings["friction"].figure > 0.4).all()
 
 
+def test_what_a_springy_impact_gives_back_of_a_slip_is_no_slip() -> None:
+    """A ball that rolls bounces with 6 mm/s of slip, where friction could take 5 m/s."""
+    scene = _short("balldrop", 200)
+    batch, motion = _exact(scene)
+    aside = dataclasses.replace(motion, velocity=motion.velocity + np.array([6e-3, 0.0, 0.0]))
+
+    assert _findings(scene, batch, aside)["friction"].passed.all()
+
+
 def test_friction_beside_the_slip_shows() -> None:
     """A box of friction pulls along the diagonal, wherever in its quadrant the slip is."""
     scene = _slope("at 20°", 10)
