@@ -68,11 +68,7 @@ def written(here: Path) -> Path:
 def test_no_command_obeys_the_text_of_a_scene(run: CommandLine, written: Path) -> None:
     for words in _COMMANDS:
         paths = [str(next(written.glob(word))) if "*" in word else word for word in words]
-        import time
-
-        t = time.time()
         ended = run(*paths)
-        print(words[0], round(time.time() - t, 1))
 
         assert ended.code in (0, 1) or words[-1] in ("RK5", "2pendulum", words[1]), ended.err
         assert not _OBEYED.search(ended.out + ended.err), words
