@@ -15,6 +15,7 @@ from pathlib import Path
 
 import msgspec
 
+from mbds_xsim.engine import Profile
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report import shift_figures, stability_page, tradeoff_page
 from mbds_xsim.study.rows import Tradeoff
@@ -64,10 +65,7 @@ def sweep_of(table: str) -> Sweep:
     """Read a map's cells from their CSV; what a picture does not show stays empty."""
     cells = [_cell(row) for row in csv.DictReader(io.StringIO(table))]
     study = study_named(cells[0].study)
-    panels = [
-        _panel(list(of_panel))
-        for _, of_panel in itertools.groupby(cells, key=lambda c: (c.engine, c.method, c.profile))
-    ]
+    panels = _panels(cells)
     return Sweep(
         schema=SCHEMA,
         study=study.name,
@@ -91,17 +89,33 @@ def sweep_of(table: str) -> Sweep:
     )
 
 
-def _panel(cells: list[Cell]) -> Panel:
-    first = cells[0]
-    rows = itertools.groupby(cells, key=lambda cell: cell.value)
-    return Panel(
-        engine=first.engine,
-        version=first.version,
-        method=first.method,
-        family=first.family,
-        profile=first.profile,
-        cells=tuple(tuple(row) for _, row in rows),
-    )
+def _panels(cells: list[Cell]) -> list[Panel]:
+    """Part the cells into panels: each begins at the first value.
+
+    A cell that is alike at matched and at native settings was run once and has the profile that
+    it was run for, in both panels. Native is the later one.
+    """
+    parts: list[list[tuple[Cell, ...]]] = []
+    for value, row in itertools.groupby(cells, key=lambda cell: cell.value):
+        if value == cells[0].value:
+            parts.append([])
+        parts[-1].append(tuple(row))
+    names = [(part[0][0].engine, part[0][0].method) for part in parts]
+    profiles: list[Profile] = [part[0][0].profile for part in parts]
+    for place, name in enumerate(names):
+        if names.count(name) > 1:
+            profiles[place] = "native" if name in names[:place] else "matched"
+    return [
+        Panel(
+            engine=part[0][0].engine,
+            version=part[0][0].version,
+            method=part[0][0].method,
+            family=part[0][0].family,
+            profile=profile,
+            cells=tuple(part),
+        )
+        for part, profile in zip(parts, profiles, strict=True)
+    ]
 
 
 def _cell(row: dict[str, str]) -> Cell:
