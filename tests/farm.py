@@ -3,10 +3,31 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
+
+# What a worker's Python does first where the package is not to be found.
+_BARE = """
+import sys
+from importlib import metadata
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "mbds_xsim":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+known = metadata.version
+def version(name):
+    if name == "mbds-xsim":
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+
+sys.meta_path.insert(0, Missing())
+metadata.version = version
+"""
 
 
 class Farm:
@@ -16,21 +37,27 @@ class Farm:
         self._folder, self._running = folder, list[subprocess.Popen[bytes]]()
         file = folder / "scheduler.json"
         options = ("--scheduler-file", str(file), "--host", "127.0.0.1", "--no-dashboard")
-        self._start("scheduler", *options, "--port", "0")
+        self.scheduler = self._start("scheduler", *options, "--port", "0")
         self.address = str(json.loads(_when_written(file))["address"])
 
-    def worker(self) -> subprocess.Popen[bytes]:
+    def worker(self, *, bare: bool = False) -> subprocess.Popen[bytes]:
+        """Start a worker, maybe one that does not have the package."""
+        if bare:
+            (self._folder / "bare").mkdir(exist_ok=True)
+            (self._folder / "bare/sitecustomize.py").write_text(_BARE)
         return self._start(
-            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard"
-        )
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+            path=str(self._folder / "bare") if bare else "",
+        )  # fmt: skip
 
-    def _start(self, what: str, *words: str) -> subprocess.Popen[bytes]:
+    def _start(self, what: str, *words: str, path: str = "") -> subprocess.Popen[bytes]:
         with (self._folder / f"{what}.log").open("ab") as log:
             program = subprocess.Popen(
                 [sys.executable, "-m", "distributed.cli.dask_" + what, *words],
                 stdout=log,
                 stderr=log,
                 cwd=self._folder,
+                env=os.environ | {"PYTHONPATH": path},
             )
         self._running.append(program)
         return program

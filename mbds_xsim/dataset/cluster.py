@@ -8,9 +8,10 @@ what it was at is tried again.
 from __future__ import annotations
 
 import importlib
-import sys
+import platform
+import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,11 +19,16 @@ from types import TracebackType
 from typing import Any, Self
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.isolate import Task, run_tasks
+from mbds_xsim.registry import package_version
 
 __all__ = ["Cluster"]
 
 _PATIENCE = 10.0  # for the scheduler's first answer [s]
+_LOOK = 0.5  # between two looks at what has ended [s]
+_FETCH = 10.0  # for an answer that is there [s]
+_GRACE = 30.0  # for another worker, where the last one is gone [s]
+_AWAITED = ("pending", "lost")
 _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5py")
 
 
@@ -38,6 +44,7 @@ class Cluster:
     """
 
     def __init__(self, address: str, out: Path) -> None:
+        self._address = address
         try:
             self._client = _dask().Client(address, timeout=_PATIENCE)
         except (OSError, ValueError) as error:
@@ -56,7 +63,10 @@ class Cluster:
     @property
     def workers(self) -> int:
         """Tasks that the cluster carries out at a time."""
-        return sum(self._client.nthreads().values())
+        try:
+            return sum(self._client.nthreads().values())
+        except Exception as error:
+            raise self._lost(error) from error
 
     def __enter__(self) -> Self:
         return self
@@ -78,13 +88,12 @@ class Cluster:
     ) -> list[Any]:
         """Carry out all tasks; `workers` is the cluster's own affair."""
         del workers
-        futures = [self._client.submit(_carry_out, task, pure=False) for task in tasks]
-        places = {future: place for place, future in enumerate(futures)}
         answers: list[Any] = [None] * len(tasks)
+        futures: list[Any] = []
         try:
-            for future in _dask().as_completed(futures):
-                place = places[future]
-                answers[place] = _answer(future)
+            futures += [self._client.submit(_carry_out, task, pure=False) for task in tasks]
+            for place, answer in self._as_they_end(futures):
+                answers[place] = answer
                 if finished is not None:
                     finished(place, answers[place])
         finally:
@@ -98,29 +107,97 @@ class Cluster:
         mark = out / f".seen-{uuid.uuid4().hex}"
         mark.touch()
         try:
-            seen: dict[str, bool] = self._client.run(mark.is_file)
-            theirs: dict[str, dict[str, str]] = self._client.run(_versions)
+            seen = self._asked(mark.is_file)
         finally:
             mark.unlink()
         if not seen:
             msg = f"--scheduler: {address} has no workers; start some with `dask worker {address}`"
             raise InputError(msg)
-        blind = [worker for worker, sees in seen.items() if not sees]
+        blind = [worker for worker, sees in seen.items() if sees is not True]
         if blind:
             msg = (
                 f"--scheduler: the worker {blind[0]} does not see {out} ({len(blind)} of "
                 f"{len(seen)}); --out must be a folder that all workers share under one path"
             )
             raise InputError(msg)
-        ours = _versions()
-        for worker, others in theirs.items():
-            for package, here in ours.items():
-                if others.get(package) != here:
+        self._alike("python", self._asked(platform.python_version), platform.python_version())
+        for package in _PACKAGES:
+            self._alike(package, self._asked(version, package), package_version(package))
+
+    def _alike(self, package: str, theirs: dict[str, Any], here: str) -> None:
+        """Compare versions, which decide what data come out."""
+        for worker, told in theirs.items():
+            there = "not installed" if isinstance(told, PackageNotFoundError) else told
+            if there != here:
+                msg = (
+                    f"--scheduler: on the worker {worker} {package} is {there}, here it is {here}; "
+                    "data of two versions do not mix: install the same on all workers"
+                )
+                raise InputError(msg)
+
+    def _asked(self, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Call a function of the standard library, which a worker has, in each of them."""
+        try:
+            answers: dict[str, Any] = self._client.run(function, *arguments, on_error="return")
+        except Exception as error:
+            raise self._lost(error) from error
+        return answers
+
+    def _as_they_end(self, futures: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """Give the answer of each future with its place; while none ends, see whether one can.
+
+        An answer may get lost with the worker that holds it: the scheduler has it made again.
+
+        Raises:
+            InputError: None can: the scheduler is gone, or all workers are.
+        """
+        pending = dict(enumerate(futures))
+        seen = time.monotonic()
+        while pending:
+            ended = [place for place, future in pending.items() if future.status not in _AWAITED]
+            for place in ended:
+                with suppress(TimeoutError):
+                    answer = self._answer(pending[place])
+                    del pending[place]
+                    yield place, answer
+            if not ended:
+                time.sleep(_LOOK)
+                seen = time.monotonic() if self.workers else seen
+                if time.monotonic() - seen > _GRACE:
                     msg = (
-                        f"--scheduler: the worker {worker} has {package} "
-                        f"{others.get(package)}, here it is {here}; data of two versions do not mix"
+                        f"--scheduler: no worker has been left for {_GRACE:g} s; see their logs, "
+                        f"start some with `dask worker {self._address}`, and run the same command "
+                        "again, it goes on"
                     )
                     raise InputError(msg)
+
+    def _answer(self, future: Any) -> Any:
+        """Give what came of a task.
+
+        Raises:
+            InputError: It was not carried out, and no other will be.
+            TimeoutError: The answer does not come, or is no longer there.
+        """
+        status = future.status
+        if status == "finished":
+            return future.result(timeout=_FETCH)
+        if status in _AWAITED:
+            raise TimeoutError
+        if status != "error":
+            raise self._lost(status)
+        error = future.exception()
+        msg = (
+            f"--scheduler: workers cannot carry out tasks: {type(error).__name__}: {error}; "
+            "see their logs, install the same on all, and run the same command again, it goes on"
+        )
+        raise InputError(" ".join(msg.split()))
+
+    def _lost(self, why: object) -> InputError:
+        told = f"{type(why).__name__}: {why}" if isinstance(why, Exception) else why
+        return InputError(
+            f"--scheduler: {self._address} is gone ({' '.join(str(told).split())}); start it again "
+            "with `dask scheduler`, and run the same command again, it goes on"
+        )
 
 
 def _dask() -> Any:
@@ -135,20 +212,3 @@ def _carry_out(task: Task) -> Any:
     """Run in a Dask worker."""
     (answer,) = run_tasks([task], workers=1)
     return answer
-
-
-def _answer(future: Any) -> Any:
-    if future.status == "finished":
-        return future.result()
-    return Crash(f"the cluster lost it: {type(future.exception()).__name__} {future.exception()}")
-
-
-def _versions() -> dict[str, str]:
-    """Versions that decide what data come out."""
-    found = {"python": sys.version.split()[0]}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "missing"
-    return found

@@ -63,8 +63,10 @@ def test_a_cluster_that_cannot_do_it_is_one_clear_line(
         Cluster(farm.address, tmp_path / "out")
     farm.worker()
     farm.wait_for(1)
-    monkeypatch.setattr("mbds_xsim.dataset.cluster._PACKAGES", ("rich",))  # here, not there
-    with pytest.raises(InputError, match=r"has rich None, here it is \S+; data of two versions"):
+    monkeypatch.setattr("mbds_xsim.dataset.cluster.package_version", lambda _: "0.1")
+    with pytest.raises(
+        InputError, match=r"mbds-xsim is \S+, here it is 0\.1; data of two versions"
+    ):
         Cluster(farm.address, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []
 

@@ -34,6 +34,7 @@ CASES = {
     "model": 30,
     "scene": 40,
     "plugin": 20,
+    "dask": 5,
 }
 """Cases of each campaign by default: how quick a case is decides how many there are."""
 
