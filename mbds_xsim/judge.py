@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import readback, registry
+from mbds_xsim import readback, registry, rotation
 from mbds_xsim.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.convergence import convergence
@@ -24,6 +24,7 @@ __all__ = [
     "finding_result",
     "judge",
     "reference_result",
+    "turn_finding",
 ]
 
 Array = NDArray[np.float64]
@@ -71,6 +72,7 @@ def judge(
     findings = [
         *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),
         *error_findings(scene, batch, error, truth, reference.growth),
+        turn_finding(scene, trajectory, truth, reference.growth),
         *convergence(scene, batch, outcome, reference),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
@@ -125,6 +127,21 @@ def error_findings(
         )
         findings.insert(0, one.among(calm))
     return findings
+
+
+def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth: Array) -> Finding:
+    """Hold the turn of each body to the reference's: a small part moves no particle far."""
+    off = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
+    angle = 2.0 * np.arctan2(np.linalg.norm(off[..., 1:], axis=-1), np.abs(off[..., 0]))
+    weighted = np.where(np.isfinite(angle), angle, np.inf) / np.maximum(1.0, growth)[..., None]
+    judged = _known(truth) & (growth < agreement.CHAOS)
+    return Finding.of(
+        "error of turns",
+        "rad",
+        np.where(judged[..., None], weighted, np.nan),
+        budget=scene.budget.error_turn,
+        names=tuple(body.name for body in scene.bodies),
+    )
 
 
 def _result(

@@ -294,6 +294,8 @@ class Budget(Neutral):
     """RMS particle error at 1 s over the scene's length (low and medium intervals)."""
     error: float = 1e-2
     """Largest growth-weighted RMS particle error over the scene's length."""
+    error_turn: float = 0.1
+    """Largest growth-weighted angle between a body and the reference's [rad]."""
     gap: float = 1e-4
     """Distance between a joint's anchor points [m]."""
     angle_gap: float = 1e-3

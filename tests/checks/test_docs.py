@@ -44,7 +44,7 @@ def test_the_checks_against_others_are_there() -> None:
     consistency = re.findall(r'"(consistency of \w+)"', inspect.getsource(consistency_module))
     errors = _names(judge)
     assert len(consistency) == 2
-    assert len(errors) == 2
+    assert len(errors) == 3
     for name in (*consistency, *errors, "vote", "read-back"):
         assert f"\n| [{name}](#" in PAGE
 

@@ -1,0 +1,46 @@
+"""Turns count beside lengths: a part of a micrometre that turns wrong moves nothing far."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from mbds_xsim import reference, rotation
+from mbds_xsim.checks.agreement import particle_error
+from mbds_xsim.judge import error_findings, turn_finding
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
+
+_GRAIN = 1e-6  # [m]
+
+
+def test_a_tiny_part_that_turns_wrong_fails_though_nothing_is_far_off() -> None:
+    arm = Body("arm", inertia=Inertia(1.0, (0.1, 0.1, 0.1)), position=(0.5, 0.0, 0.0))
+    moment = 1e-9 * _GRAIN**2
+    grain = Body("grain", inertia=Inertia(1e-9, (moment,) * 3), position=(1.0 + _GRAIN, 0.0, 0.0))
+    y = (0.0, 1.0, 0.0)
+    joints = (
+        Joint("pin", "hinge", "world", "arm", (0.0, 0.0, 0.0), y),
+        Joint("tip", "hinge", "arm", "grain", (1.0, 0.0, 0.0), y, rate=1.0),
+    )
+    scene = Scene("grain", (arm, grain), length=1.0, joints=joints, clock=Clock(1e-3, 20))
+    batch = draw_batch(scene, [0])
+    truth, growth = reference.solve(scene, batch), np.ones((1, 21))
+    turned = truth.orientation.copy()
+    wrong = rotation.from_vector(np.array([0.0, 0.32, 0.0]))
+    turned[:, 10:, 1] = rotation.multiply(wrong, turned[:, 10:, 1])
+    found = dataclasses.replace(truth, orientation=turned)
+
+    error = particle_error(Mechanism.of(scene), found, truth)
+    lengths = error_findings(scene, batch, error, truth, growth)
+    turns = turn_finding(scene, found, truth, growth)
+
+    assert all(finding.passed.all() for finding in lengths)
+    assert not turns.passed.any()
+    assert abs(turns.figure[0] - 0.32) < 1e-9
+    assert turns.where == ("grain",)
+    assert turn_finding(scene, truth, truth, growth).figure[0] < 1e-7
+    growth[:, 10:] = 200.0  # chaos, which is not judged
+    assert turn_finding(scene, found, truth, growth).figure[0] < 1e-7
