@@ -101,7 +101,7 @@ def coefficients(record: Record) -> Finding | None:
     )
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def parts_of(record: Record) -> list[Part]:
     """Regress what is left of the balances on each part of them.
 
@@ -222,7 +222,7 @@ class Steps:
         return np.asarray(lost) / np.maximum(self.inputs**2, np.finfo(float).tiny)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def steps_of(record: Record) -> Steps:
     """Take energy and the momenta that no support touches together."""
     balances = [(_left(record)[..., None], _work(record, 0)[..., None])]

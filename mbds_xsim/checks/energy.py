@@ -82,7 +82,7 @@ def energy_balance(record: Record) -> Finding | None:
     )
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def energy_of(record: Record) -> Energy:
     """Compute kinetic and potential energy at every frame."""
     mechanism, bodies = record.mechanism, record.bodies
@@ -101,7 +101,7 @@ def energy_of(record: Record) -> Energy:
     return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def input_work(record: Record) -> Array:
     """Work of forces and torques from frame 0 on [J], shape (trajectory, frame).
 
@@ -115,7 +115,7 @@ def input_work(record: Record) -> Array:
     return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def hinge_turns(record: Record) -> Array:
     """Angles by which the hinges turn over each step [rad], shape (trajectory, step, hinge).
 
@@ -131,7 +131,7 @@ def hinge_turns(record: Record) -> Array:
     return np.stack(turns, axis=-1)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def hinge_rates(record: Record) -> Array:
     """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
     world, rates = with_world(record.bodies), []
@@ -142,7 +142,7 @@ def hinge_rates(record: Record) -> Array:
     return np.stack(rates, axis=-1)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=1)
 def damper_loss(record: Record) -> tuple[Array, Array]:
     """Energy taken by dampers [J], shape (trajectory, frame), and its error, (trajectory,).
 

@@ -69,7 +69,7 @@ class Gain:
     """What it is held against, shape (trajectory,)."""
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=4)
 def gain_of(record: Record, balance: Balance) -> Gain:
     """Take momenta, inputs and gravity of a group together."""
     bodies = _rows(balance)
