@@ -55,6 +55,7 @@ class _Claims(msgspec.Struct, forbid_unknown_fields=True):
     limits: dict[Feature, str]
     coordinates: Literal["reduced", "maximal"]
     contact_law: ContactLaw | None
+    smallest: str
 
     @classmethod
     def of(cls, adapter: Adapter, name: str) -> Self:
@@ -91,6 +92,10 @@ class _StandIn(Adapter):
             raise Unsupported(f"{self.name} {profile}: {reason}")
         settings: Settings = answer
         return settings
+
+    def too_small(self, scene: Scene) -> str:
+        answer = _ask(_small, self.point, scene)
+        return f"it does not say: {answer.reason}" if isinstance(answer, Crash) else str(answer)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
         answer = _ask(_scales, self.point, settings)
@@ -169,6 +174,10 @@ def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
         adapter.check(scene, settings)
     _scales(point, settings)
     return settings
+
+
+def _small(point: EntryPoint, scene: Scene) -> str:
+    return _typed(made(point).too_small(scene), str)
 
 
 def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
