@@ -202,6 +202,8 @@ def _axis_differences(mechanism: Mechanism, batch: Batch, readback: Readback) ->
     jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
     if readback.joint_axis is None or not jointed:
         return []
+    if readback.joint_axis.shape != (len(jointed), 3):
+        return [f"axes: got shape {readback.joint_axis.shape}, the scene has {len(jointed)} joints"]
     native = mechanism.native_rotation(batch.orientation[0])
     lines = []
     for joint, got in zip(jointed, readback.joint_axis, strict=True):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mbds_xsim import readback
 from mbds_xsim.engine import Adapter, Readback
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
+from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.testing import CASES
@@ -98,3 +102,18 @@ def test_a_spring_or_damper_slightly_off_is_told(
 
     assert len(lines) == 1, lines
     assert lines[0].startswith(f"{told} of {spring.name}: got ")
+
+
+@pytest.mark.parametrize("what", ["joint_axis", "anchor", "sphere", "contact"])
+@pytest.mark.parametrize("given", [np.zeros(0), np.zeros((5, 2)), np.zeros((3, 11, 1, 3))])
+def test_an_array_of_another_shape_is_told(what: str, given: NDArray[np.float64]) -> None:
+    scene = load_scene("particlecar")
+    batch, mujoco = draw_batch(scene, [0]), load_adapter("mujoco")
+    settings = settings_for(scene, mujoco, "matched")
+    with mujoco.open(scene, settings) as run:
+        odd: Any = {what: given}
+        found = dataclasses.replace(run.readback(batch), **odd)
+
+    (line,) = readback.compare(Mechanism.of(scene), batch, settings, found)
+
+    assert f"got shape {given.shape}" in line
