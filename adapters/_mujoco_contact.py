@@ -3,8 +3,11 @@
 A contact of MuJoCo is a normal row, a spring and damper, and two tangential rows behind a friction
 cone. All are tied to the semi-implicit Euler step h:
 
-- Normal: see `impact_law`. What rests does not sink, whatever the spring, for MuJoCo's softness is
-  one of accelerations: a hardness d leaves 1 − d of gravity to it.
+- Normal: see `impact_law`. What rests hardly sinks, whatever the spring, for MuJoCo's softness is
+  one of accelerations: a hardness d leaves 1 − d of gravity to it. Near 1 what stands on several
+  spheres rattles: they bear all or nothing, on either side of a depth of nothing, and which of them
+  is up to rounding, so that a car's loads, and with them its friction, come to no limit. At 0.5
+  they do.
 - Tangential: a damping 1/h stops the slip within one step, or friction is at the edge of its cone.
 - In MuJoCo's cone normal and tangential rows are one convex problem, whose solution lifts a body
   by μ times its slip: sliding spheres hop. With `impratio` near 0 the tangential rows are too soft
@@ -33,7 +36,15 @@ from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from ._mujoco_impact import impact_law
 from ._mujoco_numbers import numbers
 
-__all__ = ["CONTACT_LAW", "Impact", "Spheres", "add_ground", "cone_options", "sunk_spheres"]
+__all__ = [
+    "CONTACT_LAW",
+    "HARDEST",
+    "Impact",
+    "Spheres",
+    "add_ground",
+    "cone_options",
+    "sunk_spheres",
+]
 
 Array = NDArray[np.float64]
 
@@ -46,13 +57,14 @@ CONTACT_LAW = ContactLaw(
     "all, and restitution is ignored. At matched, steps near the ground are divided, and the "
     "damper is calibrated by following the engine's own steps to give the restitution back; the "
     "cone is elliptic, and friction is left to the `noslip` solver, which does not lift what "
-    "slides. Where all bodies are balls an impact is a single step.",
+    "slides. Where all bodies are balls an impact is a single step; on wheels contacts are half as "
+    "hard, or their loads would rattle.",
 )
 """What contact is in the engine."""
 
 _GROUND = "ground"
-# MuJoCo's hardest; at rest a constraint leaves the rest of 1 of an unconstrained acceleration.
-_HARDNESS = 0.9999
+HARDEST = 0.9999
+"""MuJoCo's hardest contact (the d of solimp)."""
 # Softness of the normal row over that of the tangential rows in the cone.
 _SOFT_CONE = 1e-9
 _NOSLIP_ITERATIONS = 100
@@ -72,6 +84,8 @@ class Impact:
     """Of the semi-implicit Euler method [s]; 0 leaves MuJoCo's default contact."""
     count: int
     """Steps."""
+    hardness: float = HARDEST
+    """Share of an acceleration into the ground that a contact takes, whatever its depth."""
 
 
 def add_ground(
@@ -216,8 +230,8 @@ def _law(restitution: float, impact: Impact) -> dict[str, str]:
     return {
         "solref": numbers((-law.stiffness / h**2, -law.damping / h)),
         # The noslip solver knows no softness, so that of the row is taken out of its damping.
-        "solreffriction": numbers((0.0, -_HARDNESS / h)),
-        "solimp": f"{_HARDNESS} {_HARDNESS} 0.001 0.5 2",
+        "solreffriction": numbers((0.0, -impact.hardness / h)),
+        "solimp": f"{impact.hardness} {impact.hardness} 0.001 0.5 2",
     }
 
 

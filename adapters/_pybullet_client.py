@@ -72,8 +72,12 @@ class Client:
 
     def put(self, name: str, *args: Any, **options: Any) -> None:
         """Make a call that belongs to the start of a trajectory, and write it down."""
-        self.function(name)(*args, **options)
+        self.call(name, *args, **options)
         self._start.append((name, args, options))
+
+    def call(self, name: str, *args: Any, **options: Any) -> None:
+        """Make a call and write nothing down."""
+        self.function(name)(*args, **options)
 
     def function(self, name: str) -> Callable[..., Any]:
         """Give one of the engine's functions, for this connection."""

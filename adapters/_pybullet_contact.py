@@ -17,9 +17,11 @@ from mbds_xsim.engine import ContactLaw
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Ground
 
 from ._pybullet_client import Client, Constant
+from ._pybullet_friction import REFLECTION, Yielding
 
 __all__ = ["CONTACT_LAW", "Contact", "Law"]
 
@@ -33,15 +35,19 @@ CONTACT_LAW = ContactLaw(
     adapter="The ground has friction and restitution 1, so that the products are the pair's. At "
     "matched, contacts act from a gap of 1 µm on and not a step ahead, overlaps are pushed out "
     "over a second and not within steps, and all that is faster than four steps' fall bounces; "
-    "Bullet's drag of linear and of quadratic order, on at native, is off. A sphere that the "
-    "ground has lost is a failure.",
+    "Bullet's drag of linear and of quadratic order, on at native, is off; and the axes of "
+    "friction are turned, once a frame, to where a body yields alike along both, so that friction "
+    "opposes the slip. A sphere that the ground has lost is a failure.",
 )
 """What contact is in the engine."""
 
 # btManifoldResult::calculateCombinedFriction cuts the product to this.
 _FRICTION_CAP = 10.0
-# Bits of Bullet's collision filter: ground and spheres see each other, and nothing else.
-_GROUND, _SPHERE = 1, 2
+# Bits of Bullet's collision filter, two for each ground: it and its spheres see each other, and
+# nothing else. Beyond so many bodies some share a ground.
+_GROUND, _SPHERE, _GROUNDS = 1, 2, 15
+# Of the moments of a ball, which yields alike along all axes.
+_EVEN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ class Law:
     """Gap from which on a contact acts on the velocities [m]."""
     slop: float
     """Overlap that counts as none [m]."""
+    turns: bool
+    """Whether the axes of friction are turned."""
 
 
 class Contact:
@@ -74,11 +82,20 @@ class Contact:
         self._body = mechanism.sphere_body
         self._offset = mechanism.sphere_offset
         self._radius = mechanism.sphere_radius
+        self._arm = np.linalg.norm(self._offset, axis=-1)
+        self._gravity = float(np.linalg.norm(mechanism.scene.gravity))
         self._names = [body.name for body in mechanism.scene.bodies]
         self._pair = ground
+        moments = np.linalg.eigvalsh(mechanism.inertia)
+        even = has_only_balls(mechanism) and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
+        turns = law.turns and ground.friction > 0.0 and not even
+        self._yielding = Yielding(mechanism) if turns else None
         self._set_solver(law, step)
-        self._plane = self._lay_ground(law)
+        bodies = np.unique(self._body).tolist() if turns else [int(self._body[0])]
+        self._planes = [self._lay_ground(law, k) for k in range(min(len(bodies), _GROUNDS))]
+        self._ground = {body: k % len(self._planes) for k, body in enumerate(bodies)}
         self._filter = client.function("setCollisionFilterGroupMask")
+        self._turn_ground = client.put
 
     def _set_solver(self, law: Law, step: float) -> None:
         if law.recovery < step:
@@ -95,7 +112,7 @@ class Contact:
             enableConeFriction=1,
         )
 
-    def _lay_ground(self, law: Law) -> int:
+    def _lay_ground(self, law: Law, number: int) -> int:
         build = self._client.build
         shape = build("createCollisionShape", Constant("GEOM_PLANE"), planeNormal=[0, 0, 1])
         plane = build("createMultiBody", 0.0, shape)
@@ -104,7 +121,10 @@ class Contact:
             "changeDynamics", plane, -1, lateralFriction=1.0, restitution=1.0,
             contactProcessingThreshold=law.reach,
         )  # fmt: skip
-        build("setCollisionFilterGroupMask", plane, -1, _GROUND, _SPHERE)
+        if self._yielding:
+            self._client.note("is turned once a frame, by half the angle of the friction's axes")
+            build("changeDynamics", plane, -1, anisotropicFriction=list(REFLECTION))
+        build("setCollisionFilterGroupMask", plane, -1, *_bits(number, _GROUND, _SPHERE))
         return int(plane)
 
     def shape(self, body: int, com: Array) -> int:
@@ -132,14 +152,47 @@ class Contact:
                 "changeDynamics", number, link,
                 lateralFriction=self._pair.friction, restitution=self._pair.restitution,
             )  # fmt: skip
-            self._client.build("setCollisionFilterGroupMask", number, link, _SPHERE, _GROUND)
+            bits = _bits(self._ground.get(body, 0), _SPHERE, _GROUND)
+            self._client.build("setCollisionFilterGroupMask", number, link, *bits)
 
     def forget(self) -> None:
         """Let go of the points where spheres touched in an earlier trajectory.
 
         Bullet keeps them from step to step; setting a filter, even to what it is, drops them.
         """
-        self._filter(self._plane, -1, _GROUND, _SPHERE)
+        for number, plane in enumerate(self._planes):
+            self._filter(plane, -1, *_bits(number, _GROUND, _SPHERE))
+        self._turn_ground = self._client.put
+
+    def turn(self, bodies: BodyStates, frame: float) -> None:
+        """Turn the axes of friction for a frame [s] where a sphere may touch within it.
+
+        The lowest sphere of a body counts, and the yaw that the body has half a frame on.
+        """
+        if self._yielding is None:
+            return
+        gap = self.heights(bodies) - self._radius
+        velocity, spin = bodies.velocity[self._body], bodies.angular_velocity[self._body]
+        speed = np.linalg.norm(velocity, axis=-1) + np.linalg.norm(spin, axis=-1) * self._arm
+        near = np.flatnonzero(gap < frame * (speed + self._gravity * frame))
+        if not len(near):
+            return
+        # The lowest of a ground's come last, and stay.
+        lowest = {self._ground[int(self._body[k])]: k for k in near[np.argsort(-gap[near])]}
+        spheres = np.array(list(lowest.values()))
+        half = 0.5 * self._yielding.alike(bodies, spheres) + 0.25 * frame * spin[spheres, 2]
+        for number, at, (sine, cosine) in zip(
+            lowest,
+            bodies.position[self._body[spheres], :2].tolist(),
+            np.stack([np.sin(half / 2), np.cos(half / 2)], axis=-1).tolist(),
+            strict=True,
+        ):
+            self._turn_ground(
+                "resetBasePositionAndOrientation",
+                self._planes[number], [*at, 0.0], [0.0, 0.0, sine, cosine],
+            )  # fmt: skip
+        # A listing starts as a trajectory does.
+        self._turn_ground = self._client.call
 
     def heights(self, state: BodyStates) -> Array:
         """Heights of the spheres' centres [m], shape (…, sphere)."""
@@ -171,10 +224,14 @@ class Contact:
         told = np.empty((len(self._body), 3))
         dynamics = self._client.function("getDynamicsInfo")
         shapes = self._client.function("getCollisionShapeData")
-        plane = dynamics(self._plane, -1)
+        plane = dynamics(self._planes[0], -1)
         for body in np.unique(self._body).tolist():
             rows = np.flatnonzero(self._body == body)
             info = dynamics(*address(body))
             told[rows, 0] = [shape[3][0] for shape in shapes(*address(body))]
             told[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
         return told
+
+
+def _bits(ground: int, *bits: int) -> list[int]:
+    return [bit << 2 * ground for bit in bits]

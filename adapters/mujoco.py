@@ -29,7 +29,7 @@ from mbds_xsim.spin import idle_axes
 from mbds_xsim.steps import careful_step, nearest_step
 from mbds_xsim.stiffness import spring_step
 
-from ._mujoco_contact import CONTACT_LAW, Impact
+from ._mujoco_contact import CONTACT_LAW, HARDEST, Impact
 from ._mujoco_model import Stepping
 from ._mujoco_run import ModelRun
 from ._mujoco_spinless import SpinlessRun
@@ -50,6 +50,10 @@ _DEFAULT_IMPACT = 0.02
 _SHORTEST_IMPACT = 4
 # What MuJoCo's compiler takes of a body: mjMINVAL [kg] and mjEPS [kg·m²].
 _LEAST_MASS, _LEAST_MOMENT = 1e-15, 1e-14
+# Of a contact on wheels, which stand on several; off a body's centre of mass MuJoCo's estimate of
+# how it yields is too rough for the calibrated damper unless contacts are hard.
+_WHEEL_HARDNESS = 0.5
+_CENTRED = 1e-9  # [m]
 # That a spring's oscillation turns by in a step: forty steps a period [rad].
 _SPRING_ANGLE = 0.15
 # Of a damper's decay in a step; RK4 is unstable from 2.8.
@@ -88,6 +92,11 @@ class MuJoCo(Adapter):
             "such steps that an impact lasts, 4 or more; or 1, right where all contact spheres are "
             "around the centres of mass of free bodies, the others",
         ),
+        "contact_hardness": Option(
+            HARDEST,
+            "share of an acceleration into the ground that a contact takes, whatever its depth; "
+            "with little below 1 what stands on several spheres rattles, with less it sinks more",
+        ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
         "spin": Option(
             True,
@@ -106,6 +115,7 @@ class MuJoCo(Adapter):
         "link_time_constant": Sweep((0.0, 3.0), needs=frozenset({Feature.DISTANCE_LINK})),
         "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
+        "contact_hardness": Sweep((0.5,), needs=frozenset({Feature.CONTACT})),
         "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK}),
         "spin": Sweep((True, False), needs=frozenset({Feature.BALL})),
         "turn": Sweep((0.0, 0.25, 0.0625), methods=("RK4",)),
@@ -139,9 +149,12 @@ class MuJoCo(Adapter):
             return Settings("Euler", nearest_step(frame, _DEFAULT_STEP), _NATIVE_OPTIONS)
         longest = _CAREFUL_STEP if not scene.distance_links else _CAREFUL_LINK_STEP
         longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
-        mechanism, options = Mechanism.of(scene), {}
+        mechanism = Mechanism.of(scene)
+        options: dict[str, float | bool] = {}
         if has_only_balls(mechanism):
             options["impact_steps"] = 1
+        elif scene.contacts and abs(mechanism.sphere_offset).max() < _CENTRED:
+            options["contact_hardness"] = _WHEEL_HARDNESS
         # Closed loops keep rods from bending far, where leaving out their spin costs accuracy, and
         # have many of them, where it pays.
         if mechanism.loops and idle_axes(scene).any():
@@ -171,7 +184,7 @@ class MuJoCo(Adapter):
             solver,
             step * self._positive(settings, "loop_time_constant"),
             step * self._positive(settings, "link_time_constant"),
-            Impact(finer, self._impact_steps(settings)),
+            Impact(finer, self._impact_steps(settings), self._hardness(settings)),
         )
         turn = self._turn(scene, settings)
         mechanism = Mechanism.of(scene)
@@ -193,6 +206,13 @@ class MuJoCo(Adapter):
         value = self.option(settings, "impact_steps")
         if not (isinstance(value, int) and (value == 1 or value >= _SHORTEST_IMPACT)):
             msg = f"impact_steps: got {value!r}, allowed is 1, or {_SHORTEST_IMPACT} and more"
+            raise InputError(msg)
+        return value
+
+    def _hardness(self, settings: Settings) -> float:
+        value = self.option(settings, "contact_hardness")
+        if not (isinstance(value, int | float) and 0 < value <= HARDEST):
+            msg = f"contact_hardness: got {value!r}, allowed is above 0, up to {HARDEST}"
             raise InputError(msg)
         return value
 

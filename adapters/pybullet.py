@@ -58,6 +58,7 @@ _OPTION_RANGES = {
     "contact_slop": (0.0, math.inf),
     "contact_reach": (0.0, math.inf),
     "bounce_threshold": (0.0, math.inf),
+    "friction_axes": (False, True),
 }
 _BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
@@ -65,7 +66,12 @@ _TURN_CAP = math.pi / 4
 # Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
-_USUAL_CONTACT = {"bounce_threshold": 0.2, "contact_reach": 1e18, "contact_slop": 1e-5}
+_USUAL_CONTACT = {
+    "bounce_threshold": 0.2,
+    "contact_reach": 1e18,
+    "contact_slop": 1e-5,
+    "friction_axes": False,
+}
 _USUAL_CONTACT_ERP = 0.08
 # Steps of free fall that still count as rest.
 _FALLS = 4.0
@@ -91,6 +97,11 @@ class PyBullet(Adapter):
         "bounce_threshold": Option(0.0, "slowest approach that bounces [m/s]; 0: 4 steps' fall"),
         "contact_reach": Option(1e-6, "gap from which on a contact acts [m]"),
         "contact_slop": Option(0.0, "overlap with the ground that counts as none [m]"),
+        "friction_axes": Option(
+            True,
+            "turn the axes of friction once a frame so that friction opposes the slip; without, "
+            "it is turned towards the axis, x or y, along which a body yields less",
+        ),
     }
     sweeps: ClassVar[Mapping[str, Sweep]] = {
         "solver_iterations": Sweep((3, 10, 50, 200), needs=LOOPS | {Feature.CONTACT}),
@@ -188,7 +199,8 @@ class _Run(Run):
             for name in ("contact_recovery", "bounce_threshold", "contact_reach", "contact_slop")
         )
         threshold = threshold or _FALLS * math.hypot(*scene.gravity) * self._step
-        law = Law(recovery, threshold, reach, slop)
+        turns = bool(adapter.option(settings, "friction_axes"))
+        law = Law(recovery, threshold, reach, slop, turns)
         return Contact(self._client, self._mechanism, scene.ground, law, self._step)
 
     def rollout(self, batch: Batch) -> Trajectory:
@@ -219,6 +231,8 @@ class _Run(Run):
         here = told[0] = read()
         for k in range(batch.steps):
             force, torque = batch.force[row, k], batch.torque[row, k]
+            if self._contact:
+                self._contact.turn(self._model.states(here), self._frame)
             for _ in range(calls):
                 apply(force, torque, here)
                 advance()
@@ -304,6 +318,8 @@ class _Run(Run):
 
     def native(self, batch: Batch) -> str:
         self._start(batch, 0)
+        if self._contact:
+            self._contact.turn(self._model.states(self._model.read()), self._frame)
         calls = self._substeps if self._mechanism.springs else 1
         self._set_stepping(self._substeps // calls)
         model, count = self._model, calls * self._mechanism.scene.clock.steps

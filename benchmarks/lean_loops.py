@@ -186,6 +186,8 @@ def lean_pybullet(run: Any, batch: Batch) -> Lean:
                 push(*address[body], vector, state[k, body, :3].tolist(), world, client)
             for joint, moment in zip(driven, torque[k].tolist(), strict=True):
                 drive(*joint, motor, force=moment, physicsClientId=client)
+            if run._contact:
+                run._contact.turn(model.states(state[k]), run._frame)
             pybullet.stepSimulation(client)
             read(k + 1)
 
@@ -229,7 +231,7 @@ def lean_dart(run: Any, batch: Batch) -> Lean:
 
 
 def lean_exudyn(run: Any, batch: Batch) -> Lean:
-    trapezoidal = _solver_type(run) == exudyn.DynamicSolverType.TrapezoidalIndex2
+    trapezoidal = _solver_type(run, batch) == exudyn.DynamicSolverType.TrapezoidalIndex2
     names, data = run._names, run._mbs.systemData
     (start,), (rate,) = run._start(batch)
     q, u = np.empty((2, batch.steps, len(start)))
@@ -264,9 +266,9 @@ def lean_exudyn(run: Any, batch: Batch) -> Lean:
     return Lean(roll, lambda: run._model.to_bodies(q, u))
 
 
-def _solver_type(run: Any) -> Any:
+def _solver_type(run: Any, batch: Batch) -> Any:
     """The one that the adapter's listing names."""
-    (name,) = set(re.findall(r"DynamicSolverType\.(\w+)", run.native()))
+    (name,) = set(re.findall(r"DynamicSolverType\.(\w+)", run.native(batch)))
     return getattr(exudyn.DynamicSolverType, name)
 
 
@@ -291,7 +293,7 @@ def exudyn_in_one_call(run: Any, batch: Batch) -> Lean:
         stepping.endTime, stepping.numberOfSteps = frame * batch.steps, usual[1] * batch.steps
         run._mbs.SetPreStepUserFunction(before_step)
         begun[0] = -1
-        run._mbs.SolveDynamic(settings, solverType=_solver_type(run))
+        run._mbs.SolveDynamic(settings, solverType=_solver_type(run, batch))
         read(batch.steps - 1)
         run._mbs.SetPreStepUserFunction(0)
         stepping.endTime, stepping.numberOfSteps = usual

@@ -27,6 +27,7 @@ _EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
 _STRAIGHT = 0.9  # least share of the heading in the slip of a wheel that slips straight on
 _LASTING = 0.2  # of its change, which a slip must keep
 _LITTLE = 0.05  # of the weight
+_SHARE = 0.5  # of the budget of friction: a wheel's is known better than a group's
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def wheels(record: Record) -> Finding | None:
         "wheels",
         "1",
         series,
-        budget=record.scene.budget.friction,
+        budget=_SHARE * record.scene.budget.friction,
         names=tuple(f"{kind}, {push.name}" for push, _ in found for kind in kinds),
     )
 

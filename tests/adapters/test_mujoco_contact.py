@@ -15,6 +15,7 @@ from mbds_xsim import readback, reference, rotation
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter, load_scene
@@ -265,6 +266,28 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
     assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
     gap = gaps(scene, motion).min(axis=-1)
     assert -1e-3 < gap.min() <= gap.max() < 1e-3
+
+
+def test_a_cars_loads_come_to_a_limit_where_contacts_leave_half_to_the_spring() -> None:
+    """Hard ones bear all or nothing, by rounding: the car then drives elsewhere at each step."""
+    scene = load_scene("particlecar")
+    batch = draw_batch(scene, [0, 4, 8]).truncated(50)
+
+    def moved(hardness: float) -> float:
+        options = {"contact_substeps": 10, "impact_steps": 12, "contact_hardness": hardness}
+        coarse, fine = (
+            rollout(scene, batch, Settings("RK4", 0.02 / steps, options)).position
+            for steps in (6, 12)
+        )
+        return float(np.linalg.norm(fine - coarse, axis=-1).max())
+
+    assert moved(0.5) < 2e-4
+    assert moved(0.9999) > 5e-3
+    assert settings_for(scene, ENGINE, "matched").options["contact_hardness"] == 0.5
+    own = msgspec.structs.replace(scene, name="my car")
+    assert ENGINE.settings(own, "matched").options == {"contact_hardness": 0.5}
+    with pytest.raises(InputError, match=r"contact_hardness: got 1, allowed is above 0, up to"):
+        ENGINE.open(scene, Settings("RK4", 0.005, {"contact_hardness": 1}))
 
 
 def test_the_native_text_alone_gives_the_same_motion() -> None:

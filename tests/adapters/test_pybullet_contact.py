@@ -248,7 +248,7 @@ def test_drawn_cars_converge_and_do_not_depend_on_the_solvers_sweeps() -> None:
     scene = load_scene("particlecar")
     batch = draw_batch(scene, [0, 4, 8]).truncated(100)
     motions = []
-    for substeps, sweeps in ((40, 10), (40, 50), (80, 10)):
+    for substeps, sweeps in ((40, 20), (40, 50), (80, 20)):
         with ENGINE.open(
             scene, Settings(METHOD, 0.02 / substeps, {"solver_iterations": sweeps})
         ) as run:

@@ -84,17 +84,12 @@ def test_known_laws_of_friction_show() -> None:
     assert _value(found, "crate: push that starts it", heading_deg=45.0) == 1.5
 
 
-def test_friction_under_a_wheel_is_opposite_to_its_slip_but_in_pybullet() -> None:
-    """Bullet divides the slip along x and along y each by its own compliance, 1/m + r²/I."""
+def test_friction_under_a_wheel_is_opposite_to_its_slip() -> None:
+    """Along its heading a wheel yields three times as much as across."""
+    aside = "wheel: friction aside of the slip"
     for engine in ("mujoco", "pybullet"):
         pytest.importorskip(engine)
-    along, across = 1.0 + 1.0 / 0.4, 1.0 + 1.0 / 4.0
-    turned = np.degrees(np.arctan(np.tan(np.radians(30.0)) * along / across)) - 30.0
-
-    aside = "wheel: friction aside of the slip"
-    assert _value(friction("mujoco", "matched"), aside, heading_deg=30.0) < 0.3
-    found = _value(friction("pybullet", "matched"), aside, heading_deg=30.0)
-    assert found == pytest.approx(turned, abs=0.3)
+        assert _value(friction(engine, "matched"), aside, heading_deg=30.0) < 0.3
 
 
 def test_drag_that_nobody_asked_for_is_told_as_silent() -> None:
