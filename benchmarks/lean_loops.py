@@ -282,7 +282,8 @@ def exudyn_in_one_call(run: Any, batch: Batch) -> Lean:
     (start,), (rate,) = run._start(batch)
     q, u = np.empty((2, batch.steps, len(start)))
     forces = [(names["forces"][k], batch.force[0, :, k]) for k in _pushed(batch.force[0])]
-    stepping, frame = settings.timeIntegration, run._frame
+    stepping = settings.timeIntegration
+    frame = stepping.endTime
 
     def read(k: int) -> None:
         q[k], u[k] = data.GetODE2Coordinates(), data.GetODE2Coordinates_t()
@@ -319,7 +320,7 @@ def _settings_by_frame(run: Any, batch: Batch) -> list[Any]:
     usual, near = names["settings"], names.get("near_ground")
     if near is None:
         return [usual] * batch.steps
-    solve, step = names["step_frame"], run._step
+    solve, step = names["step_frame"], names["next_frame"]
     frames: list[Any] = []
 
     def taped_step() -> None:
@@ -330,7 +331,7 @@ def _settings_by_frame(run: Any, batch: Batch) -> list[Any]:
         frames[-1] = settings  # an earlier one was taken back
         solve(settings)
 
-    with patch.object(run, "_step", taped_step), patch.dict(names, step_frame=taped_solve):
+    with patch.dict(names, next_frame=taped_step, step_frame=taped_solve):
         run.rollout(batch)
     return frames
 
