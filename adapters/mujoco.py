@@ -115,7 +115,7 @@ class MuJoCo(Adapter):
         "link_time_constant": Sweep((0.0, 3.0), needs=frozenset({Feature.DISTANCE_LINK})),
         "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
-        "contact_hardness": Sweep((0.5,), needs=frozenset({Feature.CONTACT})),
+        "contact_hardness": Sweep((0.5, 0.9), needs=frozenset({Feature.CONTACT})),
         "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK}),
         "spin": Sweep((True, False), needs=frozenset({Feature.BALL})),
         "turn": Sweep((0.0, 0.25, 0.0625), methods=("RK4",)),
