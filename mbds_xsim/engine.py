@@ -284,6 +284,8 @@ class Adapter(ABC):
     """Entry point, extra, file name and attribute in files."""
     package: ClassVar[str]
     """Distribution on the package index."""
+    revision: ClassVar[int] = 1
+    """Raised in the change that makes the adapter's motions differ: kept results are made anew."""
     methods: ClassVar[Mapping[str, Method]]
     """By name; the first is the one `matched` prefers."""
     options: ClassVar[Mapping[str, Option]]

@@ -7,14 +7,12 @@ batch, each trajectory its share. Random forces are told to none, as when it was
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import itertools
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -29,7 +27,6 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.seen import Seen, gap, particle_error, unexplained_energy
-from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.trained import (
     Known,
     Trained,
@@ -50,6 +47,7 @@ from mbds_xsim.study.point import Truth, horizon_of
 from mbds_xsim.study.rows import Kind, Learned, Row, Tradeoff
 from mbds_xsim.study.store import Store
 from mbds_xsim.study.truths import references
+from mbds_xsim.versions import CHECKS, MODELS
 
 __all__ = ["AT_ONCE", "Trial", "measure_model", "models_of", "with_models"]
 
@@ -301,21 +299,10 @@ def _bare(model: Trained, trial: Trial, variation: str) -> list[Row]:
 
 
 def _key(model: Trained, trial: Trial, start: int, variation: str) -> str:
-    digest = hashlib.sha256(_code(model.entry.module))
     motion = key_of("learned tradeoff", trial.scene, trial.starts, start, 0.0)
-    torch_version = registry.package_version("torch")
-    what = (model.entry.content, motion, variation, torch_version, machine())
-    digest.update(repr(what).encode())
-    return digest.hexdigest()
-
-
-@functools.cache
-def _code(module: str) -> bytes:
-    """Hash the source of a model and of what measures it."""
-    parts = sources(
-        module, "mbds_xsim.learn.seen", "mbds_xsim.learn.saved", "mbds_xsim.learn.trained"
-    )
-    return parts + hashlib.sha256(Path(__file__).read_bytes()).digest()
+    versions = (MODELS, CHECKS, registry.package_version("torch"))
+    what = (model.entry.content, motion, variation, versions, machine())
+    return hashlib.sha256(repr(what).encode()).hexdigest()
 
 
 def _learned(model: Trained, rows: list[Row]) -> Learned:

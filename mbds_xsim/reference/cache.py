@@ -1,14 +1,13 @@
 """Results kept on disk by content, so that a reference solution is computed once.
 
 Entries stand in the user's cache directory, or where MBDS_XSIM_CACHE says. Their names are
-hashes of everything that decides the result, the solver's own source among it. They are never
+hashes of everything that decides the result, the version of the physics among it. They are never
 changed, only replaced whole. Each ends in a checksum of its name and content: one that was damaged,
 changed or put under another name is computed again.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import io
 import os
@@ -22,9 +21,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-import mbds_xsim
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
+from mbds_xsim.versions import PHYSICS
 
 __all__ = [
     "Arrays",
@@ -44,7 +43,6 @@ _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
     "dimension",
 )  # fmt: skip
-_CORE = ("mechanism.py", "rotation.py")
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -103,10 +101,12 @@ def directory() -> Path:
 
 def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
-    digest = hashlib.sha256(_source())
+    digest = hashlib.sha256()
     physics = [getattr(scene, key) for key in _PHYSICS]
     # Scenes made in Python may hold numpy's numbers.
-    digest.update(msgspec.json.encode([what, rtol, scene.clock.frame, physics], enc_hook=float))
+    digest.update(
+        msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)
+    )
     for key in ("position", "orientation", "velocity", "angular_velocity", "force", "torque"):
         array = np.ascontiguousarray(getattr(batch, key)[row])
         digest.update(repr(array.shape).encode())
@@ -163,12 +163,3 @@ def store(key: str, arrays: Arrays) -> None:
 
 def _path(key: str) -> Path:
     return directory() / "reference" / key[:2] / f"{key[2:]}.npz"
-
-
-@functools.cache
-def _source() -> bytes:
-    """Hash of the code that makes the results."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    assert mbds_xsim.__file__ is not None
-    files += [Path(mbds_xsim.__file__).parent / name for name in _CORE]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).digest()

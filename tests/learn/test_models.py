@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from mbds_xsim import versions
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import build, load_model, model_names
@@ -15,6 +16,7 @@ from mbds_xsim.learn.saved import read_model, save_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Profile, train
 from mbds_xsim.learn.window import Motions
+from tests.golden import check_golden, shadow
 
 Data = Callable[..., Dataset]
 
@@ -35,6 +37,16 @@ def test_a_model_rolls_out_and_rows_do_not_touch_each_other(data: Data, name: st
     assert together.position.shape == (len(test), 3, 2, 3)
     assert not together.failed.any()
     torch.testing.assert_close(alone.position, together.position[2:3], rtol=1e-5, atol=1e-6)
+
+
+def test_golden_models(data: Data) -> None:
+    figures = {}
+    for name in model_names():
+        training, test = _read(data, name, "train"), _read(data, name, "test")
+        model = build(name, training.graph, Statistics.of(training), track="lite")
+        figures[name] = shadow(rollout(model, test, steps=2).position)
+
+    check_golden("models", versions.MODELS, figures, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", [name for name in model_names() if load_model(name).tracks])

@@ -30,7 +30,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model
 from mbds_xsim.learn.refusal import refusal
 from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.shift import evaluate, restart, sources, study
+from mbds_xsim.learn.shift import evaluate, restart, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.measure import Figures, figures_on
 from mbds_xsim.learn.shift.result import Shift
@@ -255,26 +255,6 @@ def test_a_restart_that_crashes_takes_no_other_along(
     assert (meter.whole, meter.done) == (2, 2)
     again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert again.gaps == shift.gaps
-
-
-def test_figures_are_known_by_the_code_they_follow_from(monkeypatch: pytest.MonkeyPatch) -> None:
-    def read(*modules: str) -> set[str]:
-        seen = set[str]()
-        place = sources._path
-
-        def noted(module: str) -> Path:
-            seen.add(module)
-            return place(module)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(sources, "_path", noted)
-            sources.sources(*modules)
-        return {name.removeprefix("mbds_xsim.") for name in seen}
-
-    physics = {"mechanism", "spin", "rotation", "dataset.points", "learn.mechanics"}
-    assert physics <= read("mbds_xsim.learn.lgnn")
-    assert not {"learn.lgnn", "learn.sgnn", "isolate", "write"} & read("mbds_xsim.learn.gns")
-    assert {"simulate", "learn.shift.measure"} <= read("mbds_xsim.learn.shift.restart")
 
 
 def test_memory_holds_one_domain_and_no_figures(

@@ -19,9 +19,9 @@ from mbds_xsim.learn.shift.domains import Domain
 from mbds_xsim.learn.shift.measure import Figures, figures_on, read_figures
 from mbds_xsim.learn.shift.meter import Meter
 from mbds_xsim.learn.shift.roster import Entry
-from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.scene import Scene
+from mbds_xsim.versions import MODELS
 
 __all__ = ["Evaluated", "Plan", "evaluate"]
 
@@ -148,18 +148,10 @@ def _carry_out(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: Plan
 
 
 def _path(entry: Entry, domain: Domain, plan: Plan) -> Path:
-    digest = hashlib.sha256(_source(entry.module))
-    what = (entry.model, entry.content, domain.name, domain.content, _rows(domain), plan)
-    digest.update(repr(what).encode())
-    key = digest.hexdigest()
+    what = (MODELS, entry.model, entry.content, domain.name, domain.content, _rows(domain), plan)
+    key = hashlib.sha256(repr(what).encode()).hexdigest()
     return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
 
 
 def _rows(domain: Domain) -> tuple[int, ...]:
     return getattr(domain, "rows", ())
-
-
-@functools.cache
-def _source(module: str) -> bytes:
-    """Hash of the code that makes the figures of a model: that of others may change."""
-    return sources(module, "mbds_xsim.learn.saved", "mbds_xsim.learn.shift.measure")

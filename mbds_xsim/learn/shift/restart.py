@@ -28,13 +28,12 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.shift.measure import Figures, measure, read_figures
 from mbds_xsim.learn.shift.meter import Meter
-from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch
-from mbds_xsim.study.identity import adapter_files
+from mbds_xsim.versions import MODELS
 
 __all__ = ["restarted"]
 
@@ -61,10 +60,11 @@ class _Job:
     @functools.cached_property
     def path(self) -> Path:
         """Where its figures are kept."""
-        version = load_adapter(self.engine.engine).version()
+        adapter = load_adapter(self.engine.engine)
+        versions = (MODELS, adapter.version(), adapter.revision)
         rows = getattr(self.domain, "rows", ())
-        what = (self.engine.content, version, self.domain.content, rows, self.horizon)
-        key = hashlib.sha256(_source(self.engine.engine) + repr(what).encode()).hexdigest()
+        what = (self.engine.content, versions, self.domain.content, rows, self.horizon)
+        key = hashlib.sha256(repr(what).encode()).hexdigest()
         return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
 
 
@@ -188,10 +188,3 @@ def _start(state: Array, inputs: Batch, horizon: int) -> Batch:
 def _settings(engine: Recorded) -> Settings:
     told = attributes_of(engine.path)
     return Settings(told["method"], told["step_s"], msgspec.json.decode(told["options"]))
-
-
-@functools.cache
-def _source(engine: str) -> bytes:
-    """Hash of the code that makes the figures, the engine's adapter's too."""
-    adapter = b"".join(file.read_bytes() for file in adapter_files(engine))
-    return hashlib.sha256(sources(__name__) + adapter).digest()

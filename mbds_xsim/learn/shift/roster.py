@@ -59,8 +59,6 @@ class Entry:
     """None: a trivial one."""
     content: str
     """Checksum of the file."""
-    module: str
-    """That the model is made in."""
     profile: str = ""
     steps: int = 0
     """Of the optimiser; 0 where not stated."""
@@ -199,7 +197,6 @@ def entry_of(path: Path) -> Entry:
         seed=seed,
         path=path.resolve(),
         content=hashlib.sha256(path.read_bytes()).hexdigest(),
-        module=type(model).__module__,
         profile=facts.get("profile_name") or facts.get("profile", ""),
         steps=steps,
         ended=facts.get("ended", ""),

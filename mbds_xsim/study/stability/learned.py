@@ -8,7 +8,6 @@ was trained on: its parameters are those of a network that fits any graph.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import time
 from collections.abc import Sequence
@@ -25,7 +24,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task
 from mbds_xsim.learn import seen
 from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.shift.sources import sources
 from mbds_xsim.learn.trained import (
     Trained,
     carry_on,
@@ -52,6 +50,7 @@ from mbds_xsim.study.stability.verdict import _OFF as OFF
 from mbds_xsim.study.stability.verdict import _OPEN as OPEN
 from mbds_xsim.study.stability.verdict import _SUNK as SUNK
 from mbds_xsim.study.stability.verdict import Verdict
+from mbds_xsim.versions import CHECKS, MODELS
 
 __all__ = ["TrainedModel", "judge_particles", "models_in", "run_model", "run_models"]
 
@@ -130,12 +129,11 @@ class TrainedModel:
         return {}
 
     def key(self, case: Case, count: int) -> str:
-        """Hash file, motion, code and machine."""
-        digest = hashlib.sha256(_code(self.trained.entry.module))
+        """Hash file, motion, versions and machine."""
         motion = key_of("learned", case.scene, case.batch, 0, 0.0)
-        what = (self.trained.entry.content, motion, count, self.version, machine())
-        digest.update(repr(what).encode())
-        return digest.hexdigest()
+        versions = (MODELS, CHECKS, self.version)
+        what = (self.trained.entry.content, motion, count, versions, machine())
+        return hashlib.sha256(repr(what).encode()).hexdigest()
 
     def group(self, value: Value) -> tuple[Value, ...]:
         """Put all values together: torch takes longer to start than a prediction."""
@@ -245,12 +243,3 @@ def _to_the_end(known: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _extreme(series: Array) -> float | None:
     known = series[np.isfinite(series)]
     return float(known[np.abs(known).argmax()]) if len(known) else None
-
-
-@functools.cache
-def _code(module: str) -> bytes:
-    """Hash the source of a model and of what judges it."""
-    return (
-        sources(module, "mbds_xsim.learn.seen", "mbds_xsim.learn.saved", "mbds_xsim.learn.trained")
-        + hashlib.sha256(Path(__file__).read_bytes()).digest()
-    )

@@ -5,20 +5,18 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from mbds_xsim.engine import Profile
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.study.stability.contenders import Contender
 from mbds_xsim.study.stability.definition import COUNTS, Study, Value
+from mbds_xsim.versions import CHECKS
 
 __all__ = ["LIMIT", "Case", "Job", "Plan"]
 
 LIMIT = 30.0
 """Longest that a cell may take [s]."""
-
-_JUDGE = ("verdict.py", "words.py", "cell.py")
 
 
 @dataclass(frozen=True)
@@ -73,12 +71,6 @@ class Job:
     @staticmethod
     def of(case: Case, contender: Contender, count: int) -> Job:
         """Make a job, with its key."""
-        digest = hashlib.sha256(_judge_source())
-        digest.update(contender.key(case, count).encode())
-        digest.update(repr((case.truth is None, case.batch.steps)).encode())
-        return Job(case, contender, count, digest.hexdigest())
-
-
-def _judge_source() -> bytes:
-    here = Path(__file__).parent
-    return b"".join((here / name).read_bytes() for name in _JUDGE)
+        what = (CHECKS, contender.key(case, count), case.truth is None, case.batch.steps)
+        key = hashlib.sha256(repr(what).encode()).hexdigest()
+        return Job(case, contender, count, key)

@@ -1,0 +1,68 @@
+"""A version that stored results are named by is raised whenever what it stands for changes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from mbds_xsim import registry, versions
+from mbds_xsim.checks.audit import audit
+from mbds_xsim.engine import Adapter, Settings
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Trajectory
+from tests.golden import check_golden, shadow
+
+_SCENES = ("2pendulum", "2ladder", "balldrop")
+_FRAMES = 5
+
+
+def _drawn(name: str) -> tuple[Scene, Batch]:
+    scene = registry.load_scene(name)
+    return scene, draw_batch(scene, range(3)).truncated(_FRAMES)
+
+
+def _shadows(motion: Trajectory | Batch, *names: str) -> dict[str, float]:
+    return {name: shadow(getattr(motion, name)) for name in names}
+
+
+def test_golden_physics() -> None:
+    figures = {}
+    for name in _SCENES:
+        scene, batch = _drawn(name)
+        for key, value in _shadows(batch, "position", "velocity", "force").items():
+            figures[f"{name} start {key}"] = value
+        truth = solve(scene, batch, cache=False)
+        for key, value in _shadows(truth, "position", "orientation").items():
+            figures[f"{name} {key}"] = value
+
+    check_golden("physics", versions.PHYSICS, figures)
+
+
+def test_golden_checks() -> None:
+    figures = {}
+    method = registry.load_adapter("mujoco").methods["RK4"]
+    for name in _SCENES:
+        scene, batch = _drawn(name)
+        truth = solve(scene, batch, cache=False)
+        shaken = 1e-4 * np.sin(np.arange(truth.position.size)).reshape(truth.position.shape)
+        motion = dataclasses.replace(truth, position=truth.position + shaken)
+        for found in audit(scene, batch, motion, method, step=scene.clock.frame, contact_time=0.0):
+            figures[f"{name} {found.check}"] = shadow(found.series)
+
+    check_golden("checks", versions.CHECKS, figures, rtol=1e-6)
+
+
+def test_golden_adapter(adapter: Adapter) -> None:
+    figures = {}
+    for name in _SCENES:
+        scene, batch = _drawn(name)
+        settings = Settings(next(iter(adapter.methods)), scene.clock.frame / 20)
+        motion = simulate(scene, batch, adapter.name, settings).trajectory
+        for key, value in _shadows(motion, "position", "angular_velocity").items():
+            figures[f"{name} {key}"] = value
+
+    check_golden(f"adapter {adapter.name}", adapter.revision, figures)
