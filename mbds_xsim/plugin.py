@@ -8,11 +8,9 @@ holds these claims stands for it here.
 from __future__ import annotations
 
 import functools
-import inspect
 import pickle
 from contextlib import suppress
 from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, TypeVar
 
 import msgspec
@@ -33,7 +31,7 @@ from mbds_xsim.errors import Unsupported
 from mbds_xsim.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene import Scene
 
-__all__ = ["made", "source_of", "stand_in"]
+__all__ = ["made", "stand_in"]
 
 T = TypeVar("T")
 
@@ -47,8 +45,7 @@ class _Claims(msgspec.Struct, forbid_unknown_fields=True):
     name: str
     package: str
     version: str
-    source: str
-    """File of its class."""
+    revision: int
     methods: dict[str, Method]
     options: dict[str, Option]
     sweeps: dict[str, Sweep]
@@ -60,10 +57,9 @@ class _Claims(msgspec.Struct, forbid_unknown_fields=True):
     @classmethod
     def of(cls, adapter: Adapter, name: str) -> Self:
         """Ask an adapter; raises where a claim is missing, or not of the type it must have."""
-        attributes = {key: getattr(adapter, key) for key in cls.__struct_fields__[4:]}
+        attributes = {key: getattr(adapter, key) for key in cls.__struct_fields__[3:]}
         package = getattr(adapter, "package", "")
-        source = inspect.getfile(type(adapter))
-        raw = cls(adapter.name, package, adapter.version(), source, **attributes)
+        raw = cls(adapter.name, package, adapter.version(), **attributes)
         claims = msgspec.json.decode(msgspec.json.encode(raw), type=cls)
         if claims.name != name:
             msg = f"its name is {claims.name!r}, that of the entry point {name!r}"
@@ -80,7 +76,6 @@ class _StandIn(Adapter):
     point: ClassVar[EntryPoint]
     told: ClassVar[str]
     """Its version."""
-    source: ClassVar[str]
 
     def version(self) -> str:
         return self.told
@@ -130,13 +125,6 @@ def made(point: EntryPoint) -> Adapter:
         msg = f"the entry point {point.name!r} gives {type(adapter).__name__}, not an Adapter"
         raise TypeError(msg)
     return adapter
-
-
-def source_of(adapter: Adapter) -> Path:
-    """File of an adapter's class."""
-    if isinstance(adapter, _StandIn):
-        return Path(adapter.source)
-    return Path(inspect.getfile(type(adapter)))
 
 
 def _tried(point: EntryPoint) -> Adapter | str:

@@ -13,7 +13,6 @@ import msgspec
 from mbds_xsim import registry
 from mbds_xsim.counted import counted
 from mbds_xsim.engine import Settings
-from mbds_xsim.plugin import source_of
 from mbds_xsim.reference.cache import key_of
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
