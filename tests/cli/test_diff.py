@@ -350,20 +350,20 @@ def test_settings_versions_and_starts_are_told(compare: CommandLine) -> None:
     assert "not the same question: seed 1 → 2" in " ".join(ended.out.split())
 
 
-@pytest.mark.parametrize(("left_out", "code"), [({}, 0), ({"dart": "dart cannot do it"}, 1)])
+@pytest.mark.parametrize(("left_out", "code"), [({}, 0), ({"mujoco": "mujoco cannot do it"}, 1)])
 def test_an_engine_left_out_is_worse_than_one_not_asked(
     compare: CommandLine, left_out: dict[str, str], code: int
 ) -> None:
     def without(told: Json) -> None:
-        told["engines"] = [e for e in told["engines"] if e["engine"] != "dart"]
+        told["engines"] = [e for e in told["engines"] if e["engine"] != "mujoco"]
         told["left_out"] = left_out
 
     ended, told = compare(_validation(), without)
 
     assert ended.code == code
-    why = left_out.get("dart", "")
+    why = left_out.get("mujoco", "")
     assert told["scenes"][0]["only_old"] == [
-        {"name": "dart matched", "verdict": "pass", "why": why}
+        {"name": "mujoco matched", "verdict": "pass", "why": why}
     ]
 
 
