@@ -150,7 +150,7 @@ def _residual(
     change = rotation.norm(np.diff(np.pad(gained, _ENDS, mode="edge"), axis=1))
     share = (record.step or 0.0) / record.frame
     own = min(_METHOD * share**2, _BEND)
-    bend = (_BEND + own) * _window(np.maximum(change[:, 1:], change[:, :-1]))
+    bend = (_BEND + own) * _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
     fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
     bend = bend + _LAG * abs(record.lag) / record.frame * fastest
     repeats = _same(record.bodies.position) & _same(record.bodies.native)
@@ -183,6 +183,14 @@ def _window(values: Array) -> Array:
     """Largest of each step and its two neighbours, shape (trajectory, step, body)."""
     padded = np.pad(values, _ENDS[:3], mode="edge")
     return np.asarray(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), padded[:, 1:-1]))
+
+
+def _with_ends(window: Array) -> Array:
+    """Let the first and last step have their neighbour's window: on one side they see nothing."""
+    found = window.copy()
+    for end, inside in ((0, 1), (-1, -2)):
+        found[:, end] = np.maximum(window[:, end], window[:, inside % window.shape[1]])
+    return found
 
 
 def _hidden(record: Record, angular: bool) -> Array:

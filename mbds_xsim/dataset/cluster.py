@@ -155,12 +155,16 @@ class Cluster:
         seen = time.monotonic()
         while pending:
             ended = [place for place, future in pending.items() if future.status not in _AWAITED]
+            came = False
             for place in ended:
-                with suppress(TimeoutError):
+                try:
                     answer = self._answer(pending[place])
-                    del pending[place]
-                    yield place, answer
-            if not ended:
+                except OSError:  # broken off as it came; whether anybody is there is asked below
+                    continue
+                came = True
+                del pending[place]
+                yield place, answer
+            if not came:
                 time.sleep(_LOOK)
                 seen = time.monotonic() if self.workers else seen
                 if time.monotonic() - seen > _GRACE:
@@ -176,7 +180,7 @@ class Cluster:
 
         Raises:
             InputError: It was not carried out, and no other will be.
-            TimeoutError: The answer does not come, or is no longer there.
+            OSError: The answer does not come, or is no longer there.
         """
         status = future.status
         if status == "finished":

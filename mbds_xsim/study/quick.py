@@ -32,11 +32,12 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 from mbds_xsim.study.bisect import COUNTS
 from mbds_xsim.study.trial import Trial, run_trial
+from mbds_xsim.versions import CHECKS
 
 __all__ = ["fewest", "searched"]
 
 _VERSION = 1
-"""To be raised when the search or a check changes what is found."""
+"""To be raised when the search changes what is found."""
 _LIMIT = 60.0
 """Of an engine's search [s]."""
 _GRACE = 120.0
@@ -185,7 +186,8 @@ def _predicted(count: int, trial: Trial, order: int) -> float:
 
 def _key(scene: Scene, adapter: Adapter) -> str:
     """Name an entry by all that decides it."""
-    decisive = [_VERSION, fingerprint(scene), scene.budget, adapter.name, adapter.version()]
+    versions = [_VERSION, CHECKS, adapter.version(), adapter.revision]
+    decisive = [versions, fingerprint(scene), scene.budget, adapter.name]
     encoded = msgspec.json.encode([*decisive, adapter.settings(scene, "matched").options])
     return hashlib.sha256(b"matched" + encoded).hexdigest()
 

@@ -76,3 +76,21 @@ def test_no_scheduler_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monk
     expected = re.escape("--scheduler: got 'tcp://127.0.0.1:9', where no Dask scheduler answers")
     with pytest.raises(InputError, match=expected):
         Cluster("tcp://127.0.0.1:9", tmp_path)
+
+
+def test_an_answer_that_breaks_off_on_its_way_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken = iter([ConnectionResetError(104, "reset by peer")])
+
+    class Future:
+        status = "finished"
+
+        def result(self, timeout: float) -> str:
+            for error in broken:
+                raise error
+            return f"within {timeout:g} s"
+
+    monkeypatch.setattr(Cluster, "workers", 1)
+    cluster = Cluster.__new__(Cluster)
+    assert list(cluster._as_they_end([Future()])) == [(0, "within 10 s")]
