@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbds_xsim.checks.balance import balance, balance_drift
+from mbds_xsim.checks.balance import balance, balance_drift, cones
 from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
@@ -51,6 +51,7 @@ CHECKS: tuple[Check, ...] = (
     energy_rise,
     balance,
     balance_drift,
+    cones,
     friction,
     wheels,
     rolling,

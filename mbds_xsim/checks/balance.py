@@ -2,23 +2,25 @@
 
 The ground gives a group of bodies an impulse at each sphere that may touch. What no impulses there,
 of any size and direction, make of the momentum that the group gained is the finding: drag, damping,
-torques that are wrong or missing, a wrong mass or inertia, moments that no point contact has.
+torques that are wrong or missing, a wrong mass or inertia, moments that no point contact has. And
+what no impulses within Coulomb's cones make of it: friction or gravity that is another.
 """
 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
+from mbds_xsim.checks.cones import Cones, cones_of, unexplained
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
 
-__all__ = ["balance", "balance_drift"]
+__all__ = ["balance", "balance_drift", "cones"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,10 +38,16 @@ class _Left:
 
     rows: Array
     """Impulse, its moment over the longest arm, spins over radii (or that arm), (…, row)."""
+    given: Array
+    """The same of what was gained, (…, row)."""
+    columns: Array
+    """What unit impulses at the spheres give of it, (…, row, sphere, 3)."""
     scale: Array
     """The vertical impulse, or the weight's where that is larger, (…)."""
     vague: Array
     """What motion within the step leaves open, (…)."""
+    beside: Array
+    """What it leaves open besides of the impulses' sizes and directions, beside impacts, (…)."""
     axles: list[Axle]
     flying: Mask
     """Steps in which nothing touches, (…)."""
@@ -71,6 +79,23 @@ def balance_drift(record: Record) -> Finding | None:
         return None
     series, names = _series(record, found)
     return Finding.of("balance drift", "1", series, budget=record.scene.budget.balance, names=names)
+
+
+def cones(record: Record) -> Finding | None:
+    """Measure what no impulses within Coulomb's cones explain, over the weight's or their own.
+
+    Impulses that push, with friction within μ times the push, and with just so much against the
+    slip of a sphere that slips through the whole step. None as of `balance`.
+    """
+    found = []
+    for push in pushes_of(record):
+        left = _left_of(record, push)
+        rows = _confined(left, cones_of(record, push))
+        found.append((push, left, _parts(replace(left, rows=rows, vague=left.vague + left.beside))))
+    if not found:
+        return None
+    series, names = _series(record, found)
+    return Finding.of("cones", "1", series, budget=record.scene.budget.balance, names=names)
 
 
 def _series(
@@ -135,12 +160,18 @@ def _left_of(record: Record, push: Push) -> _Left:
     quiet = push.resting[:, 1:] & push.resting[:, :-1]
     most = up * np.hypot(1.0, record.scene.ground.friction)
     vague = np.where(known, (gains.vague * most + gains.blur) / size, 0.0)
+    flying = ~touches.any(axis=2)
+    sides = np.pad(up, ((0, 0), (1, 1)))
+    beside = np.maximum(np.maximum(sides[:, :-2], sides[:, 2:]) - up, 0.0)
     return _Left(
         rows=_unexplained(columns, given),
+        given=given,
+        columns=columns,
         scale=np.maximum(up, weight),
         vague=vague + np.where(faint, _FAINT * weight, np.where(quiet, 0.0, _IMPACT * up)),
+        beside=np.where(faint | quiet | flying, 0.0, _IMPACT * beside),
         axles=axles,
-        flying=~touches.any(axis=2),
+        flying=flying,
         known=known,
     )
 
@@ -168,6 +199,13 @@ def _unexplained(columns: Array, given: Array) -> Array:
     left = given.copy()
     left[some] -= np.einsum("src,sqc,sq->sr", turn, turn, given[some], optimize=True)
     return left
+
+
+def _confined(left: _Left, cones: Cones) -> Array:
+    """Rest of the best impulses within the cones, (trajectory, step, row)."""
+    some, rows = ~left.flying, left.given.copy()
+    rows[some] = unexplained(left.columns[some], left.given[some], cones[some])
+    return rows
 
 
 def _weight(record: Record, push: Push) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.ground import Push
+from mbds_xsim.checks.ground import Push, spheres_of
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
@@ -70,6 +70,8 @@ class Gains:
     """Gained by bodies on axles, less what hinges gave [N·m·s], (…, axle)."""
     lever: Array
     """Moment about the axle of an impulse of 1 N·s at the body's sphere [m], (…, axle, 3)."""
+    slips: tuple[Array, Array]
+    """Velocities of the spheres' lowest points at the step's two ends [m/s], (…, sphere, 3)."""
     touches: NDArray[np.bool_]
     """Spheres that may touch in the step, (…, sphere)."""
 
@@ -90,6 +92,7 @@ def gains_of(record: Record, push: Push) -> Gains:
     arm = (begin + end) / 2
     spin, lever, veer = _spins(record, push, half)
     rates = _both(half, _rates(mechanism, states, push))
+    slip = spheres_of(mechanism, states).slip[:, :, push.spheres]
     # How far an arm is from its mean at most: at the ends, and where a path bends in between.
     strays = rotation.norm(end - begin) / 2 + record.frame / 4 * rotation.norm(rates[1] - rates[0])
     vague = np.where(push.reach, strays, 0.0).max(axis=2) + veer
@@ -117,6 +120,7 @@ def gains_of(record: Record, push: Push) -> Gains:
         blur=_REEL * abs(record.lag) * record.frame * reel * size,
         spin=spin,
         lever=lever,
+        slips=_both(half, np.pad(slip, (*((0, 0),) * 3, (0, 1)))),
         touches=touches,
     )
 

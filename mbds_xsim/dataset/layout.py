@@ -183,6 +183,7 @@ CHECKS: dict[str, str] = {
     "energy rise": "1",
     "balance": "1",
     "balance drift": "1",
+    "cones": "1",
     "friction": "1",
     "wheels": "1",
     "rolling": "1",

@@ -106,6 +106,7 @@ def test_a_car_on_the_ground_passes_every_check() -> None:
     assert _failed(findings) == set()
     for name in ("balance", "balance drift", "wheels"):
         assert findings[name].figure.max() < 1e-9, name
+    assert findings["cones"].figure.max() < 1e-7
     assert {"restitution", "rolling", "hop"}.isdisjoint(findings)
 
 
@@ -114,8 +115,15 @@ def test_another_friction_shows_under_wheels_that_slip(taken: float) -> None:
     """The two axles pull against each other, so that their sum is within the cone."""
     findings = _findings(*_driven(taken))
 
-    assert _failed(findings) == {"wheels"}
+    assert _failed(findings) == {"cones", "wheels"}
     assert findings["wheels"].figure == pytest.approx(abs(taken / 0.43 - 1.0))
+
+
+def test_stronger_gravity_shows_in_the_friction_of_wheels_that_slip() -> None:
+    scene, batch, motion = _driven()
+    lighter = msgspec.structs.replace(scene, gravity=(0.0, 0.0, -9.81 / 1.01))
+
+    assert "cones" in _failed(_findings(lighter, batch, motion))
 
 
 def test_wheels_clamped_at_100_rad_s_show_on_the_ground() -> None:
