@@ -17,7 +17,9 @@ import msgspec
 
 from mbds_xsim.engine import Profile
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.report import shift_figures, stability_page, tradeoff_page
+from mbds_xsim.studies.shift import figures as shift_figures
+from mbds_xsim.studies.stability import present as stability
+from mbds_xsim.studies.tradeoff import present as tradeoff
 from mbds_xsim.study.rows import Tradeoff
 from mbds_xsim.study.stability.rows import SCHEMA, Cell, Panel, Sweep
 from mbds_xsim.study.stability.studies import study_named
@@ -48,13 +50,13 @@ def stored_results(folder: Path) -> Iterator[Path]:
 def drawn(stored: Path) -> bytes:
     """Draw one."""
     if stored.suffix == ".csv":
-        return stability_page.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
+        return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
     kind: Callable[[bytes], bytes] = _shift if stored.parent.name in ("shift", "lite") else _charts
     return kind(stored.read_bytes())
 
 
 def _charts(stored: bytes) -> bytes:
-    return tradeoff_page.to_png([msgspec.json.decode(stored, type=Tradeoff)], stored)
+    return tradeoff.to_png([msgspec.json.decode(stored, type=Tradeoff)], stored)
 
 
 def _shift(stored: bytes) -> bytes:

@@ -16,8 +16,8 @@ from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.report.shift_markdown import in_words
-from mbds_xsim.report.shift_matrix import at, best_formula, matrix_of, trained_models
+from mbds_xsim.studies.shift.matrix import at, best_formula, matrix_of, trained_models
+from mbds_xsim.studies.shift.present import answers, protocol
 
 _HEAD = """\
 # Learned models under a change of engine, in short
@@ -144,7 +144,8 @@ def _answers(shift: Shift, page: Path) -> Iterator[str]:
         picture = page.with_name(f"{page.name}{ending}.png")
         if picture.is_file():
             yield f"![{words}, {page.name}]({picture.name})\n"
-    yield from in_words(shift)
+    yield f"{protocol(shift)}.\n"
+    yield from (f"- **{question}** {answer}" for question, answer in answers(shift))
 
 
 if __name__ == "__main__":

@@ -97,9 +97,11 @@ def validate(
         command="mbds_xsim.validate",
     )
     if page is not None:
-        from mbds_xsim.report.page import write_page
+        from mbds_xsim.report.files import write_reports
+        from mbds_xsim.studies.validate.present import present
 
-        write_page(validation, evidence, Path(page))
+        report = present(validation, evidence)
+        write_reports([report], report.title, "validate", html=Path(page))
     return validation
 
 

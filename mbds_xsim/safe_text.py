@@ -35,7 +35,8 @@ _UNPRINTABLE = re.compile(
     r"\U000e0000-\U000e007f]"
 )
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+](inf|nan)", re.IGNORECASE)
-_ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*[$|"} | {ord("<"): "&lt;"}
+_ENTITIES = {ord(c): f"&#{ord(c)};" for c in "\\`*$|"} | {ord("<"): "&lt;"}
+_LINK = re.compile(r"^\[|\](?=[\[(:])")
 _ENTITY = re.compile(r"&(?=#?\w+;)")
 _BLOCK = re.compile(r"#+ |[+-] |>|[=~-]{3}")  # at the start of a paragraph
 _COMMANDS = re.compile(r"(\w+_)?command")
@@ -79,7 +80,8 @@ def as_code(text: str) -> str:
 
 def sentence(text: str) -> str:
     """Write a text as a sentence with a blank behind it; nothing for an empty one."""
-    return f"{text[0].upper()}{text[1:]}. " if text else ""
+    stop = "" if text.endswith((".", ":", "?", "!")) else "."
+    return f"{text[0].upper()}{text[1:]}{stop} " if text else ""
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
@@ -102,6 +104,7 @@ def _mapped(value: object) -> object:
     match value:
         case str():
             text = _ENTITY.sub("&amp;", on_a_line(value)).translate(_ENTITIES)
+            text = _LINK.sub(lambda sign: f"&#{ord(sign[0])};", text)
             return f"&#{ord(text[0])};{text[1:]}" if _BLOCK.match(text) else text
         case tuple() | list():
             return type(value)(map(_mapped, value))

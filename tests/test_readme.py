@@ -15,9 +15,10 @@ from benchmarks.page_picture import settings_line
 from benchmarks.pictures import stored_results, sweep_of
 from mbds_xsim.choice import Choice
 from mbds_xsim.registry import load_scene
-from mbds_xsim.report.stability_csv import to_csv
-from mbds_xsim.report.stability_markdown import to_markdown
+from mbds_xsim.report.files import rows_csv
+from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
+from mbds_xsim.studies.stability.present import present
 from mbds_xsim.study.stability.studies import STUDIES
 
 _ROOT = Path(__file__).parents[1]
@@ -132,9 +133,9 @@ def test_the_page_of_a_map_says_what_its_cells_say(study: str) -> None:
     table = base.with_suffix(".csv").read_text("utf-8")
     sweep = sweep_of(table)
 
-    written, found = to_markdown([sweep]), base.with_suffix(".md").read_text("utf-8")
+    written, found = to_markdown([present(sweep)]), base.with_suffix(".md").read_text("utf-8")
 
-    assert to_csv([sweep]).decode() == table
+    assert rows_csv(sweep.cells, "silent").decode() == table
     assert _of_cells(written) == _of_cells(found), f"mbds-xsim stability {study}"
 
 

@@ -20,6 +20,7 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
+    deliver,
     encoded,
     progress_on,
     scene_named,
@@ -55,10 +56,9 @@ def ablate(
 ) -> None:
     """Drop and halve what a scene models; compare with the disagreement between engines."""
     from mbds_xsim.choice import Choice
-    from mbds_xsim.report.ablate_markdown import to_markdown
-    from mbds_xsim.report.ablate_terminal import print_ablation
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.ablate.present import present
     from mbds_xsim.study.ablate import ablate as study
-    from mbds_xsim.write import write_whole
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
@@ -79,8 +79,7 @@ def ablate(
                 progress=progress,
                 command=command_line(),
             )
-        print_ablation(result, console)
+        print_report(present(result), console)
         found.append(result)
-        if markdown is not None:
-            write_whole(markdown, to_markdown(found).encode())
+        deliver([present(one) for one in found], "", console, markdown=markdown)
     write_json(encoded(found[0] if len(found) == 1 else found), json)

@@ -15,10 +15,9 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
+    deliver,
     encoded,
-    page_for,
     scene_named,
-    tell_page,
     write_json,
 )
 
@@ -62,7 +61,8 @@ def audit(
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
     from mbds_xsim.dataset.audit import Told, audit_file
     from mbds_xsim.dataset.numbers import parse_numbers
-    from mbds_xsim.report.auditing import print_audited
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.audit.present import present
 
     console = console_for(json)
     check_targets(json=json, html=html)
@@ -76,13 +76,8 @@ def audit(
         contact_time_s=contact_time,
     )
     audited = audit_file(file, None if scene is None else scene_named(scene), told)
-    print_audited(audited, console)
-    page = page_for(html, opened=opened)
-    if page is not None:
-        from mbds_xsim.report.audit_page import to_html
-        from mbds_xsim.write import write_whole
-
-        write_whole(page, to_html(audited, command_line()).encode())
-    tell_page(page, console, opened=opened)
+    report = present(audited, command_line())
+    print_report(report, console)
+    deliver([report], audited.file, console, html=html, opened=opened)
     write_json(encoded(audited, "audit"), json)
     raise typer.Exit(0 if audited.verdict == "pass" else 1)

@@ -12,6 +12,7 @@ from mbds_xsim.commands.shared import (
     check_targets,
     command,
     console_for,
+    deliver,
     encoded,
     write_json,
 )
@@ -39,15 +40,16 @@ def diff(
     ] = None,
 ) -> None:
     """Compare two results of one command and scene: 0 nothing is worse, 1 something is."""
-    from mbds_xsim.report.diff_markdown import to_markdown
-    from mbds_xsim.report.diff_terminal import print_comparison
+    from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.studies.diff.present import present, remarks_of
     from mbds_xsim.study.diff import compare_files
-    from mbds_xsim.write import write_whole
 
     check_targets(json=json, markdown=markdown)
     comparison = compare_files(old, new, rtol=rtol, factor=factor)
-    print_comparison(comparison, console_for(json))
-    if markdown is not None:
-        write_whole(markdown, to_markdown(comparison).encode())
+    console, reports = console_for(json), list(present(comparison))
+    print_blocks([remarks_of(comparison)], console)
+    for report in reports:
+        print_report(report, console)
+    deliver(reports, "", console, markdown=markdown)
     write_json(encoded(comparison), json)
     raise typer.Exit(1 if comparison.verdict == "worse" else 0)

@@ -19,10 +19,9 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
+    deliver,
     encoded,
-    page_for,
     scene_named,
-    tell_page,
     write_json,
 )
 from mbds_xsim.errors import InputError
@@ -65,8 +64,9 @@ def match(
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
     from mbds_xsim.registry import scene_names
-    from mbds_xsim.report.match_terminal import print_match
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.studies.match.present import present
     from mbds_xsim.study import match as study
     from mbds_xsim.study.matched_file import matched_toml, stored_path
     from mbds_xsim.write import write_whole
@@ -100,17 +100,13 @@ def match(
                 meter=meter,
                 command=command_line(),
             )
-        print_match(result, console)
+        print_report(present(result), console)
         before = target.read_text("utf-8") if target.is_file() else ""
         write_whole(target, matched_toml(result, before).encode())
         console.print(f"written: {target}", highlight=False)
         found.append(result)
-    page = page_for(html, opened=opened)
-    if page is not None:
-        from mbds_xsim.report.match_page import to_html
-
-        write_whole(page, to_html(found).encode())
-    tell_page(page, console, opened=opened)
+    reports = [present(result) for result in found]
+    deliver(reports, "Matched settings", console, html=html, opened=opened)
     write_json(encoded(found[0] if len(found) == 1 else found), json)
     met = all(engine.meets_budget for result in found for engine in result.engines)
     raise typer.Exit(0 if met else 1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -20,6 +20,7 @@ from mbds_xsim.isolate import LIMIT
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from mbds_xsim.report.blocks import Report
     from mbds_xsim.report.progress import ProgressBar
     from mbds_xsim.scene import Scene
 
@@ -42,11 +43,10 @@ __all__ = [
     "command",
     "command_line",
     "console_for",
+    "deliver",
     "encoded",
-    "page_for",
     "progress_on",
     "scene_named",
-    "tell_page",
     "write_json",
 ]
 
@@ -188,25 +188,45 @@ def check_targets(**paths: Path | None) -> None:
         raise InputError(msg)
 
 
-def page_for(html: Path | None, *, opened: bool) -> Path | None:
-    """Say where the page goes: where `--html` says, or where only `--open` will find it."""
-    if html is not None or not opened:
-        return html
-    import tempfile
+def deliver(
+    reports: Sequence[Report],
+    title: str,
+    console: Console,
+    *,
+    html: Path | None = None,
+    markdown: Path | None = None,
+    opened: bool = False,
+    quiet: bool = False,
+) -> None:
+    """Write the page and the Markdown that are asked for, and say where the page is.
 
-    return Path(tempfile.mkdtemp(prefix="mbds-xsim-")) / "page.html"
+    Args:
+        reports: A chapter each.
+        title: Of a page of several, and what a verdict does not say of one.
+        console: Where people read.
+        html: Where the page goes; a temporary file if it is only to be opened.
+        markdown: Where Markdown goes.
+        opened: Whether a browser is to show the page.
+        quiet: Whether to say nothing of the page.
+    """
+    from mbds_xsim.report.files import write_reports
 
+    if html is None and opened:
+        import tempfile
 
-def tell_page(page: Path | None, console: Console, *, opened: bool) -> None:
-    """Say where the page is, and show it if `--open` asks for that."""
-    if page is None:
+        html = Path(tempfile.mkdtemp(prefix="mbds-xsim-")) / "page.html"
+    if len(reports) == 1:
+        (one,) = reports
+        title = one.title if one.verdict else f"{one.title}: {title[:1].lower()}{title[1:]}"
+    write_reports(reports, title, command_line().split()[1], html=html, markdown=markdown)
+    if html is None or quiet:
         return
-    console.print(f"page: {page}", highlight=False, soft_wrap=True)
+    console.print(f"page: {html}", highlight=False, soft_wrap=True)
     if not opened:
         return
     import webbrowser
 
-    if not webbrowser.open(page.absolute().as_uri()):
+    if not webbrowser.open(html.absolute().as_uri()):
         console.print("there is no browser to open it in; set BROWSER, or open it by hand")
 
 

@@ -18,9 +18,8 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
-    page_for,
+    deliver,
     progress_on,
-    tell_page,
     write_json,
 )
 
@@ -86,9 +85,14 @@ def shift(
     from mbds_xsim.learn.accelerate import check_device
     from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.roster import Part
+    from mbds_xsim.learn.shift.samples import samples_of
     from mbds_xsim.learn.shift.study import asked, study
-    from mbds_xsim.report.shift_files import write_files
-    from mbds_xsim.report.shift_terminal import print_shift
+    from mbds_xsim.report.files import link, write_if
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.shift.figures import to_png
+    from mbds_xsim.studies.shift.motion import samples_png
+    from mbds_xsim.studies.shift.present import present
+    from mbds_xsim.studies.shift.rows import to_csv
 
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
@@ -109,12 +113,25 @@ def shift(
                 meter=meter,
                 command=command_line(),
             )
-        print_shift(found.shift, console)
+        print_report(present(found.shift), console)
         studies.append(found)
-    page = page_for(html, opened=opened)
-    write_files(studies, csv=csv, html=page, png=png, rollouts=rollouts, markdown=markdown)
-    tell_page(page, console, opened=opened)
-    write_json(to_json([found.shift for found in studies]), json)
+    stored = to_json([found.shift for found in studies])
+    write_if(csv, lambda: to_csv(studies))
+    write_if(png, lambda: to_png([found.shift for found in studies], stored))
+    write_if(rollouts, lambda: samples_png([samples_of(found.board) for found in studies]))
+    shown = html is not None or opened
+    reports = [
+        present(
+            found.shift,
+            samples_of(found.board) if shown else None,
+            played=len(studies) == 1,
+            picture=link(png, markdown) if not k else "",
+        )
+        for k, found in enumerate(studies)
+    ]
+    title = "Learned models under a change of engine"
+    deliver(reports, title, console, html=html, markdown=markdown, opened=opened)
+    write_json(stored, json)
 
 
 def _scenes(models: Path, data: Path) -> list[str]:

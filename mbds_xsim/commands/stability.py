@@ -18,18 +18,20 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
-    page_for,
-    tell_page,
+    deliver,
     write_json,
 )
 
 if TYPE_CHECKING:
     from mbds_xsim.study.stability.contenders import Contender
     from mbds_xsim.study.stability.definition import Study, Value
+    from mbds_xsim.study.stability.rows import Sweep
 
 __all__ = ["stability"]
 
 T = TypeVar("T")
+
+_ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json": ".json"}
 
 
 @command(
@@ -83,9 +85,10 @@ def stability(
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
-    from mbds_xsim.report.stability_files import write_all, write_files
-    from mbds_xsim.report.stability_terminal import print_cells, print_list, print_sweep
+    from mbds_xsim.report.files import rows_csv, write_if
+    from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
     from mbds_xsim.study.stability.contenders import profiles_of
     from mbds_xsim.study.stability.plan import Plan
     from mbds_xsim.study.stability.rows import to_json
@@ -94,7 +97,7 @@ def stability(
 
     console = console_for(json)
     if listed:
-        print_list(STUDIES.values(), console)
+        print_blocks([listing(STUDIES.values())], console)
         return
     check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     others = _models(models)
@@ -118,17 +121,32 @@ def stability(
         )
         for study in map(study_named, studies or STUDIES)
     ]
+
+    def write(sweeps: list[Sweep], files: dict[str, Path | None]) -> None:
+        rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
+        write_if(files["csv"], lambda: rows)
+        write_if(files["png"], lambda: to_png(sweeps, rows))
+        reports = [present(sweep) for sweep in sweeps]
+        last = files is asked
+        deliver(
+            reports, "Where methods fail", console,
+            html=files["html"], markdown=files["markdown"], opened=opened and last, quiet=not last,
+        )  # fmt: skip
+        write_json(to_json(sweeps), files["json"])
+
+    asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
     sweeps = []
     for plan in plans:
         with StudyBar(console, workers or core_count(), plan.study.name) as meter:
             sweeps.append(survey(plan, meter))
-        (print_cells if single else print_sweep)(sweeps[-1], console)
+        if single:
+            print_blocks(cells_of(sweeps[-1]), console)
+        else:
+            print_report(present(sweeps[-1]), console)
         if out is not None:
-            write_all(sweeps[-1], out)
-    page = page_for(html, opened=opened)
-    write_files(sweeps, csv=csv, html=page, png=png, markdown=markdown)
-    tell_page(page, console, opened=opened)
-    write_json(to_json(sweeps), json)
+            base = out / plan.study.name
+            write(sweeps[-1:], {kind: base.with_suffix(end) for kind, end in _ENDS.items()})
+    write(sweeps, asked)
 
 
 def _models(places: list[Path] | None) -> tuple[Contender, ...]:

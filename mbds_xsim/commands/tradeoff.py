@@ -21,9 +21,8 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
-    page_for,
+    deliver,
     scene_named,
-    tell_page,
     write_json,
 )
 
@@ -81,9 +80,10 @@ def tradeoff(
     """Chart speed against accuracy: every engine, method and step, and their options."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
-    from mbds_xsim.report.tradeoff_files import write_files
+    from mbds_xsim.report.files import link, rows_csv, write_if
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
-    from mbds_xsim.report.tradeoff_terminal import print_tradeoff
+    from mbds_xsim.studies.tradeoff.present import present, to_png
     from mbds_xsim.study.rows import to_json
 
     console = console_for(json)
@@ -123,11 +123,15 @@ def tradeoff(
                 found = found + more
         studies.append(study)
         rows += found
-        print_tradeoff(study, console)
-    page = page_for(html, opened=opened)
-    write_files(studies, rows, csv=csv, html=page, png=png, markdown=markdown)
-    tell_page(page, console, opened=opened)
-    write_json(to_json(studies), json)
+        print_report(present(study), console)
+    stored = to_json(studies)
+    write_if(csv, lambda: rows_csv(rows))
+    write_if(png, lambda: to_png(studies, stored))
+    reports = [
+        present(study, link(png, markdown) if not k else "") for k, study in enumerate(studies)
+    ]
+    deliver(reports, "Speed against accuracy", console, html=html, markdown=markdown, opened=opened)
+    write_json(stored, json)
 
 
 def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, list[Row]]:

@@ -22,10 +22,9 @@ from mbds_xsim.commands.shared import (
     command,
     command_line,
     console_for,
-    page_for,
+    deliver,
     progress_on,
     scene_named,
-    tell_page,
     write_json,
 )
 
@@ -65,8 +64,9 @@ def validate(
     ] = None,
 ) -> None:
     """Run a scene in all engines, check every trajectory, and tell which to trust."""
-    from mbds_xsim.report.terminal import print_table
+    from mbds_xsim.report.terminal import print_report
     from mbds_xsim.result import to_json
+    from mbds_xsim.studies.validate.present import present
     from mbds_xsim.validation import Choice, validate_with_evidence
 
     console = console_for(json)
@@ -85,17 +85,8 @@ def validate(
             progress=progress,
             command=command_line(),
         )
-    print_table(validation, console)
-    page = page_for(html, opened=opened)
-    if page is not None:
-        from mbds_xsim.report.page import write_page
-
-        write_page(validation, evidence, page)
-    tell_page(page, console, opened=opened)
-    if markdown is not None:
-        from mbds_xsim.report.markdown import to_markdown
-        from mbds_xsim.write import write_whole
-
-        write_whole(markdown, to_markdown(validation).encode())
+    print_report(present(validation), console)
+    shown = present(validation, evidence if html is not None or opened else None)
+    deliver([shown], validation.scene, console, html=html, markdown=markdown, opened=opened)
     write_json(to_json(validation), json)
     raise typer.Exit(0 if validation.verdict != "fail" else 1)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
-from mbds_xsim.report.tradeoff_summary import BUSY
+from mbds_xsim.studies.tradeoff.words import BUSY
 from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
 from mbds_xsim.study.sweep import NATIVE
 

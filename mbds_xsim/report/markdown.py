@@ -1,62 +1,94 @@
-"""A validation as Markdown: what the terminal shows, to be kept beside the data."""
+"""Reports as Markdown: what the terminal shows, and how it was made, to be kept."""
 
 from __future__ import annotations
 
-from mbds_xsim.report import summary
-from mbds_xsim.report.summary import COLUMNS, Column
-from mbds_xsim.result import EngineResult, Validation
+from collections.abc import Iterable, Iterator
+
+from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
+from mbds_xsim.report.terminal import SIGNS
 from mbds_xsim.safe_text import as_code, in_markdown, sentence
 
 __all__ = ["to_markdown"]
 
 
-def to_markdown(validation: Validation) -> str:
-    """Give the table, what failed and why, and how to make it again."""
-    validation = in_markdown(validation)
-    versions = ", ".join(f"{name} {what}" for name, what in validation.versions.items())
-    lines = [
-        f"# {validation.scene}: {validation.verdict}",
-        "",
-        f"{sentence(validation.description)}{summary.conclusion(validation)}.",
-        "",
-        *_table(validation),
-        "",
-        *_reasons(validation),
-        f"- Reference: {summary.reference_line(validation)}",
-        f"- Odd one out: {summary.odd_one_out(validation)}",
-        f"- Figures over budget are bold; {_meanings()}",
-        f"- Made by {as_code(validation.command)} on {validation.machine}, in "
-        f"{validation.wall_s:.0f} s, with {versions}",
-    ]
-    return "\n".join(lines) + "\n"
+def to_markdown(reports: Iterable[Report]) -> str:
+    """Give a chapter a report; what a column means is told where it first stands."""
+    told: set[Column] = set()
+    return "\n".join(_spaced(line for report in reports for line in _chapter(report, told)))
 
 
-def _table(validation: Validation) -> list[str]:
-    headings = [*(column.heading for column in COLUMNS), "verdict"]
-    rules = [*(":--" if column.text else "--:" for column in COLUMNS), ":--"]
-    rows = [
-        [*(_cell(column, result, validation) for column in COLUMNS), result.verdict]
-        for result in validation.engines
-    ]
-    return [f"| {' | '.join(row)} |" for row in (headings, rules, *rows)]
+def _spaced(lines: Iterable[str]) -> Iterator[str]:
+    """Part lists from what stands around them by one blank line."""
+    above = ""
+    for line in lines:
+        if line and above and line.startswith("- ") != above.startswith("- "):
+            yield ""
+        if line or above:
+            yield line
+        above = line
 
 
-def _cell(column: Column, result: EngineResult, validation: Validation) -> str:
-    cell = column.cell(result, validation)
-    return f"**{cell.text}**" if cell.over else cell.text.replace("<", "&lt;")
+def _chapter(report: Report, told: set[Column]) -> Iterator[str]:
+    yield from (f"# {in_markdown(report.title)}: {in_markdown(report.what)}", "")
+    answer = f"{sentence(report.description)}{sentence(report.conclusion)}".rstrip()
+    yield from (in_markdown(answer), "")
+    if report.picture:
+        yield from (
+            f"![{in_markdown(report.title)}, {in_markdown(report.what)}]({report.picture})",
+            "",
+        )
+    yield from _blocks(report.blocks, told, 2)
+    made = f" on {in_markdown(report.made)}" if report.made else ""
+    yield from (f"- Made by {as_code(report.command)}{made}", "")
 
 
-def _reasons(validation: Validation) -> list[str]:
-    failed = [f"{summary.label(r)}: {reason}" for r in validation.engines for reason in r.reasons]
-    left_out = [f"{engine} left out: {reason}" for engine, reason in validation.left_out.items()]
-    remarks = [f"{subject}: {note}" for subject, note in summary.remarks(validation)]
-    return [f"- {line}" for line in (*failed, *remarks, *left_out)]
+def _blocks(blocks: Iterable[Block], told: set[Column], level: int) -> Iterator[str]:
+    for block in blocks:
+        match block:
+            case Table():
+                yield from _table(block, told, level)
+            case Text():
+                yield from (in_markdown(sentence(block.text).rstrip()), "")
+            case Remarks(lines):
+                yield from (f"- {in_markdown(_joined(r.subject, r.text))}" for r in lines)
+            case Section() if "markdown" in block.on:
+                if block.title:
+                    yield from (f"{'#' * level} {in_markdown(block.title)}", "")
+                yield from _blocks(block.blocks, told, level + 1)
 
 
-def _meanings() -> str:
-    figures = [column for column in COLUMNS if not column.text]
-    return "; ".join(f"{column.heading}: {_lowered(column.meaning)}" for column in figures)
+def _joined(subject: str, text: str) -> str:
+    return f"{subject}: {text}" if subject else text
 
 
-def _lowered(sentence: str) -> str:
-    return sentence[0].lower() + sentence[1:]
+def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:
+    if table.title:
+        yield from (f"{'#' * level} {in_markdown(table.title)}", "")
+    if table.note:
+        yield from (in_markdown(sentence(table.note).rstrip()), "")
+    yield _line(column.heading for column in table.columns)
+    yield _line(":--" if column.words else "--:" for column in table.columns)
+    for row in table.rows:
+        bold = row.mark in ("over", "fail")
+        yield f"| {' | '.join(_cell(cell, bold=bold) for cell in row.cells)} |"
+    yield ""
+    reasons = [(row.cells, reason) for row in table.rows for reason in row.reasons]
+    for cells, reason in reasons:
+        yield f"- {in_markdown(' '.join(cell.text for cell in cells[:2]))}: {in_markdown(reason)}"
+    for column in table.columns:
+        if column.meaning and column not in told:
+            told.add(column)
+            yield f"- {in_markdown(column.heading.strip())}: {in_markdown(column.meaning)}"
+    if any(cell.mark == "over" for row in table.rows for cell in row.cells):
+        yield "- Bold: over budget"
+
+
+def _line(texts: Iterable[str]) -> str:
+    return f"| {' | '.join(in_markdown(text.strip()) for text in texts)} |"
+
+
+def _cell(cell: Cell, *, bold: bool) -> str:
+    text = in_markdown(cell.text)
+    if cell.mark in SIGNS and not text:
+        return SIGNS[cell.mark]
+    return f"**{text}**" if text and (bold or cell.mark in ("over", "strong")) else text

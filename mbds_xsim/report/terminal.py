@@ -1,96 +1,142 @@
-"""A validation on the terminal: one table, what failed and why, the verdict."""
+"""Reports on the terminal: tables for reading in ten seconds, remarks, the conclusion last."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rich import box
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+from rich.table import Table as Grid
+from rich.text import Text as Words
 
-from mbds_xsim.report import summary
-from mbds_xsim.report.summary import COLUMNS, Cell, Column
-from mbds_xsim.result import EngineResult, Validation
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Remark,
+    Remarks,
+    Report,
+    Section,
+    Table,
+    Text,
+)
 
-__all__ = ["print_table"]
+__all__ = ["SIGNS", "print_blocks", "print_report"]
 
 _WIDE = 104
-"""Columns of a terminal from which on the whole table fits."""
-_STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
-_MARKS = {"pass": "✓", "warn": "!", "fail": "✗"}
+"""Columns of a terminal from which on whole tables fit."""
+_SHORT = 32
+"""Longest text of a column that is never folded."""
+SIGNS = {"pass": "✓", "warn": "!", "fail": "✗", "over": "✗"}
+_STYLES = {
+    "pass": "bold green", "warn": "bold yellow", "fail": "bold red", "over": "bold red",
+    "strong": "bold", "muted": "dim", "": "",
+}  # fmt: skip
 
 
-def print_table(validation: Validation, console: Console) -> None:
-    """Print a validation for reading in ten seconds."""
+def print_report(report: Report, console: Console) -> None:
+    """Print a report, its conclusion last: there it is read."""
     console.print()
-    console.print(_title(validation), highlight=False, soft_wrap=False)
-    console.print(_table(validation, wide=console.width >= _WIDE))
-    for result in validation.engines:
-        if result.reasons:
-            console.print(_reason(result))
-    for subject, note in summary.remarks(validation):
-        console.print(_remark(subject, note))
-    for engine, reason in validation.left_out.items():
-        console.print(_remark(f"{engine} left out", reason))
-    console.print(_remark("reference", summary.reference_line(validation)))
-    console.print(_remark("odd one out", summary.odd_one_out(validation)))
+    asked = "" if report.verdict else f": {report.what}"
+    title = Words(f"{report.title}{asked}", style="bold")
+    title.append(f"  {report.description}" if report.description else "", style="dim not bold")
+    console.print(title, highlight=False)
+    print_blocks(report.blocks, console)
+    if report.made:
+        console.print(_remark(Remark("made", report.made)))
     console.print()
-    console.print(_verdict_line(validation))
-
-
-def _title(validation: Validation) -> Text:
-    title = Text(validation.scene, style="bold")
-    if validation.description:
-        title.append(f"  {validation.description}", style="dim not bold")
-    return title
-
-
-def _table(validation: Validation, *, wide: bool) -> Table:
-    columns = [column for column in COLUMNS if wide or column.narrow]
-    padding = (0, 1, 0, 0) if wide else (0, 0)
-    table = Table(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False, header_style="bold")
-    for column in columns:
-        justify = "left" if column.text else "right"
-        table.add_column(column.heading, justify=justify, no_wrap=True)  # type: ignore[arg-type]
-    table.add_column("", no_wrap=True)
-    above = ""
-    for result in validation.engines:
-        cells = [_cell(column, result, validation) for column in columns]
-        if result.engine == above:
-            cells[0] = Text("")
-        above = result.engine
-        table.add_row(*cells, _verdict(result.verdict))
-    return table
-
-
-def _cell(column: Column, result: EngineResult, validation: Validation) -> Text:
-    cell: Cell = column.cell(result, validation)
-    return Text(f"{cell.text}✗", style="bold red") if cell.over else Text(cell.text)
-
-
-def _verdict(verdict: str) -> Text:
-    return Text(f"{_MARKS.get(verdict, '?')} {verdict}", style=_STYLES.get(verdict, ""))
-
-
-def _reason(result: EngineResult) -> Table:
-    """First reason behind a hanging indent, and how many more there are."""
-    first, *rest = result.reasons
-    more = f" (and {len(rest)} more)" if rest else ""
-    line = Table.grid(padding=(0, 1))
-    mark = Text(_MARKS.get(result.verdict, "?"), style=_STYLES.get(result.verdict, ""))
-    line.add_row(mark, Text.assemble((summary.label(result), "bold"), f": {first}", (more, "dim")))
-    return line
-
-
-def _remark(subject: str, text: str) -> Table:
-    line = Table.grid(padding=(0, 1))
-    line.add_row(Text("·", style="dim"), Text.assemble((f"{subject}: ", "bold"), text))
-    return line
-
-
-def _verdict_line(validation: Validation) -> Text:
-    style = _STYLES.get(validation.verdict, "bold")
-    return Text.assemble(
-        (f" {validation.verdict.upper()} ", f"{style} reverse"),
-        (f" {validation.scene}", "bold"),
-        f": {summary.conclusion(validation)}",
+    badge = f" {report.verdict.upper()} " if report.verdict else ""
+    console.print(
+        Words.assemble(
+            (badge, f"{_STYLES[report.verdict]} reverse"),
+            (f"{' ' if badge else ''}{report.title}", "bold"),
+            f": {report.conclusion}",
+        )
     )
+
+
+def print_blocks(blocks: Iterable[Block], console: Console) -> None:
+    """Print those blocks that a terminal can show."""
+    for block in blocks:
+        match block:
+            case Table():
+                _print_table(block, console)
+            case Text():
+                console.print(Words(block.text, style=_STYLES[block.mark]))
+            case Remarks():
+                for remark in block.lines[: block.most]:
+                    console.print(_remark(remark))
+                _left_out(len(block.lines), block.most, "lines", console)
+            case Section() if "terminal" in block.on:
+                print_blocks(block.blocks, console)
+
+
+def _print_table(table: Table, console: Console) -> None:
+    wide = console.width >= _WIDE
+    shown = [k for k, column in enumerate(table.columns) if wide or column.narrow]
+    grid = Grid(
+        title=table.title or None, title_justify="left", title_style="",
+        box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, header_style="bold",
+    )  # fmt: skip
+    for k in shown:
+        longest = max((len(row.cells[k].text) for row in table.rows), default=0)
+        _add_column(grid, table.columns[k], whole=longest <= _SHORT)
+    above = ""
+    for row in table.rows[: table.most]:
+        cells = [_words(row.cells[k]) for k in shown]
+        if table.grouped and row.cells[0].text == above:
+            cells[0] = Words("")
+        above = row.cells[0].text
+        grid.add_row(*cells, style=_STYLES[row.mark])
+    console.print(grid)
+    _left_out(len(table.rows), table.most, "rows", console)
+    for row in table.rows:
+        if row.reasons:
+            console.print(_reason(row.cells, row.mark, row.reasons))
+    if table.note:
+        console.print(Words(table.note, style="dim"))
+
+
+def _add_column(grid: Grid, column: Column, *, whole: bool) -> None:
+    grid.add_column(
+        column.heading,
+        justify="left" if column.words else "right",
+        no_wrap=whole or not column.words,
+        overflow="fold",
+    )
+
+
+def _words(cell: Cell) -> Words:
+    sign = SIGNS.get(cell.mark, "")
+    text = f"{cell.text}{sign}" if cell.mark == "over" else f"{sign} {cell.text}".strip()
+    return Words(text, style=_STYLES[cell.mark])
+
+
+def _reason(cells: tuple[Cell, ...], mark: str, reasons: tuple[str, ...]) -> Grid:
+    """First reason behind a hanging indent, and how many more there are."""
+    first, *rest = reasons
+    name = " ".join(cell.text for cell in cells[:2])
+    more = f" (and {len(rest)} more)" if rest else ""
+    return _hanging(
+        Words(SIGNS.get(mark, "✗"), style=_STYLES[mark]),
+        Words.assemble((name, "bold"), f": {first}", (more, "dim")),
+    )
+
+
+def _remark(remark: Remark) -> Grid:
+    style = _STYLES[remark.mark] or "bold"
+    sign = SIGNS.get(remark.mark, "·")
+    subject = f"{remark.subject}: " if remark.subject else ""
+    return _hanging(Words(sign, style="dim"), Words.assemble((subject, style), remark.text))
+
+
+def _hanging(sign: Words, text: Words) -> Grid:
+    line = Grid.grid(padding=(0, 1))
+    line.add_row(sign, text)
+    return line
+
+
+def _left_out(count: int, most: int | None, what: str, console: Console) -> None:
+    if most is not None and count > most:
+        told = f"{count - most} more {what}, in the page, Markdown or JSON"
+        console.print(_remark(Remark("and", told)))

@@ -14,10 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.report import shift_markdown, tradeoff_markdown, tradeoff_page
+from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.page import to_html
 from mbds_xsim.safe_text import as_code, csv_text, in_markdown, sentence
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene_file import save_scene
+from mbds_xsim.studies.shift import present as shifts
+from mbds_xsim.studies.tradeoff import present as tradeoff
 from mbds_xsim.study.rows import read_tradeoff
 from tests.cli.conftest import CommandLine
 
@@ -79,17 +82,17 @@ def test_no_command_obeys_the_text_of_a_scene(run: CommandLine, written: Path) -
 
 
 def test_texts_of_studies_are_escaped() -> None:
-    tradeoff = read_tradeoff(_REPORTS / "tradeoff" / "2ladder.json")
+    stored = read_tradeoff(_REPORTS / "tradeoff" / "2ladder.json")
     evil = msgspec.structs.replace(
-        tradeoff, scene=_EVIL, description="", left_out={_EVIL: f"{_EVIL}\n# big"}
+        stored, scene=_EVIL, description="", left_out={_EVIL: f"{_EVIL}\n# big"}
     )
     shift = msgspec.json.decode((_REPORTS / "shift" / "6pendulum.json").read_bytes(), type=Shift)
 
-    markdown = tradeoff_markdown.to_markdown([evil])
-    _check_markdown(markdown)
-    assert "<script>alert" not in markdown + tradeoff_page.to_html([evil])
     shift = msgspec.structs.replace(shift, scene=_EVIL, left_out={"": _EVIL})
-    _check_markdown(shift_markdown.to_markdown([shift]))
+    reports = [tradeoff.present(evil), shifts.present(shift)]
+    markdown = to_markdown(reports)
+    _check_markdown(markdown)
+    assert "<script>alert" not in markdown + to_html(reports, _EVIL, "tradeoff")
 
 
 @given(st.text())

@@ -45,10 +45,10 @@ from mbds_xsim.learn.shift.roster import (
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
-from mbds_xsim.report.shift_markdown import to_markdown
-from mbds_xsim.report.shift_tables import tables
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.state import Batch
+from mbds_xsim.studies.shift.present import present
+from mbds_xsim.studies.shift.tables import tables
 from tests.learn.conftest import Silence
 
 SCENE = "1pendulum"
@@ -286,7 +286,7 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
     early = studied(1)
     assert (shift.at, early.at) == (10, 1)
     assert (shift.kept, early.kept) == (0, len(shift.models))
-    assert f", {early.kept} of {early.kept} models tested before on " in to_markdown([early])
+    assert f", {early.kept} of {early.kept} models tested before" in present(early).made
     assert "At t = 10," in shift.answers[0].answer
     assert "At t = 1," in early.answers[0].answer
     assert early.gaps == shift.gaps
@@ -360,11 +360,11 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
     answer = next(answer for answer in found.answers if answer.kind == "speed")
     assert answer.question == "What does a change of speed cost (mujoco-native)?"
     table = next(t for t in tables(found) if "trained on one interval, tested on all" in t.title)
-    assert [row[0] for row in table.rows] == [
+    assert [row.texts[0] for row in table.rows] == [
         f"gns, mujoco-{interval}-native" for interval in ("low", "medium", "high")
     ]
     # All are the same untrained model: what remains is how hard the intervals are.
-    assert [row[4:] for row in table.rows] == [("1", "1", "1")] * 3
+    assert [row.texts[4:] for row in table.rows] == [("1", "1", "1")] * 3
 
 
 @pytest.mark.parametrize(

@@ -23,12 +23,13 @@ from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.seen import Seen, unexplained_energy
 from mbds_xsim.learn.trained import trained_in
 from mbds_xsim.learn.window import HISTORY, Inputs
-from mbds_xsim.report import stability_summary as summary
-from mbds_xsim.report.stability_markdown import to_markdown
-from mbds_xsim.report.stability_page import to_html, to_png
+from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.studies.stability import words
+from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.study.stability import learned
 from mbds_xsim.study.stability.definition import Study
 from mbds_xsim.study.stability.learned import TrainedModel, judge_particles, models_in, run_model
@@ -259,20 +260,20 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
 
 
 def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep) -> None:
-    ((name, told),) = summary.holding(sweep)
+    ((name, told),) = words.holding(sweep)
     cell = sweep.panels[1].cells[0][0]
 
     assert name == sweep.panels[1].name
     assert told.startswith("stable nowhere, on course nowhere; at 0 m/s ")
     assert told.endswith("told by nobody")
-    assert f"--engines none --models {cell.source} --value 0" in summary.command_of(cell, sweep)
-    assert "first six" in to_markdown([sweep])
-    assert "first six" in to_html([sweep])
+    assert f"--engines none --models {cell.source} --value 0" in words.command_of(cell, sweep)
+    assert "first six" in to_markdown([present(sweep)])
+    assert "first six" in to_html([present(sweep)], "", "stability")
     alone = msgspec.structs.replace(sweep, panels=sweep.panels[1:])
-    assert summary.conclusion(alone).endswith("none is stable")
+    assert words.conclusion(alone).endswith("none is stable")
     for each in (sweep, alone):
         assert to_png([each])[:4] == b"\x89PNG"
-    assert "most stable: mujoco RK4 (4 of 4)" in summary.conclusion(sweep)
+    assert "most stable: mujoco RK4 (4 of 4)" in words.conclusion(sweep)
 
 
 def test_values_that_hold_are_told_as_ranges(sweep: Sweep) -> None:
@@ -287,7 +288,7 @@ def test_values_that_hold_are_told_as_ranges(sweep: Sweep) -> None:
     )
     swept = msgspec.structs.replace(sweep, panels=(msgspec.structs.replace(model, cells=cells),))
 
-    ((_, told),) = summary.holding(swept)
+    ((_, told),) = words.holding(swept)
 
     assert told == (
         "stable at 0 m/s to 2 m/s and at 9 m/s, on course at 1 m/s to 2 m/s and at 9 m/s; "
@@ -299,7 +300,7 @@ def test_without_models_nothing_is_said_of_them() -> None:
     plan = Plan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0,), counts=(5,), workers=0
     )
-    assert "first six" not in to_markdown([survey(plan)])
+    assert "first six" not in to_markdown([present(survey(plan))])
 
 
 def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> None:

@@ -22,10 +22,11 @@ from mbds_xsim.learn.saved import read_model
 from mbds_xsim.learn.tradeoff import AT_ONCE, Trial, with_models
 from mbds_xsim.learn.trained import Known, known_start, trained_in, true_motion
 from mbds_xsim.learn.window import HISTORY, Inputs
-from mbds_xsim.report.tradeoff_csv import to_csv
-from mbds_xsim.report.tradeoff_markdown import to_markdown
-from mbds_xsim.report.tradeoff_page import to_html, to_png
+from mbds_xsim.report.files import rows_csv
+from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.study.rows import Row, Tradeoff, read_tradeoff, to_json
 from mbds_xsim.study.tradeoff import tradeoff_with_rows
 from tests.learn.models import untrained
@@ -190,7 +191,7 @@ def test_a_lost_prediction_is_a_failed_point(
     assert model.alone.kind == "failed"
     assert "not finite from 0.32 s on" in model.alone.reason
     assert model.alone.error_m is None
-    assert "not finite" in to_markdown([study])
+    assert "not finite" in to_markdown([present(study)])
     assert to_png([study])[:4] == b"\x89PNG"
 
 
@@ -214,8 +215,8 @@ def test_what_is_measured_is_kept(
 def test_all_files_have_the_models(both: tuple[Tradeoff, list[Row]], tmp_path: Path) -> None:
     study, rows = both
     (tmp_path / "study.json").write_bytes(to_json([study]))
-    table = list(csv.DictReader(to_csv(rows).decode().splitlines()))
-    page, words = to_html([study]), to_markdown([study])
+    table = list(csv.DictReader(rows_csv(rows).decode().splitlines()))
+    page, words = to_html([present(study)], "", "tradeoff"), to_markdown([present(study)])
 
     assert read_tradeoff(tmp_path / "study.json") == study
     assert {row["variation"] for row in table} == {"", f"{AT_ONCE} at a time"}
@@ -225,7 +226,7 @@ def test_all_files_have_the_models(both: tuple[Tradeoff, list[Row]], tmp_path: P
         assert "not told the random forces" in text.replace("\n", " ")
     assert page.count("training took 12 s") >= 4  # two models, alone and in a batch
     assert to_png([study])[:4] == b"\x89PNG"
-    assert "rained models" not in to_markdown([msgspec.structs.replace(study, models=())])
+    assert "rained models" not in to_markdown([present(msgspec.structs.replace(study, models=()))])
 
 
 def test_a_study_of_another_scene_or_no_model_of_it_is_refused(

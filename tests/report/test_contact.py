@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 
 from mbds_xsim import registry
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.report import contact_table, figures, palette, summary
-from mbds_xsim.report.contact import contact_of, contacts_of
+from mbds_xsim.report import palette, themed
 from mbds_xsim.result import EnsembleResult
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Trajectory
+from mbds_xsim.studies.validate import contact_table, figures, words
+from mbds_xsim.studies.validate.episodes import contact_of, contacts_of
 
 from .conftest import Case, Fake, make_case
 from .test_page import numbers, viewer, written
@@ -189,15 +189,13 @@ def test_a_sliding_ball_rolls_when_friction_has_done_its_work(ball: Scene) -> No
 
 
 def test_the_table_holds_engines_beside_the_reference(bouncing: Case) -> None:
-    table = contact_table.tables(contacts_of(bouncing.evidence), ROWS)[1]
+    names = ("reference", *(result.engine for result in bouncing.validation.engines))
+    entries = [(name, palette.Style(0, dashed=False)) for name in names]
+    table = contact_table.tables(contacts_of(bouncing.evidence), entries, range(ROWS))[1]
 
     headings = [column.heading for column in table.columns]
     rebound, ratio = headings.index("first rebound"), headings.index("restitution")
-    reference, worse, crashed, alike = table.rows
-    assert crashed is None
-    assert reference is not None
-    assert worse is not None
-    assert alike is not None
+    reference, worse, alike = (row.texts for row in table.rows)
     e = of(bouncing.evidence.scene)
     assert reference[rebound] == f"{e**2 * HEIGHTS[1]:.4f} m"
     assert f"({100 * (LESS**2 / e**2 - 1):+.2f} %)" in worse[rebound]
@@ -205,8 +203,8 @@ def test_the_table_holds_engines_beside_the_reference(bouncing: Case) -> None:
     assert "rolls from" not in headings
 
 
-def test_the_script_gets_what_touches(bouncing: Case, tmp_path: Path) -> None:
-    data = viewer(written(bouncing, tmp_path))
+def test_the_script_gets_what_touches(bouncing: Case) -> None:
+    data = viewer(written(bouncing))
     contact = data["contact"]
 
     assert [entry["name"] for entry in data["entries"]] == [
@@ -226,19 +224,20 @@ def test_the_script_gets_what_touches(bouncing: Case, tmp_path: Path) -> None:
         np.testing.assert_allclose(gap, found.gap, atol=1e-6)
 
 
-def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case, tmp_path: Path) -> None:
-    page = written(bouncing, tmp_path)
+def test_a_page_of_contact_has_its_tables_and_its_words(bouncing: Case) -> None:
+    page = written(bouncing)
     section = page.split('<section id="contact">')[1].split("</section>")[0]
 
     assert section.count("<table") == ROWS
     assert section.count(" hidden>") == ROWS - 1
     assert "exact through all contacts" in section
-    assert 'class="curve-0"' in section
-    assert 'class="curve-1"' not in section
+    impacts = page.split("<h2>Impacts</h2>")[1].split("</section>")[0]
+    assert 'class="curve-0"' in impacts
+    assert 'class="curve-1"' not in impacts
 
 
-def test_a_scene_without_contact_has_nothing_of_it(case: Case, tmp_path: Path) -> None:
-    page = written(case, tmp_path)
+def test_a_scene_without_contact_has_nothing_of_it(case: Case) -> None:
+    page = written(case)
 
     assert 'id="contact"' not in page
     assert "function drawStrips" not in page
@@ -246,24 +245,24 @@ def test_a_scene_without_contact_has_nothing_of_it(case: Case, tmp_path: Path) -
     assert "no unique solution" not in page.split("<script")[0]
 
 
-def test_where_the_reference_ends_the_page_says_so(bouncing: Case, tmp_path: Path) -> None:
+def test_where_the_reference_ends_the_page_says_so(bouncing: Case) -> None:
     case = _until(bouncing, 0.3, 0.45, None)
 
-    page = written(case, tmp_path)
+    page = written(case)
     section = page.split('<section id="contact">')[1].split("</section>")[0]
 
     assert "reference ends at the first impact" in section
     assert viewer(page)["contact"]["ends"] == [0.3, 0.45, None]
     assert page.count("no unique solution</tspan>") + page.count(">no unique solution<") == 2
-    assert "at 0.30 to 0.45 s" in summary.reference_line(case.validation)
+    assert "at 0.30 to 0.45 s" in words.reference_line(case.validation)
     assert "≥0.30 s" in page
     assert "always" not in page.split("</table>")[0]
 
 
-def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case, tmp_path: Path) -> None:
+def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case) -> None:
     case = _until(bouncing, 0.0, 0.0, 0.0)
 
-    page = written(case, tmp_path)
+    page = written(case)
 
     assert (
         figures.error_growth(
@@ -273,7 +272,7 @@ def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case, tmp_
     )
     assert "<figcaption>Error" not in page
     assert "starts in contact" in page
-    agrees = [summary.COLUMNS[-1].cell(r, case.validation).text for r in case.validation.engines]
+    agrees = [words.COLUMNS[-1][1](r, case.validation).text for r in case.validation.engines]
     assert agrees == ["–"] * 3
 
 
@@ -284,7 +283,8 @@ def test_engines_alone_are_in_the_matrix_where_the_reference_has_ended(case: Cas
     matrix[-1, :-1] = matrix[:-1, -1] = np.nan
     ended = msgspec.structs.replace(case.validation, matrix_m=tuple(map(tuple, matrix.tolist())))
 
-    drawn, whole = (str(figures.matrix(v, styles)) for v in (ended, case.validation))
+    found = [figures.matrix(v, styles) for v in (ended, case.validation)]
+    drawn, whole = (themed.svg("", f.draw, f.size, f.tips) for f in found if f is not None)
 
     assert whole.count(">reference<") == 2
     assert drawn.count(">reference<") == 0
@@ -292,11 +292,11 @@ def test_engines_alone_are_in_the_matrix_where_the_reference_has_ended(case: Cas
     assert figures.matrix(nothing, styles) is None
 
 
-def test_distributions_are_on_the_page(case: Case, tmp_path: Path) -> None:
+def test_distributions_are_on_the_page(case: Case) -> None:
     pair = EnsembleResult("dart native", "mujoco native", 4.0, 0.0123, 0.0005, 60)
     validation = msgspec.structs.replace(case.validation, ensembles=(pair,))
 
-    page = written(dataclasses.replace(case, validation=validation), tmp_path)
+    page = written(dataclasses.replace(case, validation=validation))
 
     (row,) = re.findall(r"<tr><td[^>]*>dart native and mujoco native.*?</tr>", page)
     assert "0.012" in row

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case
 
 
 def test_every_row_has_every_column(case: Case) -> None:
-    rows = [line for line in to_markdown(case.validation).splitlines() if line.startswith("|")]
+    rows = [
+        line
+        for line in to_markdown([present(case.validation)]).splitlines()
+        if line.startswith("|")
+    ]
     assert len(rows) == 2 + len(case.validation.engines)
     assert len({row.count("|") for row in rows}) == 1
     for row, result in zip(rows[2:], case.validation.engines, strict=True):
@@ -17,7 +22,7 @@ def test_every_row_has_every_column(case: Case) -> None:
 
 
 def test_failures_and_the_command_are_told(case: Case) -> None:
-    text = to_markdown(case.validation)
+    text = to_markdown([present(case.validation)])
     for result in case.validation.engines:
         for reason in result.reasons:
             assert reason in text

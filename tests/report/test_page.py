@@ -7,7 +7,6 @@ import dataclasses
 import html.parser
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,21 +16,21 @@ from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.report import animation, palette
-from mbds_xsim.report.page import write_page
+from mbds_xsim.report.page import to_html
 from mbds_xsim.report.skeleton import skeleton
 from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case, Fake, make_case
 
 
 @pytest.fixture(scope="module")
-def page(case: Case, tmp_path_factory: pytest.TempPathFactory) -> str:
-    return written(case, tmp_path_factory.mktemp("page"))
+def page(case: Case) -> str:
+    return written(case)
 
 
-def written(case: Case, folder: Path) -> str:
-    write_page(case.validation, case.evidence, folder / "page.html")
-    return (folder / "page.html").read_text(encoding="utf-8")
+def written(case: Case) -> str:
+    return to_html([present(case.validation, case.evidence)], case.validation.scene, "validate")
 
 
 def viewer(page: str) -> dict[str, Any]:
@@ -105,7 +104,7 @@ def test_it_names_verdict_command_versions_and_options(page: str, case: Case) ->
 
 
 def test_every_finding_is_listed(page: str, case: Case) -> None:
-    rows = page.split('<section id="findings">')[1].split("</section>")[0].count("<tr")
+    rows = page.split("<h2>Findings</h2>")[1].split("</section>")[0].count("<tr")
     findings = sum(len(result.findings) for result in case.validation.engines)
     assert rows == findings + len(case.validation.engines)  # and a head each
 
@@ -131,7 +130,7 @@ def test_no_id_is_used_twice_for_different_things(page: str) -> None:
     assert all(re.fullmatch(r"[a-z][0-9a-f]{10}", name) for name in again)
 
 
-def test_text_of_the_scene_is_escaped(one_engine: Case, tmp_path: Path) -> None:
+def test_text_of_the_scene_is_escaped(one_engine: Case) -> None:
     (result,) = one_engine.validation.engines
     evil = "</script><script>alert(1)</script>"
     validation = msgspec.structs.replace(
@@ -141,7 +140,7 @@ def test_text_of_the_scene_is_escaped(one_engine: Case, tmp_path: Path) -> None:
         names=(evil, "reference"),
     )
 
-    page = written(dataclasses.replace(one_engine, validation=validation), tmp_path)
+    page = written(dataclasses.replace(one_engine, validation=validation))
 
     assert "<script>alert" not in page
     assert _unclosed(page) == []
@@ -226,19 +225,17 @@ def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
 
 
 @pytest.mark.parametrize("name", ["one_engine", "with_crash"])
-def test_other_validations_make_a_page(
-    name: str, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
+def test_other_validations_make_a_page(name: str, request: pytest.FixtureRequest) -> None:
     case: Case = request.getfixturevalue(name)
 
-    page = written(case, tmp_path)
+    page = written(case)
 
     assert _unclosed(page) == []
     assert len(viewer(page)["entries"]) == 2
     assert ("signal 11" in page) == (name == "with_crash")
 
 
-def test_bodies_without_particles_and_edges_are_drawn_by_their_joints(tmp_path: Path) -> None:
+def test_bodies_without_particles_and_edges_are_drawn_by_their_joints() -> None:
     plate = Inertia(2.0, (0.1, 0.1, 0.15), com=(0.0, 0.0, -0.5))
     scene = Scene(
         name="plate",
@@ -254,7 +251,7 @@ def test_bodies_without_particles_and_edges_are_drawn_by_their_joints(tmp_path: 
     assert bones.edges == ((0, 1),)
     np.testing.assert_allclose(places[..., 0, :], case.evidence.reference.position[..., 0, :])
     np.testing.assert_allclose(places[..., 1, :], 0.0, atol=1e-12)
-    assert _unclosed(written(case, tmp_path)) == []
+    assert _unclosed(written(case)) == []
 
 
 def test_anchors_are_numbered_behind_all_moving_points(scene: Scene) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from mbds_xsim import registry
 from mbds_xsim.report import palette
-from mbds_xsim.report.stability_figures import LOOKS
 from mbds_xsim.report.training_curves import looks
+from mbds_xsim.studies.stability.figures import LOOKS
 
 _KINDS = {
     "engines": palette.ENGINES,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 import webbrowser
 from pathlib import Path
 
@@ -11,10 +12,12 @@ import typer
 from rich.console import Console
 
 from mbds_xsim.commands import app
-from mbds_xsim.commands.shared import command_line, page_for, tell_page
+from mbds_xsim.commands.shared import command_line, deliver
 from mbds_xsim.dataset.audit import Audited
-from mbds_xsim.report import audit_page, match_page
+from mbds_xsim.report.page import to_html
 from mbds_xsim.result import FindingResult
+from mbds_xsim.studies.audit import present as audit
+from mbds_xsim.studies.match import present as match
 from mbds_xsim.study.match import SCHEMA, Found, Match
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
@@ -92,23 +95,27 @@ def _match(*engines: Found) -> Match:
 
 
 def test_an_audit_says_first_whether_the_trajectories_hold() -> None:
-    good = audit_page.to_html(_audited(_finding("gap", 1e-6, 1e-4)), "mbds-xsim audit lab.csv")
-    bad = audit_page.to_html(
-        _audited(_finding("gap", 3e-3, 1e-4), _finding("finite", 0.0, None)), "mbds-xsim audit"
+    sound = _audited(_finding("gap", 1e-6, 1e-4))
+    broken = _audited(_finding("gap", 3e-3, 1e-4), _finding("finite", 0.0, None))
+    good, bad = (
+        to_html([audit.present(audited, "mbds-xsim audit lab.csv")], "lab.csv", "audit")
+        for audited in (sound, broken)
     )
 
-    assert _LEAD.findall(good) == ["every check that ran holds (1, on 1 trajectory of 2pendulum)."]
-    assert _LEAD.findall(bad) == ["1 check out of budget on 1 trajectory of 2pendulum: gap."]
+    assert _LEAD.findall(good) == ["Every check that ran holds (1, on 1 trajectory of 2pendulum). "]
+    assert _LEAD.findall(bad) == ["1 check out of budget on 1 trajectory of 2pendulum: gap. "]
     assert "✗ fail" in bad
     assert "✗" not in good.partition("</header>")[0]
-    assert "Not checked: energy, momentum" in bad
+    assert "not checked: energy, momentum" in bad
     assert "rod&lt;1&gt;" in bad
     assert "shares of the budgets: gap 30" in bad
 
 
 def test_a_match_says_first_who_keeps_the_budgets_at_what_cost() -> None:
-    page = match_page.to_html([_match(_found("exudyn", 0.2), _found("mujoco", 0.002))])
-    mixed = match_page.to_html([_match(_found("exudyn", 0.2), _found("mujoco", 0.1, met=False))])
+    page, mixed = (
+        to_html([match.present(_match(_found("exudyn", 0.2), other))], "", "match")
+        for other in (_found("mujoco", 0.002), _found("mujoco", 0.1, met=False))
+    )
 
     (lead,) = _LEAD.findall(page)
     assert "2 of 2 engines within all budgets; cheapest is mujoco RK4 at 10 ms, 2.0 ms" in lead
@@ -143,18 +150,20 @@ def test_a_page_is_opened_where_it_was_written(
 
     monkeypatch.setattr(webbrowser, "open", no_browser)
 
-    assert page_for(None, opened=False) is None
-    assert page_for(tmp_path / "a.html", opened=True) == tmp_path / "a.html"
-    page = page_for(None, opened=True)
-    assert page is not None
-    assert page.parent.is_dir()
-    tell_page(page, console, opened=True)
+    monkeypatch.setattr("sys.argv", ["mbds-xsim", "audit", "lab.csv"])
+    monkeypatch.setattr(tempfile, "mkdtemp", lambda **_: str(tmp_path))
+    report = audit.present(_audited(_finding("gap", 1e-6, 1e-4)), "")
 
-    assert seen == [page.as_uri()]
+    deliver([report], "", console)
+    assert not list(tmp_path.iterdir())
+    deliver([report], "", console, html=tmp_path / "a.html", opened=True)
+    deliver([report], "", console, opened=True)
+
+    pages = [tmp_path / "a.html", tmp_path / "page.html"]
+    assert seen == [page.as_uri() for page in pages]
     told = console.export_text()
-    assert str(page) in told
+    assert all(page.is_file() and str(page) in told for page in pages)
     assert "there is no browser" in told
-    page.parent.rmdir()
 
 
 def test_that_a_page_was_opened_says_nothing_about_results(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,9 +7,10 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.report.summary import COLUMNS
-from mbds_xsim.report.terminal import print_table
+from mbds_xsim.report.terminal import print_report
 from mbds_xsim.result import Validation
+from mbds_xsim.studies.validate.present import present
+from mbds_xsim.studies.validate.words import COLUMNS
 
 from .conftest import Case
 
@@ -17,7 +18,7 @@ from .conftest import Case
 def printed(validation: Validation, width: int) -> str:
     console = Console(width=width, _environ={})
     with console.capture() as capture:
-        print_table(validation, console)
+        print_report(present(validation), console)
     return capture.get()
 
 
@@ -70,7 +71,8 @@ def test_figures_over_their_budget_stand_out(one_engine: Case) -> None:
 def _cell_styles(validation: Validation, result: object) -> str:
     console = Console(width=120, force_terminal=True, color_system="standard")
     with console.capture() as capture:
-        print_table(msgspec.structs.replace(validation, engines=(result,), verdict="pass"), console)
+        alone = msgspec.structs.replace(validation, engines=(result,), verdict="pass")
+        print_report(present(alone), console)
     rows = capture.get().splitlines()
     return next(row for row in rows if row.lstrip().startswith("mujoco"))
 
@@ -103,8 +105,8 @@ def test_what_a_check_could_not_judge_is_told(one_engine: Case) -> None:
     validation = msgspec.structs.replace(one_engine.validation, engines=(result,))
 
     assert why in " ".join(printed(validation, 120).split())
-    assert why in to_markdown(validation)
-    assert why not in to_markdown(one_engine.validation)
+    assert why in to_markdown([present(validation)])
+    assert why not in to_markdown([present(one_engine.validation)])
 
 
 def test_text_that_looks_like_markup_is_printed_as_it_is(one_engine: Case) -> None:
@@ -119,11 +121,9 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(one_engine: Case) -> No
 
 def test_what_is_over_its_budget_has_a_sign_without_colours_too(case: Case) -> None:
     cells = [
-        column.cell(result, case.validation)
-        for result in case.validation.engines
-        for column in COLUMNS
+        tell(result, case.validation) for result in case.validation.engines for _, tell in COLUMNS
     ]
-    over = [cell.text for cell in cells if cell.over]
+    over = [cell.text for cell in cells if cell.mark == "over"]
 
     text = printed(case.validation, 120)
 

@@ -17,11 +17,12 @@ import pytest
 
 from mbds_xsim import cli
 from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.report.stability_csv import to_csv
-from mbds_xsim.report.stability_figures import LOOKS
-from mbds_xsim.report.stability_markdown import to_markdown
-from mbds_xsim.report.stability_page import to_html, to_png
-from mbds_xsim.report.stability_summary import breaking, command_of, conclusion, limit, told
+from mbds_xsim.report.files import rows_csv
+from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.page import to_html
+from mbds_xsim.studies.stability.figures import LOOKS
+from mbds_xsim.studies.stability.present import present, to_png
+from mbds_xsim.studies.stability.words import breaking, command_of, conclusion, limit, told
 from mbds_xsim.study.stability import measuring
 from mbds_xsim.study.stability import survey as surveys
 from mbds_xsim.study.stability.plan import Plan
@@ -52,7 +53,7 @@ def test_the_table_gives_the_largest_stable_step(sweep: Sweep) -> None:
     rk4 = next(panel for panel in sweep.panels if panel.name == "mujoco RK4")
 
     assert [limit(rk4, row) for row in range(2)] == ["50", "10"]
-    table = to_markdown([sweep])
+    table = to_markdown([present(sweep)])
     assert "| engine and method / stiffness [N/m] | 100 | 10000 |" in table
     assert "| mujoco RK4 | 50 | 10 |" in table
 
@@ -105,7 +106,7 @@ def test_every_outcome_has_its_own_look() -> None:
 
 
 def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Sweep) -> None:
-    page = to_html([sweep, sweep])
+    page = to_html([present(sweep)] * 2, "", "stability")
 
     assert not re.search(r"(src|href)=[\"']?https?:", page)
     assert page.count("<svg ") == 2 * len(sweep.panels)
@@ -120,7 +121,7 @@ def test_the_picture_is_one(sweep: Sweep) -> None:
 
 
 def test_a_cell_a_line(sweep: Sweep) -> None:
-    rows = list(csv.DictReader(io.StringIO(to_csv([sweep]).decode())))
+    rows = list(csv.DictReader(io.StringIO(rows_csv(sweep.cells, "silent").decode())))
 
     assert len(rows) == len(sweep.cells)
     assert {row["silent"] for row in rows} == {"True", "False"}
@@ -199,7 +200,8 @@ def test_a_folder_gets_every_file_of_a_study(run: Run, tmp_path: Path) -> None:
     )  # fmt: skip
 
     assert code == 0
-    assert "Largest stable step [ms], by coefficient of friction" in out
+    assert "friction: largest stable step [ms]" in out
+    assert "coefficient of friction" in out
     names = sorted(path.name for path in (tmp_path / "maps").iterdir())
     assert names == [f"friction.{end}" for end in ("csv", "html", "json", "md", "png")]
 

@@ -13,10 +13,10 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim import cli
-from mbds_xsim.report import tradeoff_summary as summary
-from mbds_xsim.report.tradeoff_csv import to_csv
-from mbds_xsim.report.tradeoff_files import write_files
-from mbds_xsim.report.tradeoff_terminal import print_tradeoff
+from mbds_xsim.report.files import link, rows_csv, write_reports
+from mbds_xsim.report.terminal import print_report
+from mbds_xsim.studies.tradeoff import words as summary
+from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.study.rows import SCHEMA, CurveResult, Point, Ratio, Row, Tradeoff, to_json
 
 
@@ -91,7 +91,7 @@ def study() -> Tradeoff:
 
 def _printed(study: Tradeoff, width: int) -> str:
     stream = io.StringIO()
-    print_tradeoff(study, Console(file=stream, width=width, color_system=None))
+    print_report(present(study), Console(file=stream, width=width, color_system=None))
     return stream.getvalue()
 
 
@@ -154,9 +154,10 @@ def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:
 
 def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     other = msgspec.structs.replace(study, scene="other")
-    paths = {kind: tmp_path / f"out.{kind}" for kind in ("csv", "html", "png", "markdown")}
+    paths = {kind: tmp_path / f"out.{kind}" for kind in ("html", "markdown")}
+    reports = [present(study, link(tmp_path / "out.png", paths["markdown"])), present(other)]
 
-    write_files([study, other], [_row()], **paths)
+    write_reports(reports, "Speed against accuracy", "tradeoff", **paths)
 
     page = paths["html"].read_text()
     assert page.count("<svg role=") >= 6
@@ -164,19 +165,19 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     assert "<b>SIGSEGV" not in page
     assert 'class="curve-1 tip"><title>dart semi-implicit-euler' in page
     assert not re.search(r'(src|href)="(?!#)', page)
-    assert paths["png"].read_bytes()[:4] == b"\x89PNG"
+    assert to_png([study, other])[:4] == b"\x89PNG"
     text = paths["markdown"].read_text()
     assert "# pair: speed against accuracy" in text
     assert "# other: speed against accuracy" in text
     assert "Cheapest within all budgets: mujoco RK4 solver = CG at 10 ms" in text
-    assert text.endswith("![Speed against accuracy of pair and other: charts](out.png)\n")
+    assert text.count("![pair, speed against accuracy](out.png)\n") == text.count("![") == 1
     told = json.loads(to_json([study]))
     assert told["curves"][0]["points"][0]["kind"] == "crashed"
     assert [entry["scene"] for entry in json.loads(to_json([study, other]))] == ["pair", "other"]
 
 
 def test_raw_rows_keep_every_repeat_and_version() -> None:
-    (line,) = csv.DictReader(io.StringIO(to_csv([_row()]).decode()))
+    (line,) = csv.DictReader(io.StringIO(rows_csv([_row()]).decode()))
 
     assert line["wall_s"] == "0.01 0.02"
     assert json.loads(line["options"]) == {"solver": "CG"}

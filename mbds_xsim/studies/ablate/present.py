@@ -1,0 +1,164 @@
+"""An ablation as a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from mbds_xsim.counted import counted
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
+from mbds_xsim.study import ablate_result
+from mbds_xsim.study.ablate_result import Ablation, Size
+
+__all__ = ["present"]
+
+_MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
+_COLUMNS: tuple[tuple[Column, Callable[[ablate_result.Row], str]], ...] = (
+    (Column("effect", "what the scene models", words=True), lambda row: row.effect),
+    (Column("made", "dropped, or how much of it is left", words=True), lambda row: _made(row)),
+    (
+        Column("at 1 s", "RMS change of the particles at 1 s, worst of the low and medium starts"),
+        lambda row: quantity.length(row.change_1s_m),
+    ),
+    (
+        Column("median", "the same, median of these starts", narrow=False),
+        lambda row: quantity.length(row.change_1s_median_m),
+    ),
+    (
+        Column(
+            "overall",
+            "largest change over the whole comparison, divided by the growth of a disturbance, "
+            "worst of all starts",
+        ),
+        lambda row: quantity.length(row.change_m),
+    ),
+    (
+        Column("median ", "the same, median of all starts", narrow=False),
+        lambda row: quantity.length(row.change_median_m),
+    ),
+    (
+        Column("× floor", "the larger of the two changes over its floor"),
+        lambda row: quantity.number(row.over_floor),
+    ),
+    (
+        Column(
+            "× engines",
+            "the larger of the two changes over the disagreement between engines alone",
+            narrow=False,
+        ),
+        lambda row: quantity.number(row.over_disagreement),
+    ),
+)
+_VERDICT = Column("verdict", "needed where a change is above its floor", words=True)
+
+
+def present(ablation: Ablation) -> Report:
+    """Say what the scene could do without, and what it is held against."""
+    versions = ", ".join(f"{name} {version}" for name, version in ablation.versions.items())
+    return Report(
+        title=ablation.scene,
+        what="what it needs",
+        description=ablation.description,
+        conclusion=_conclusion(ablation),
+        blocks=tuple(_blocks(ablation)),
+        command=ablation.command,
+        made=f"{ablation.machine}, in {quantity.span(ablation.wall_s)}, with {versions}",
+    )
+
+
+def _blocks(ablation: Ablation) -> Iterator[Block]:
+    rows = tuple(
+        Row(
+            (
+                *(Cell(tell(row)) for _, tell in _COLUMNS),
+                Cell(row.verdict, _MARKS.get(row.verdict, "")),
+            ),
+            # Figures often say all that led to a verdict.
+            reasons=() if _plain(row) or not row.sentence else (row.sentence,),
+        )
+        for row in ablation.rows
+    )
+    yield Table((*(column for column, _ in _COLUMNS), _VERDICT), rows, grouped=True)
+    yield Remarks.of(
+        [
+            ("judge", _judge(ablation)),
+            ("floor", _floors(ablation)),
+            *((f"{engine} failed", reason) for engine, reason in ablation.failed.items()),
+            *((f"{engine} left out", reason) for engine, reason in ablation.left_out.items()),
+        ]
+    )
+    yield _sizes(ablation)
+    yield Remarks.of([("scene", _smallest(ablation))])
+
+
+def _plain(row: ablate_result.Row) -> bool:
+    above = row.over_floor is not None and row.over_floor > 1.0
+    return row.verdict == ("needed" if above else "not needed")
+
+
+def _made(row: ablate_result.Row) -> str:
+    return "dropped" if row.factor == 0.0 else f"× {row.factor:g}"
+
+
+def _sizes(ablation: Ablation) -> Table:
+    headings = ("engine", "coordinates", "constraints", "contact pairs", "")
+    rows = [
+        [s.engine, *map(str, (s.coordinates, s.constraints, s.contact_pairs)), _more(s)]
+        for s in ablation.sizes
+    ]
+    return table_of([Column(h, words=h in ("engine", "")) for h in headings], rows)
+
+
+def _conclusion(ablation: Ablation) -> str:
+    dropped = [row for row in ablation.rows if row.factor == 0.0]
+    names = [row.effect for row in dropped if row.verdict == "not needed"]
+    needed = sum(row.verdict == "needed" for row in dropped)
+    count = f"{needed} of {len(dropped)} effects are needed"
+    return f"{count}; not needed: {', '.join(names)}" if names else count
+
+
+def _judge(ablation: Ablation) -> str:
+    """Say what simulated the scene with and without each effect, and for how long."""
+    low, high = (quantity.span(value) for value in ablation.judged_s)
+    span = high if low == high else f"{low} to {high}"
+    text = f"{ablation.judge}, {counted(len(ablation.trajectories), 'start')} compared over {span}"
+    return f"{text}; then {ablation.ends}" if ablation.ends else text
+
+
+def _floors(ablation: Ablation) -> str:
+    """Say what a change must exceed, and where that comes from."""
+    floor = ablation.floor
+    at_one = "none"
+    if floor.disagreement_1s_m is not None:
+        at_one = _floor(floor.at_1s, floor.disagreement_1s_m, floor.budget_1s_m)
+    overall = _floor(floor.overall, floor.disagreement_m, floor.budget_m)
+    return f"{at_one} at 1 s, {overall} overall; engines: {', '.join(ablation.floor_engines)}"
+
+
+def _floor(floor: float, disagreement: float | None, budget: float) -> str:
+    return (
+        f"{quantity.length(floor)} (engines {quantity.length(disagreement)}, budget "
+        f"{quantity.length(budget)})"
+    )
+
+
+def _smallest(ablation: Ablation) -> str:
+    return (
+        f"{ablation.degrees_of_freedom} degrees of freedom; smallest model "
+        f"{ablation.joint_coordinates} coordinates, {ablation.loop_conditions} conditions of "
+        f"closed loops, {ablation.contact_spheres} contact pairs"
+    )
+
+
+def _more(size: Size) -> str:
+    """Say what an engine's model has more than the scene needs."""
+    more = [
+        f"{count} {what}"
+        for count, what in (
+            (size.more_coordinates, "coordinates"),
+            (size.more_constraints, "constraints"),
+            (size.more_pairs, "contact pairs"),
+        )
+        if count > 0
+    ]
+    return f"models {' and '.join(more)} more than needed" if more else "no more than needed"

@@ -1,0 +1,1 @@
+"""Whether trajectories from anywhere are sound."""

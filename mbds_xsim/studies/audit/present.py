@@ -1,0 +1,118 @@
+"""An audit as a report: each check's figure beside what is allowed, and what did not run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from mbds_xsim.counted import counted
+from mbds_xsim.dataset.audit import Audited
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Figures,
+    Remark,
+    Remarks,
+    Report,
+    Row,
+    Table,
+)
+from mbds_xsim.report.themed import GREY, INK
+from mbds_xsim.result import FindingResult
+
+__all__ = ["present"]
+
+_LEAST = 1e-6
+"""Smaller shares of a budget are drawn as this one."""
+_COLUMNS = tuple(
+    Column(heading, words=heading in ("check", "where", ""))
+    for heading in ("check", "worst", "budget", "trajectory", "frame", "where", "")
+)
+
+
+def present(audited: Audited, command: str) -> Report:
+    """Say whether the trajectories hold.
+
+    Args:
+        audited: What was found.
+        command: That made it.
+    """
+    return Report(
+        title=audited.file,
+        what=audited.verdict,
+        description=f"{audited.scene}, {counted(audited.trajectories, 'trajectory')} of "
+        f"{counted(audited.steps, 'step')} of {audited.frame_s:g} s; given: "
+        f"{', '.join(audited.given)}",
+        conclusion=_conclusion(audited),
+        blocks=tuple(_blocks(audited)),
+        command=command,
+        verdict="pass" if audited.verdict == "pass" else "fail",
+    )
+
+
+def _blocks(audited: Audited) -> Iterator[Block]:
+    yield Remarks.of(("taken for granted", line) for line in audited.taken)
+    note = "worst of all trajectories and frames, beside what is allowed"
+    yield Table(_COLUMNS, tuple(map(_row, audited.findings)), note=note)
+    judged = [finding for finding in audited.findings if finding.budget]
+    if judged:
+        yield Figures((_shares(judged),))
+    yield Remarks(tuple(Remark("broken", reason, "fail") for reason in audited.reasons))
+    yield Remarks.of(_left_out(audited))
+
+
+def _conclusion(audited: Audited) -> str:
+    held = sum(finding.budget is not None for finding in audited.findings)
+    motions = f"{counted(audited.trajectories, 'trajectory')} of {audited.scene}"
+    if audited.verdict == "pass":
+        return f"every check that ran holds ({held}, on {motions})"
+    broken = ", ".join(f.check for f in audited.findings if not f.passed)
+    return f"{counted(len(audited.reasons), 'check')} out of budget on {motions}: {broken}"
+
+
+def _left_out(audited: Audited) -> Iterator[tuple[str, str]]:
+    """Give checks that did not run, each reason once."""
+    left = sorted(audited.not_checked.items(), key=lambda pair: pair[1])
+    for reason, names in groupby(left, key=lambda pair: pair[1]):
+        yield f"not checked: {', '.join(name for name, _ in names)}", reason
+
+
+def _row(finding: FindingResult) -> Row:
+    judged = finding.budget is not None
+    figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
+    texts = (
+        finding.check,
+        figure,
+        budget if judged else "shown",
+        str(finding.trajectory),
+        str(finding.frame),
+        finding.where,
+    )
+    mark = Cell("", "pass" if finding.passed else "fail") if judged else Cell("")
+    return Row((*map(Cell, texts), mark))
+
+
+def _shares(judged: list[FindingResult]) -> Figure:
+    """Draw how much of its budget each check takes."""
+    shares = [max(f.figure / (f.budget or 1.0), _LEAST) for f in judged]
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        places = range(len(judged))
+        for place, share in zip(places, shares, strict=True):
+            axes.plot([_LEAST, share], [place, place], color=GREY, lw=3, solid_capstyle="butt")
+            axes.plot(share, place, "x" if share > 1.0 else "|", color=INK, ms=9, mew=2)
+        axes.axvline(1.0, color=INK, lw=1.0)
+        axes.set_xscale("log")
+        axes.set_yticks(places, [finding.check for finding in judged])
+        axes.invert_yaxis()
+        axes.set_xlabel("worst over budget; right of the line is broken (×)")
+
+    told = ", ".join(
+        f"{f.check} {quantity.number(share)}" for f, share in zip(judged, shares, strict=True)
+    )
+    return Figure(f"shares of the budgets: {told}", draw, (7.0, 0.9 + 0.26 * len(judged)))

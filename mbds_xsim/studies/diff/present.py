@@ -1,0 +1,143 @@
+"""A comparison of two results as reports, one a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Remark,
+    Remarks,
+    Report,
+    Row,
+    Section,
+    Table,
+)
+from mbds_xsim.study.diff import Change, Comparison, Diff, EntryDiff, FigureChange
+from mbds_xsim.study.view import Value
+
+__all__ = ["present", "remarks_of"]
+
+_HEADINGS = ("entry", "what", "before", "now", "change")
+_COLUMNS = tuple(Column(heading, words=heading != "change") for heading in _HEADINGS)
+_MOST_FIGURES, _MOST_TIMES = 40, 12
+"""Rows of a table on a terminal; Markdown and JSON have them all."""
+
+
+def present(comparison: Comparison) -> Iterator[Report]:
+    """Say of each scene what changed, and whether anything is worse."""
+    for diff in comparison.scenes:
+        yield Report(
+            title=diff.scene,
+            what="worse" if diff.worse else "nothing worse",
+            conclusion=_conclusion(diff),
+            blocks=tuple(_blocks(diff, comparison)),
+            command=f"mbds-xsim diff {comparison.old} {comparison.new}",
+            verdict="fail" if diff.worse else "pass",
+        )
+
+
+def remarks_of(comparison: Comparison) -> Remarks:
+    """Name the scenes that only one of the results has."""
+    sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
+    return Remarks.of(
+        (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
+    )
+
+
+def _blocks(diff: Diff, comparison: Comparison) -> Iterator[Block]:
+    figures = tuple(row for entry in diff.entries for row in _entry_rows(entry))
+    times = tuple(_figure(e.name, change) for e in diff.entries for change in e.timings)
+    for title, rows, most in (
+        ("What changed", figures, _MOST_FIGURES),
+        ("Times", times, _MOST_TIMES),
+    ):
+        if rows:
+            yield Section(title, (Table(_COLUMNS, rows, most=most, grouped=True),))
+    yield Remarks.of(_remarks(diff))
+    yield Remarks(tuple(Remark("worse", line, "fail") for line in diff.worse), _MOST_FIGURES)
+    commands = f"old: {diff.old_command}; new: {diff.new_command}"
+    yield Remarks.of([("compared", commands), ("counted", _thresholds(comparison))])
+
+
+def _entry_rows(entry: EntryDiff) -> Iterator[Row]:
+    name = entry.name
+    if entry.worse or entry.old_verdict != entry.new_verdict:
+        words = "worse" if entry.worse else "better" if entry.better else ""
+        told = (name, "verdict", entry.old_verdict, entry.new_verdict)
+        yield Row((*map(Cell, told), Cell(words, "over" if entry.worse else "")))
+    for change in entry.settings:
+        yield _row(name, change.what, _value(change.old), _value(change.new), "")
+    for figure in entry.figures:
+        yield _figure(name, figure)
+    for reason in entry.reasons_gone:
+        yield _row(name, "reason", reason, quantity.NONE, "gone")
+    for reason in entry.reasons_new:
+        yield _row(name, "reason", quantity.NONE, reason, "new")
+
+
+def _row(*texts: str) -> Row:
+    return Row(tuple(map(Cell, texts)))
+
+
+def _figure(name: str, figure: FigureChange) -> Row:
+    before, now = (quantity.with_unit(value, figure.unit) for value in (figure.old, figure.new))
+    return _row(name, figure.what, before, now, _change(figure))
+
+
+def _change(figure: FigureChange) -> str:
+    """A factor, or where that is next to 1, the relative difference."""
+    if figure.ratio is None:
+        return quantity.NONE
+    if abs(figure.ratio - 1.0) < 0.01:
+        return f"{figure.ratio - 1.0:+.1e}"
+    return f"{quantity.number(figure.ratio)}×"
+
+
+def _remarks(diff: Diff) -> Iterator[tuple[str, str]]:
+    """What else is to be said of a scene: a subject, and a sentence of it."""
+    if diff.sample:
+        told = f"{_told(diff.sample)}; figures may differ through this alone"
+        yield "not the same question", told
+    yield "versions and machine", _told(diff.circumstances) or "the same"
+    for which, found in (("the old", diff.only_old), ("the new", diff.only_new)):
+        asked = [f"{one.name} ({one.verdict})" for one in found if not one.why]
+        if asked:
+            yield f"only in {which} one", ", ".join(asked)
+        for one in found:
+            if one.why:
+                yield f"only in {which} one", f"{one.name} ({one.verdict}); {one.why}"
+    for line in diff.better:
+        yield "better", line
+
+
+def _conclusion(diff: Diff) -> str:
+    changed = sum(entry.changed for entry in diff.entries)
+    times = sum(bool(entry.timings) for entry in diff.entries)
+    total = len(diff.entries) + diff.unchanged
+    return (
+        f"of {total} compared, {len(diff.worse)} worse, {len(diff.better)} better, {changed} "
+        f"changed, {times} with other times, {diff.unchanged} the same"
+    )
+
+
+def _thresholds(comparison: Comparison) -> str:
+    """Say what counts as a change."""
+    return (
+        f"figures of physics that differ by {comparison.rtol:g} or less, of themselves or of their "
+        f"budget, are the same; so are times within a factor of {comparison.factor:g}, and no time "
+        "makes a result worse"
+    )
+
+
+def _told(changes: tuple[Change, ...]) -> str:
+    return ", ".join(f"{c.what} {_value(c.old)} → {_value(c.new)}" for c in changes)
+
+
+def _value(value: Value) -> str:
+    if value is None:
+        return quantity.NONE
+    return f"{value:g}" if isinstance(value, float) else str(value)

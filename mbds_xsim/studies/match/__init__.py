@@ -1,0 +1,1 @@
+"""Cheapest settings within the budgets."""

@@ -1,0 +1,1 @@
+"""Learned models under a change of engine."""

@@ -1,0 +1,173 @@
+"""Heat maps and curves of shift studies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mbds_xsim.learn.shift.board import RESTART
+from mbds_xsim.learn.shift.result import INTERVALS, Cell, Shift
+from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.report import themed
+from mbds_xsim.report.quantity import number
+from mbds_xsim.report.training_curves import looks
+from mbds_xsim.safe_text import in_figure
+from mbds_xsim.studies.shift.matrix import Matrix, at, matrix_of, trained_models
+
+__all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
+
+_CELL = (0.95, 0.34)  # width and height [in]
+_MARGIN = (2.4, 1.5)
+_LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
+_ABREAST = 2  # more would be too small to read on a page
+_MIDDLE = 0.55  # of the colours' range: darker cells have white text
+
+
+def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
+    """Give a picture: a block of heat maps for each study, a map for each model, two abreast.
+
+    Args:
+        studies: What is drawn.
+        stored: Of the JSON that keeps it.
+    """
+    columns = min(_ABREAST, max(len(trained_models(shift)) for shift in studies))
+    sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
+    rows = [math.ceil(len(trained_models(shift)) / columns) for shift in studies]
+    width = columns * max(size[0] for size in sizes)
+    heights = [count * size[1] for count, size in zip(rows, sizes, strict=True)]
+    height = sum(heights)
+
+    def draw(figure: Any) -> None:
+        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
+        for block, shift, count in zip(blocks[:, 0], studies, rows, strict=True):
+            _draw_block(block, shift, (count, columns))
+
+    return themed.png(draw, (width, height), stored)
+
+
+def map_size(matrix: Matrix) -> tuple[float, float]:
+    """Width and height of a heat map [in]."""
+    width = _MARGIN[0] + _CELL[0] * len(matrix.columns)
+    return width, _MARGIN[1] + _CELL[1] * len(matrix.rows)
+
+
+def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
+    """Draw the errors of a model, a training a row, a test domain a column.
+
+    Args:
+        axes: To draw on.
+        matrix: Errors [m²].
+        spread: Ends of the colours' scale, as logarithms to base 10.
+    """
+    logs = [[_log(value) for value in row] for row in matrix.values]
+    axes.imshow(logs, cmap="cividis", vmin=spread[0], vmax=spread[1], aspect="auto")
+    axes.grid(visible=False)
+    axes.set_xticks(range(len(matrix.columns)), matrix.columns, rotation=35, ha="right")
+    axes.set_yticks(range(len(matrix.rows)), matrix.rows)
+    axes.tick_params(length=0, labelsize=8)
+    for row, values in enumerate(matrix.values):
+        for column, value in enumerate(values):
+            bright = _log(value) > spread[0] + _MIDDLE * (spread[1] - spread[0])
+            home = matrix.rows[row] == matrix.columns[column]
+            axes.text(
+                column, row, number(value), ha="center", va="center", fontsize=7.5,
+                color="black" if bright else "white", weight="bold" if home else "normal",
+            )  # fmt: skip
+
+
+def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
+    """Ends of a scale of colours that maps share."""
+    logs = [_log(value) for m in matrices for row in m.values for value in row]
+    known = [x for x in logs if math.isfinite(x)] or [0.0]
+    middle = 0.5 * (min(known) + max(known))
+    half = max(0.5 * (max(known) - min(known)), _LEAST_SPREAD)
+    return middle - half, middle + half
+
+
+def curves_of(shift: Shift, model: str, test: str) -> list[Cell]:
+    """Give what there is to draw of a model on one domain: trainings of its variant."""
+    variant = test.rpartition("-")[2]
+    return [
+        cell
+        for cell in shift.cells
+        if (cell.model, cell.test, cell.interval) == (model, test, INTERVALS[0])
+        and cell.training.endswith(f"-{variant}")
+        and any(value is not None for value in cell.curve)
+    ]
+
+
+def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
+    """Draw the errors of a model on one domain over time, with trivial models and floors.
+
+    Args:
+        axes: To draw on.
+        shift: The study.
+        model: Of its trainings, those of the domain's variant are drawn.
+        test: Name of the domain.
+    """
+    time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
+    variant = test.rpartition("-")[2]
+    here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
+    cells = curves_of(shift, model, test)
+    names = {cell.training: cell.training.removesuffix(f"-{variant}") for cell in cells}
+    styles = looks(list(dict.fromkeys(names.values())))
+    for cell in cells:
+        colour, style = styles[names[cell.training]]
+        label = cell.training if cell is _first(cells, cell.training) else None
+        width = 2.2 if cell.training == test else 1.0
+        axes.plot(time, _line(cell.curve), ls=style, color=colour, lw=width, label=label)
+    for name, style in zip(TRIVIAL, (":", "--", "-."), strict=True):
+        for cell in (cell for cell in here if cell.model == name):
+            label = name.replace("_", " ")
+            axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
+    _draw_floors(axes, shift, test, time)
+    axes.set_yscale("log")
+    axes.set_title(f"{model} on {test}", fontsize=9, loc="left")
+    axes.set_xlabel("time since the last known frame [s]")
+    axes.set_ylabel("median squared error [m²]")
+
+
+def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> None:
+    """Other engines, from the least to the greatest; noise; chaos."""
+    floors = [floor for floor in shift.floors if floor.interval == INTERVALS[0]]
+    engines = [f.curve for f in floors if f.kind == RESTART and f.test == test and f.first != test]
+    if engines:
+        each = list(zip(*map(_line, engines), strict=True))
+        low, high = [min(values) for values in each], [max(values) for values in each]
+        axes.fill_between(
+            time, low, high, color=themed.GREY, alpha=0.25, lw=0, label="other engines"
+        )
+    for kind, style in (("noise", ":"), ("chaos", "-.")):
+        for floor in (floor for floor in floors if floor.kind == kind):
+            axes.plot(
+                time, _line(floor.curve), style, color=themed.INK, lw=1, label=f"{kind} floor"
+            )
+
+
+def _first(cells: Sequence[Cell], training: str) -> Cell:
+    return next(cell for cell in cells if cell.training == training)
+
+
+def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
+    frame = shift.at
+    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    maps = [matrix for matrix in every if matrix.has_figures]
+    charts = figure.subplots(*shape, squeeze=False).ravel()
+    for axes, matrix in zip(charts, maps, strict=False):
+        draw_matrix(axes, matrix, spread_of(maps))
+        axes.set_title(matrix.model, fontsize=10, loc="left")
+    for axes in charts[len(maps) :]:
+        axes.set_axis_off()
+    title = f"{in_figure(shift.scene)}: mean squared position error at t = {frame} [m²]"
+    figure.suptitle(
+        f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
+    )
+
+
+def _line(curve: Sequence[float | None]) -> list[float]:
+    return [value or math.nan for value in curve]
+
+
+def _log(value: float | None) -> float:
+    return math.log10(value) if value is not None and value > 0 else math.nan

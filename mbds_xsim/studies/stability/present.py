@@ -1,0 +1,236 @@
+"""A stability study as a report, cells of it in words, and a picture of its maps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from mbds_xsim.counted import counted
+from mbds_xsim.report import quantity, themed
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Figures,
+    Key,
+    Legend,
+    Place,
+    Remark,
+    Remarks,
+    Report,
+    Section,
+    Table,
+    Text,
+    table_of,
+)
+from mbds_xsim.report.themed import INK
+from mbds_xsim.studies.stability import words
+from mbds_xsim.studies.stability.figures import (
+    LIGHT_LOOKS,
+    LOOKS,
+    charts_of,
+    draw_legend,
+    draw_map,
+    size_of,
+    tips,
+)
+from mbds_xsim.study.stability.definition import Study, text_of
+from mbds_xsim.study.stability.rows import Sweep
+
+__all__ = ["cells_of", "listing", "present", "to_png"]
+
+_ACROSS = 4
+"""Maps side by side in a picture."""
+_CELL = 0.5
+"""Width of a cell of the map of models in a picture [in]."""
+_NARROW = 11.0
+"""Width of a picture up to which the legend has three columns [in]."""
+_HEAD = 0.9
+"""Height of title and legend of a picture [in]."""
+
+
+def listing(studies: Iterable[Study]) -> Table:
+    """List the studies there are, a row each."""
+    columns = [
+        Column(h, words=True) for h in ("study", "what is swept", "values", "what it is about")
+    ]
+    rows: list[list[Cell | str]] = [
+        [
+            Cell(study.name, "strong"),
+            f"{study.quantity} [{study.unit}]" if study.unit else study.quantity,
+            ", ".join(map(text_of, study.values)),
+            study.sentence,
+        ]
+        for study in studies
+    ]
+    return table_of(columns, rows)
+
+
+def present(sweep: Sweep) -> Report:
+    """Say what a study comes to, and show what is behind it."""
+    versions = ", ".join(f"{name} {version}" for name, version in sweep.versions.items())
+    return Report(
+        title=sweep.study,
+        what="largest stable step [ms]",
+        description=sweep.sentence,
+        conclusion=words.conclusion(sweep),
+        blocks=tuple(_blocks(sweep)),
+        command=sweep.command,
+        made=f"{sweep.machine}, {counted(sweep.workers, 'process')} at a time, "
+        f"{counted(sweep.measured, 'cell')} measured, {sweep.kept} kept from earlier, in "
+        f"{quantity.span(sweep.wall_s)}; {versions}",
+    )
+
+
+def _blocks(sweep: Sweep) -> Iterator[Block]:
+    yield _limits(sweep)
+    told = words.learned_told(sweep)
+    yield Remarks.of(
+        [
+            ("reading", words.reading(sweep)),
+            ("stable", sweep.criteria.removeprefix("stable: ")),
+            *words.breaking(sweep),
+            *words.holding(sweep),
+            *([("trained models", told)] if told else []),
+            *((f"{name} left out", reason) for name, reason in sweep.left_out.items()),
+            *((f"no reference at {name}", reason) for name, reason in sweep.unknown.items()),
+        ]
+    )
+    only: frozenset[Place] = frozenset({"page"})
+    yield Section("What breaks first", tuple(_maps(sweep)), on=only)
+    yield Section(
+        "All cells that are not stable and on course", (_cells(sweep),), folded=True, on=only
+    )
+
+
+def _limits(sweep: Sweep) -> Table:
+    first = Column(f"engine and method / {words.swept(sweep)}", words=True)
+    rows = [
+        [panel.name, *(words.limit(panel, row) for row in range(len(sweep.values)))]
+        for panel in sweep.panels
+    ]
+    return table_of([first, *(Column(text_of(value)) for value in sweep.values)], rows)
+
+
+def _maps(sweep: Sweep) -> Iterator[Block]:
+    yield Text(
+        f"Across: the step; upwards: {words.swept(sweep)}. The colour says what breaks first "
+        f"within {sweep.duration_s:g} s; hatched cells go wrong without a word of the engine. "
+        "Point at a cell for its figures and the command that runs it again"
+    )
+    present_ones = {cell.outcome for cell in sweep.cells}
+    keys = [
+        Key(look.meaning, look.colour, look.letter, dark=outcome not in LIGHT_LOOKS)
+        for outcome, look in LOOKS.items()
+        if outcome in present_ones
+    ]
+    yield Legend((*keys, Key("without a word of the engine", hatched=True)))
+    told = tips(sweep)
+    yield Figures(tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275)
+
+
+def _map(sweep: Sweep, places: tuple[int, ...], told: dict[str, str]) -> Figure:
+    title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
+
+    def draw(figure: Any) -> None:
+        draw_map(figure.subplots(), sweep, places)
+
+    return Figure(title, draw, size_of(sweep, places), told)
+
+
+def _cells(sweep: Sweep) -> Table:
+    headings = (
+        "engine and method",
+        "value",
+        "step",
+        "what happened",
+        "who told",
+        "in its words",
+        "figures",
+    )
+    columns = [Column(h, words=h not in ("value", "step")) for h in headings]
+    rows: list[list[Cell | str]] = [
+        [
+            f"{cell.engine} {cell.method}{'' if cell.profile == 'matched' else f' {cell.profile}'}",
+            text_of(cell.value),
+            quantity.span(cell.step_s),
+            words.what_happened(cell),
+            Cell(cell.told, "over" if cell.silent else ""),
+            cell.reason,
+            dict(words.told(cell, sweep)).get("figures", ""),
+        ]
+        for cell in sweep.cells
+        if cell.outcome != "stable"
+    ]
+    return table_of(columns, rows)
+
+
+def cells_of(sweep: Sweep) -> Iterator[Block]:
+    """Say what happened in each cell of a few, and why."""
+    for cell in sweep.cells:
+        yield Text(words.name_of(cell, sweep), "strong")
+        yield Remarks(
+            tuple(
+                Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
+                for subject, text in words.told(cell, sweep)
+            )
+        )
+    yield Remarks.of(
+        [
+            ("stable", sweep.criteria.removeprefix("stable: ")),
+            *((f"{name} left out", reason) for name, reason in sweep.left_out.items()),
+        ]
+    )
+
+
+def to_png(sweeps: list[Sweep], stored: bytes = b"") -> bytes:
+    """Give a picture: the maps of each study, with their legend.
+
+    Args:
+        sweeps: What is drawn.
+        stored: Of the CSV that keeps it.
+    """
+    sizes = [_picture(sweep) for sweep in sweeps]
+
+    def draw(figure: Any) -> None:
+        heights = [height for _, height in sizes]
+        rows = figure.subfigures(len(sweeps), 1, squeeze=False, height_ratios=heights)
+        for part, sweep in zip(rows[:, 0], sweeps, strict=True):
+            _draw_study(part, sweep)
+
+    size = max(width for width, _ in sizes), sum(height for _, height in sizes)
+    return themed.png(draw, size, stored)
+
+
+def _picture(sweep: Sweep) -> tuple[float, float]:
+    _, engines, models = _parted(sweep)
+    width, height = size_of(sweep)
+    rows = math.ceil(len(engines) / _ACROSS)
+    below = size_of(sweep, models) if models else (0.0, 0.0)
+    wide = max(width * min(_ACROSS, len(engines)), below[0], 9.0)
+    return wide, height * rows + below[1] + _HEAD
+
+
+def _parted(sweep: Sweep) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
+    """Give how many maps stand side by side, those of engines, and the places of models."""
+    charts = charts_of(sweep)
+    models = next((places for places in charts if sweep.panels[places[0]].learned), ())
+    engines = [places for places in charts if places != models]
+    return min(_ACROSS, len(engines)), engines, models
+
+
+def _draw_study(figure: Any, sweep: Sweep) -> None:
+    across, engines, models = _parted(sweep)
+    rows = math.ceil(len(engines) / _ACROSS)
+    grid = figure.add_gridspec(rows + bool(models), max(across, 1))
+    for k, places in enumerate(engines):
+        axes = figure.add_subplot(grid[k // across, k % across])
+        draw_map(axes, sweep, places, labelled=not k % across)
+    if models:
+        room = round(_picture(sweep)[0] / _CELL)
+        draw_map(figure.add_subplot(grid[-1, :]), sweep, models, columns=room)
+    draw_legend(figure, sweep, columns=4 if _picture(sweep)[0] > _NARROW else 3)
+    title = f"{sweep.study}: {sweep.sentence}; what breaks first within {sweep.duration_s:g} s"
+    figure.suptitle(title, fontsize=11, x=0.01, ha="left", color=INK)

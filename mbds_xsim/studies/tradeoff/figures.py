@@ -1,0 +1,308 @@
+"""Log–log charts of a trade-off study: colour is the engine, marker the method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from mbds_xsim.report import palette, quantity
+from mbds_xsim.report.themed import GREY, INK, PAPER
+from mbds_xsim.studies.tradeoff import words
+from mbds_xsim.studies.tradeoff.models import model_told
+from mbds_xsim.study.rows import CurveResult, Learned, Point, Tradeoff
+from mbds_xsim.study.sweep import NATIVE
+
+__all__ = ["Panel", "colour_of", "draw_panel", "legend_entries", "marker_of", "panels_of", "tips"]
+
+_NATIVE_MARKER = "*"
+_MODEL_MARKER = "H"
+_REFERENCE = 1e-9
+"""Accuracy of the reference over the scene's length: errors below are drawn there."""
+_TOP = 10.0
+"""Largest error that is drawn, over the scene's length."""
+_REAL_TIME = 1.0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A chart: what is drawn over what."""
+
+    title: Callable[[Tradeoff], str]
+    x: Callable[[Point], float | None]
+    y: Callable[[Point], float | None]
+    x_label: str
+    y_label: str
+    floor: Callable[[Tradeoff], float]
+    """Values below are drawn here."""
+    top: Callable[[Tradeoff], float]
+    """Values above are drawn here."""
+    budget: Callable[[Tradeoff], float | None]
+    is_cost: bool = True
+    """Whether x is the cost; else it is the step."""
+    front: bool = False
+
+
+def _length(share: float) -> Callable[[Tradeoff], float]:
+    return lambda study: share * study.length_m
+
+
+def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
+    """Give a budget [m]; none where a method is only held to its own limit."""
+    return lambda study: study.budget[budget] * study.length_m if study.own_limit is None else None
+
+
+_COST = "wall time per simulated second [s]"
+
+_PANELS: tuple[Panel, ...] = (
+    Panel(
+        title=lambda s: f"{_what(s)}, over cost",
+        x=lambda p: p.wall_s,
+        y=lambda p: p.error_m,
+        x_label=_COST,
+        y_label="RMS particle error [m]",
+        floor=_length(_REFERENCE),
+        top=_length(_TOP),
+        budget=_accuracy("error_1s"),
+        front=True,
+    ),
+    Panel(
+        title=lambda s: f"{_what(s)}, over step",
+        x=lambda p: p.step_s,
+        y=lambda p: p.error_m,
+        x_label="step [s]",
+        y_label="RMS particle error [m]",
+        floor=_length(_REFERENCE),
+        top=_length(_TOP),
+        budget=_accuracy("error_1s"),
+        is_cost=False,
+    ),
+    Panel(
+        title=lambda s: f"worst error over {_span(s)}, over the growth of a disturbance",
+        x=lambda p: p.wall_s,
+        y=lambda p: p.error_weighted_m,
+        x_label=_COST,
+        y_label="max of error / max(1, G) [m]",
+        floor=_length(_REFERENCE),
+        top=_length(_TOP),
+        budget=_accuracy("error"),
+    ),
+    Panel(
+        title=lambda s: "energy that contact creates" if s.contact else "energy balance",
+        x=lambda p: p.wall_s,
+        y=lambda p: p.energy,
+        x_label=_COST,
+        y_label="over the energy scale",
+        floor=lambda _: 1e-12,
+        top=lambda _: 10.0,
+        budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"],
+    ),
+    Panel(
+        title=lambda _: "worst gap of a joint",
+        x=lambda p: p.wall_s,
+        y=lambda p: p.gap_m,
+        x_label=_COST,
+        y_label="gap [m]",
+        floor=lambda _: 1e-12,
+        top=lambda _: 1.0,
+        budget=lambda s: s.budget["gap"],
+    ),
+)
+
+
+def panels_of(study: Tradeoff) -> list[Panel]:
+    """Give the charts that have anything to show."""
+    return [
+        panel
+        for panel in _PANELS
+        if any(
+            panel.x(point) is not None and (panel.y(point) or 0.0) > panel.floor(study)
+            for curve in study.curves
+            for point in curve.points
+        )
+    ]
+
+
+def draw_panel(axes: Any, study: Tradeoff, panel: Panel) -> None:
+    """Draw one chart."""
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_title(panel.title(study), fontsize=10, loc="left", color=INK)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    if panel.front:
+        _draw_front(axes, study, panel)
+    for place, curve in enumerate(study.curves):
+        _draw_curve(axes, study, panel, curve, place)
+    if panel.is_cost:
+        for place, model in enumerate(study.models):
+            _draw_model(axes, study, panel, model, place)
+    _levels(axes, study, panel)
+
+
+def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
+    """Give label, colour and marker of the curves with the engines' usual options."""
+    for curve in study.curves:
+        if not curve.variation:
+            label = f"{curve.engine} {curve.method}, order {words.order_told(curve, study)}"
+            yield label, colour_of(curve.engine), marker_of(curve)
+    for name, model in {model.model: model for model in study.models}.items():
+        label = f"{name}, trained; hollow: {model.at_once} at a time"
+        yield label, palette.model_colour(model.model), _MODEL_MARKER
+
+
+def tips(study: Tradeoff) -> dict[str, str]:
+    """Say what each point is when it is pointed at, by the gid of its artist."""
+    return {
+        f"tip-{place}-{number}": _told(curve, point)
+        for place, curve in enumerate(study.curves)
+        for number, point in enumerate(curve.points)
+    } | {f"tip-model-{place}": model_told(model) for place, model in enumerate(study.models)}
+
+
+def colour_of(engine: str) -> str:
+    """Colour of an engine, the same on every page."""
+    return palette.LIGHT[palette.engine_style(engine).colour]
+
+
+def marker_of(curve: CurveResult) -> str:
+    """Marker of a method, or of native settings."""
+    return _NATIVE_MARKER if curve.variation == NATIVE else palette.marker_of(curve.method)
+
+
+def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, place: int) -> None:
+    colour, marker = colour_of(curve.engine), marker_of(curve)
+    varied = bool(curve.variation) and curve.variation != NATIVE
+    size = 3.5 if varied else 10 if curve.variation else 5.5
+    spots = [_spot(study, panel, point) for point in curve.points]
+    for run in _unbroken(spots):
+        (line,) = axes.plot(
+            *zip(*run, strict=True),
+            color=colour,
+            linewidth=0.6 if varied else 1.4,
+            alpha=0.35 if varied else 0.9,
+        )
+        line.set_gid(f"curve-{place}")
+    for number, (point, spot) in enumerate(zip(curve.points, spots, strict=True)):
+        if spot is None:
+            continue
+        if panel.is_cost and not varied:
+            spread = [point.wall_low_s, point.wall_high_s]
+            (bar,) = axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8)
+            bar.set_gid(f"curve-{place}")
+        (dot,) = axes.plot(
+            *([value] for value in spot),
+            marker,
+            color=colour,
+            markersize=size,
+            markerfacecolor=PAPER if varied else colour,
+            markeredgecolor=INK if curve.variation == NATIVE else colour,
+            markeredgewidth=0.8,
+            alpha=0.6 if varied else 1.0,
+            zorder=3,
+        )
+        dot.set_gid(f"tip-{place}-{number}")
+
+
+def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place: int) -> None:
+    """Draw a model alone, and hollow in a batch."""
+    colour = palette.model_colour(model.model)
+    spots = [_spot(study, panel, point) for point in (model.alone, model.batched)]
+    for spot, face in zip(spots, (colour, PAPER), strict=True):
+        if spot is not None:
+            (dot,) = axes.plot(
+                *([value] for value in spot), _MODEL_MARKER, color=colour, markersize=6,
+                markerfacecolor=face, zorder=4,
+            )  # fmt: skip
+            dot.set_gid(f"tip-model-{place}")
+    for run in _unbroken(spots):
+        (line,) = axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5)
+        line.set_gid("curve-model")
+
+
+def _spot(study: Tradeoff, panel: Panel, point: Point) -> tuple[float, float] | None:
+    x, y = panel.x(point), panel.y(point)
+    if x is None or y is None:
+        return None
+    return x, min(max(y, panel.floor(study)), panel.top(study))
+
+
+def _unbroken(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
+    """Runs of neighbouring points: a failed one breaks the line."""
+    run: list[tuple[float, float]] = []
+    for spot in [*spots, None]:
+        if spot is not None:
+            run.append(spot)
+            continue
+        if len(run) > 1:
+            yield run
+        run = []
+
+
+def _draw_front(axes: Any, study: Tradeoff, panel: Panel) -> None:
+    spots = sorted(
+        spot
+        for curve in study.curves
+        for point in curve.points
+        if point.on_front and (spot := _spot(study, panel, point)) is not None
+    )
+    if spots:
+        axes.plot(*zip(*spots, strict=True), color=GREY, lw=7, alpha=0.3, solid_joinstyle="round")
+
+
+def _levels(axes: Any, study: Tradeoff, panel: Panel) -> None:
+    """Draw budget, real time and the accuracy of the reference."""
+    budget = panel.budget(study)
+    values = [line.get_ydata() for line in axes.lines]
+    if budget is not None and any(len(value) for value in values):
+        axes.axhline(budget, color=INK, lw=0.9, ls=(0, (1, 2)))
+        _note(axes, "budget", (1.0, budget), ("axes fraction", "data"), ha="right")
+    if panel.is_cost:
+        left, right = axes.get_xlim()
+        axes.set_xlim(left, max(right, 1.5 * _REAL_TIME))
+        axes.axvline(_REAL_TIME, color=INK, lw=0.9, ls=(0, (1, 2)))
+        _note(axes, "real time", (_REAL_TIME, 0.02), ("data", "axes fraction"), ha="right")
+    floor = panel.floor(study)
+    if floor > 1e-12:
+        low, high = axes.get_ylim()
+        if low <= floor * 1.5:
+            axes.axhspan(low, floor * 1.5, color=GREY, alpha=0.15, lw=0)
+            _note(axes, "accuracy of the reference", (0.01, floor), ("axes fraction", "data"))
+            axes.set_ylim(low, high)
+
+
+def _note(
+    axes: Any, text: str, spot: tuple[float, float], where: tuple[str, str], ha: str = "left"
+) -> None:
+    axes.annotate(
+        text, spot, xycoords=where, xytext=(-3 if ha == "right" else 3, 3),
+        textcoords="offset points", ha=ha, fontsize=8, color=INK,
+        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
+    )  # fmt: skip
+
+
+def _told(curve: CurveResult, point: Point) -> str:
+    broken = f"\nover budget: {', '.join(point.broken)}" if point.broken else "\nwithin all budgets"
+    return (
+        f"{curve.name}\nstep {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)\n"
+        f"cost {quantity.span(point.wall_s)} a simulated second "
+        f"({quantity.span(point.wall_low_s)} to {quantity.span(point.wall_high_s)})\n"
+        f"error {quantity.length(point.error_m)}, over all times "
+        f"{quantity.length(point.error_weighted_m)}\ngap {quantity.length(point.gap_m)}, energy "
+        f"{quantity.number(point.energy)}{broken}"
+    )
+
+
+def _what(study: Tradeoff) -> str:
+    """Name the charted error and its time."""
+    if study.own_limit is not None:
+        return f"distance to the own run at {study.own_limit} steps a frame"
+    if study.reference_ends_s is not None:
+        return "error at the first impact"
+    return f"error at {study.horizon_s:g} s"
+
+
+def _span(study: Tradeoff) -> str:
+    if study.reference_ends_s is None or study.own_limit is not None:
+        return f"{study.duration_s:g} s"
+    return f"the {study.reference_ends_s:.2g} s before the first impact"

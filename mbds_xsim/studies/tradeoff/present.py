@@ -1,0 +1,203 @@
+"""A trade-off study as a report, and as a picture of its charts."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+from mbds_xsim.counted import counted
+from mbds_xsim.report import quantity, themed
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Figures,
+    Key,
+    Legend,
+    Mark,
+    Remark,
+    Remarks,
+    Report,
+    Row,
+    Section,
+    Table,
+    Text,
+)
+from mbds_xsim.report.themed import INK, PAPER
+from mbds_xsim.safe_text import in_figure
+from mbds_xsim.studies.tradeoff import words
+from mbds_xsim.studies.tradeoff.figures import (
+    Panel,
+    colour_of,
+    draw_panel,
+    legend_entries,
+    panels_of,
+    tips,
+)
+from mbds_xsim.studies.tradeoff.models import models_short, models_table, models_told
+from mbds_xsim.study.rows import Point, Tradeoff
+
+__all__ = ["present", "to_png"]
+
+_MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)
+_PICTURE = (14.0, 5.4)
+_MOST_LINES = 7
+_LONGEST = 165
+_READING = (
+    "Colour is the engine, marker the method; hollow marks have one option changed, stars are "
+    "native settings. The grey band joins the points that no other beats in both speed and "
+    "accuracy. Bars show the fastest and the slowest repeat. Point at a mark for its figures"
+)
+_POINTS = tuple(
+    Column(heading, words=heading in ("settings", "over budget"))
+    for heading in (
+        "settings", "step", "cost", "spread", "processor", "set-up", "error", "all times", "gap",
+        "energy", "over budget",
+    )
+)  # fmt: skip
+
+
+def present(study: Tradeoff, picture: str = "") -> Report:
+    """Say what a study comes to, and show what is behind it."""
+    versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
+    rows = f"{counted(study.measured, 'row')} measured, {study.kept} kept from earlier"
+    return Report(
+        title=study.scene,
+        what="speed against accuracy",
+        description=study.description,
+        conclusion=f"{models_short(study)}{words.conclusion(study)}",
+        blocks=tuple(_blocks(study)),
+        command=study.command,
+        made=f"{words.machine_told(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
+        picture=picture,
+    )
+
+
+def _blocks(study: Tradeoff) -> Iterator[Block]:
+    yield _main(study)
+    if study.models:
+        yield models_table(study)
+        yield Remarks.of([("trained models", models_told(study))])
+    yield Remarks.of(
+        [
+            ("error", words.what_is_charted(study)),
+            *(("option that pays", line) for line in words.options_that_pay(study)),
+        ]
+    )
+    yield Section("Charts", tuple(_charts(study)), on=frozenset({"page"}))
+    failed = words.failures(study)
+    if failed or study.left_out:
+        lines = [Remark(name, f"{steps}: {what}", "fail") for name, steps, what in failed]
+        lines += [Remark("left out", reason) for reason in study.left_out.values()]
+        yield Section("Failures", (Remarks(tuple(lines), _MOST_LINES + 1),))
+    points = Table(_POINTS, tuple(_point_rows(study)))
+    yield Section("All points", (points,), folded=True, on=frozenset({"page"}))
+
+
+def _main(study: Tradeoff) -> Table:
+    columns = words.columns(study)
+    rows = [
+        Row(tuple(Cell(tell(curve)) for _, tell in columns), "muted" if curve.variation else "")
+        for curve in words.main_curves(study)
+    ]
+    return Table(tuple(column for column, _ in columns), tuple(rows), grouped=True)
+
+
+def _charts(study: Tradeoff) -> Iterator[Block]:
+    yield Text(_READING)
+    keys = [
+        (curve.variation, Key(curve.name, colour_of(curve.engine), curve=str(place)))
+        for place, curve in enumerate(study.curves)
+    ]
+    models = [Key("trained models", "", curve="model")] if study.models else []
+    yield Legend((*(key for varied, key in keys if not varied), *models))
+    changed = tuple(key for varied, key in keys if varied)
+    if changed:
+        yield Section("changed options and native settings", (Legend(changed),), folded=True)
+    told, panels = tips(study), panels_of(study)
+    yield Figures(
+        tuple(_chart(study, panel, told, main=not k) for k, panel in enumerate(panels)), least=480
+    )
+
+
+def _chart(study: Tradeoff, panel: Panel, told: dict[str, str], *, main: bool) -> Figure:
+    def draw(figure: Any) -> None:
+        axes = figure.subplots()
+        draw_panel(axes, study, panel)
+        if main:
+            for label, colour, marker in legend_entries(study):
+                axes.plot([], [], marker, color=colour, label=label, ls="-")
+            figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+
+    return Figure(panel.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
+
+
+def _point_rows(study: Tradeoff) -> Iterator[Row]:
+    for curve in study.curves:
+        for point in curve.points:
+            texts = (curve.name, quantity.span(point.step_s), *_figures(point))
+            tone: Mark = "strong" if point.on_front else "" if point.kind == "done" else "muted"
+            yield Row(tuple(Cell(text, "strong" if point.on_front else "") for text in texts), tone)
+
+
+def _figures(point: Point) -> Iterator[str]:
+    if point.kind != "done":
+        yield from ("",) * (len(_POINTS) - 3)
+        yield f"{point.kind}: {point.reason}"
+        return
+    yield quantity.span(point.wall_s)
+    yield f"{quantity.span(point.wall_low_s)} – {quantity.span(point.wall_high_s)}"
+    yield from map(quantity.span, (point.cpu_s, point.setup_s))
+    yield from map(quantity.length, (point.error_m, point.error_weighted_m, point.gap_m))
+    yield quantity.number(point.energy)
+    yield ", ".join(point.broken)
+
+
+def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
+    """Give a picture: a row of two charts for each study, failures under them.
+
+    Args:
+        studies: What is drawn.
+        stored: Of the JSON that keeps it.
+    """
+    width, height = _PICTURE
+
+    def draw(figure: Any) -> None:
+        rows = figure.subfigures(len(studies), 1, squeeze=False)
+        for row, study in zip(rows[:, 0], studies, strict=True):
+            _draw_row(row, study)
+
+    return themed.png(draw, (width, height * len(studies)), stored)
+
+
+def _draw_row(figure: Any, study: Tradeoff) -> None:
+    charts = figure.subplots(1, 2)
+    for axes, panel in zip(charts, (*panels_of(study), None, None), strict=False):
+        if panel is None:
+            axes.set_axis_off()
+        else:
+            draw_panel(axes, study, panel)
+    handles = [
+        charts[0].plot([], [], marker, color=colour, label=label, ls="-")[0]
+        for label, colour, marker in legend_entries(study)
+    ]
+    star = {"color": PAPER, "markeredgecolor": INK, "ms": 9, "label": "native settings"}
+    handles += charts[0].plot([], [], "*", **star)
+    figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=8)
+    figure.suptitle(
+        f"{in_figure(study.scene)}: speed against accuracy", fontsize=12, x=0.01, ha="left"
+    )
+    figure.supxlabel("\n".join(_footnotes(study)), fontsize=7.5, x=0.01, ha="left", color=INK)
+
+
+def _footnotes(study: Tradeoff) -> list[str]:
+    lines = textwrap.wrap(words.what_is_charted(study), _LONGEST)
+    if study.models:
+        lines += textwrap.wrap(f"Trained models {models_told(study)}", _LONGEST)
+    failed = [f"{name}: {steps}: {what}" for name, steps, what in words.failures(study)]
+    lines += failed[:_MOST_LINES]
+    if len(failed) > _MOST_LINES:
+        lines.append(f"and {len(failed) - _MOST_LINES} more failures, listed by --html and --json")
+    return [line if len(line) < _LONGEST else f"{line[:_LONGEST]} …" for line in lines]

@@ -1,0 +1,241 @@
+"""What a trade-off study says in words and figures, for terminal, page and Markdown alike."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable
+
+from mbds_xsim.counted import counted
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Column
+from mbds_xsim.study.rows import CurveResult, Point, Ratio, Tradeoff
+from mbds_xsim.study.sweep import NATIVE
+
+__all__ = [
+    "BUSY",
+    "cheapest_within",
+    "columns",
+    "conclusion",
+    "failures",
+    "machine_told",
+    "main_curves",
+    "options_that_pay",
+    "order_told",
+    "places",
+    "steps_told",
+    "what_is_charted",
+]
+
+_WORTH_TELLING = 0.85
+"""Part of the usual options' cost below which another option is worth a line."""
+BUSY = 1.1
+"""Wall time over processor time from which on a machine was busy."""
+_NUMBER = re.compile(r"[\d.]+(e[+-]?\d+)?")
+_ORDER = "Order of convergence measured; in brackets the one declared for smooth motion"
+_WITHIN = (
+    "The cheapest point measured that keeps the budgets of all checks: step and wall time per "
+    "simulated second"
+)
+_SHOWN_BELOW = (1e-1, 1e-3)
+"""Accuracies told beside the budget, over it."""
+
+
+def main_curves(study: Tradeoff) -> list[CurveResult]:
+    """Curves of the table: the engines' usual options, then native settings."""
+    usual = [curve for curve in study.curves if not curve.variation]
+    return usual + [curve for curve in study.curves if curve.variation == NATIVE]
+
+
+def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]]:
+    """Give the columns of the main table, each with what it says of a curve."""
+    place = {id(curve): k for k, curve in enumerate(study.curves)}
+    return [
+        (Column("engine", words=True), lambda c: c.engine),
+        (Column("method", words=True), _method),
+        (Column("order", _ORDER), lambda c: order_told(c, study)),
+        *itertools.chain.from_iterable(_ratio_columns(r, place) for r in _told_ratios(study)),
+        (Column("all budgets", _WITHIN), _within),
+        (
+            Column("best error", "Smallest error of all steps that were tried", narrow=False),
+            _best_error,
+        ),
+    ]
+
+
+def places(study: Tradeoff) -> list[tuple[CurveResult, Point]]:
+    """All points that have a cost and an error, with their curves."""
+    return [
+        (curve, point)
+        for curve in study.curves
+        for point in curve.points
+        if point.wall_s is not None and point.error_m is not None
+    ]
+
+
+def cheapest_within(study: Tradeoff) -> tuple[CurveResult, Point] | None:
+    """The cheapest of all points that keep all budgets; native settings are not asked."""
+    kept = [(c, p) for c, p in places(study) if not p.broken and c.variation != NATIVE]
+    return min(kept, key=lambda pair: pair[1].wall_s or math.inf, default=None)
+
+
+def conclusion(study: Tradeoff) -> str:
+    """Say which point wins, in one sentence."""
+    best = cheapest_within(study)
+    if best is None:
+        return "no point keeps the budgets of all checks"
+    curve, point = best
+    return (
+        f"cheapest within all budgets: {curve.name} at {quantity.span(point.step_s)}, "
+        f"{quantity.span(point.wall_s)} a simulated second ({_speed(point)} real time), "
+        f"{'error' if study.own_limit is None else 'from its own limit'} "
+        f"{quantity.length(point.error_m)}"
+    )
+
+
+def what_is_charted(study: Tradeoff) -> str:
+    """Say what the error is and how far it goes."""
+    starts = f"{len(study.trajectories)} medium start{'s' * (len(study.trajectories) > 1)}"
+    if study.reference_ends_s is None:
+        return (
+            f"RMS distance of the particles to the reference at {study.horizon_s:g} s, the worst "
+            f"of {starts} (seed {study.seed})"
+        )
+    if study.own_limit is not None:
+        return (
+            f"RMS distance of the particles to the method's own run at {study.own_limit} steps a "
+            f"frame, at {study.horizon_s:g} s, the worst of {starts} (seed {study.seed}): several "
+            "spheres touch the ground from the start, and what follows has no unique solution in "
+            "rigid contact; this shows convergence, not truth, and engines may converge to "
+            "different motions"
+        )
+    return (
+        f"RMS distance of the particles to the reference, the worst of {starts} (seed "
+        f"{study.seed}), at the last frame before the first impact ({study.horizon_s:g} s the "
+        "earliest): what follows has no unique solution in rigid contact"
+    )
+
+
+def options_that_pay(study: Tradeoff) -> list[str]:
+    """Say which other option is cheapest at the budget, for each method that gains by one."""
+    budget = next((ratio for ratio in study.ratios if ratio.budget), None)
+    if budget is None:
+        return []
+    usual = {
+        (curve.engine, curve.method): cost
+        for curve, cost in zip(study.curves, budget.wall_s, strict=True)
+        if not curve.variation
+    }
+    found: dict[tuple[str, str], tuple[float, str]] = {}
+    for curve, cost in zip(study.curves, budget.wall_s, strict=True):
+        method = (curve.engine, curve.method)
+        base = usual.get(method)
+        if cost and base and curve.variation not in ("", NATIVE) and cost < _WORTH_TELLING * base:
+            line = f"{curve.name}: {cost / base:.2g} × the cost at the budget"
+            found[method] = min((cost, line), found.get(method, (math.inf, "")))
+    return [line for _, line in found.values()]
+
+
+def machine_told(study: Tradeoff) -> str:
+    """Say where times were taken, and whether anything else ran there."""
+    told = f"{study.machine}, {counted(study.workers, 'process')} at a time"
+    if study.busy < BUSY:
+        return told
+    return (
+        f"{told}; it was busy: times are {_digits(study.busy)} × the processor's, in the median, "
+        "so that costs are too high and scattered"
+    )
+
+
+def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
+    """List what did not come to an end: curve, steps, what happened.
+
+    Reasons that differ in numbers only are told once, by the first.
+    """
+    lines = []
+    for curve in study.curves:
+        bad = [point for point in curve.points if point.kind != "done"]
+        for _, group in itertools.groupby(bad, lambda p: (p.kind, _NUMBER.sub("", p.reason))):
+            points = list(group)
+            lines.append((curve.name, steps_told(points), f"{points[0].kind}: {points[0].reason}"))
+    return _merged(lines)
+
+
+def steps_told(points: list[Point]) -> str:
+    """Name the steps of points, the longest first."""
+    return ", ".join(quantity.span(point.step_s) for point in points)
+
+
+def _merged(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """Put curves that ended alike into one line."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name, steps, what in lines:
+        alike.setdefault((steps, what), []).append(name)
+    return [("; ".join(names), steps, what) for (steps, what), names in alike.items()]
+
+
+def _told_ratios(study: Tradeoff) -> list[Ratio]:
+    """The budget, and accuracies some decades below it."""
+    told = [ratio for ratio in study.ratios if ratio.budget]
+    for share in _SHOWN_BELOW:
+        wanted = share * study.error_budget_m
+        finer = [r for r in study.ratios if not r.budget and r.error_m <= wanted * 1.01]
+        told += finer[:1]
+    return told
+
+
+def _ratio_columns(
+    ratio: Ratio, place: dict[int, int]
+) -> list[tuple[Column, Callable[[CurveResult], str]]]:
+    accuracy = quantity.length(ratio.error_m)
+    best = None if ratio.best is None else ratio.wall_s[ratio.best]
+
+    def times(curve: CurveResult) -> str:
+        cost = ratio.wall_s[place[id(curve)]]
+        return quantity.NONE if cost is None or best is None else f"{_digits(cost / best)}×"
+
+    column = Column(
+        "ratio" if ratio.budget else f"at {accuracy}",
+        f"Cost at an error of {accuracy} over that of the cheapest, by interpolation",
+        narrow=ratio.budget,
+    )
+    if not ratio.budget:
+        return [(column, times)]
+    told = (
+        f"Wall time per simulated second at the budget of the error, {accuracy}, by interpolation"
+    )
+    cost = Column(f"≤ {accuracy}", told)
+    return [(cost, lambda c: quantity.span(ratio.wall_s[place[id(c)]])), (column, times)]
+
+
+def _digits(value: float) -> str:
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+
+
+def _method(curve: CurveResult) -> str:
+    return f"{curve.method} ({NATIVE})" if curve.variation == NATIVE else curve.method
+
+
+def order_told(curve: CurveResult, study: Tradeoff) -> str:
+    """Claims of order are about smooth motion, so with contact there is none to compare with."""
+    measured = quantity.NONE if curve.measured_order is None else f"{curve.measured_order:.1f}"
+    return measured if study.contact else f"{measured} ({curve.order})"
+
+
+def _within(curve: CurveResult) -> str:
+    kept = [p for p in curve.points if p.wall_s is not None and not p.broken]
+    if not kept:
+        return quantity.NONE
+    best = min(kept, key=lambda point: point.wall_s or math.inf)
+    return f"{quantity.span(best.step_s)}: {quantity.span(best.wall_s)}"
+
+
+def _best_error(curve: CurveResult) -> str:
+    return quantity.length(
+        min((p.error_m for p in curve.points if p.error_m is not None), default=None)
+    )
+
+
+def _speed(point: Point) -> str:
+    return f"{_digits(1.0 / point.wall_s)} ×" if point.wall_s else quantity.NONE

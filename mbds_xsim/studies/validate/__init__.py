@@ -1,0 +1,1 @@
+"""Which engines to trust with a scene."""

@@ -1,0 +1,349 @@
+"""Plots of a validation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Figure
+from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.report.themed import GREY, INK, PAPER
+from mbds_xsim.result import EngineResult, Evidence, Validation
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.studies.validate import words
+from mbds_xsim.studies.validate.episodes import Contact
+
+__all__ = [
+    "check_series",
+    "consistency",
+    "error_growth",
+    "matrix",
+    "plotted_checks",
+    "restitution",
+]
+
+Array = NDArray[np.float64]
+
+_SIZE = (4.5, 3.1)
+_FLOOR = 1e-16
+"""Zero is drawn here on the log axis."""
+_GROWTH_LIMIT = 100.0
+"""Beyond this growth an error is chaos and not judged."""
+_AGREEMENT = 0.01
+"""Part of the scene's length up to which trajectories agree."""
+
+
+def error_growth(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...]
+) -> list[Figure]:
+    """Plot error against time, worst of each sampling interval."""
+    known = np.any(_known(evidence)[:, 1:], axis=1)
+    of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
+    return [
+        _error_figure(validation, evidence, styles, rows, interval)
+        for interval in INTERVALS
+        if (rows := [k for k, name in enumerate(of_row) if name == interval and known[k]])
+        and any(error is not None and np.isfinite(error[rows]).any() for error in evidence.errors)
+    ]
+
+
+def plotted_checks(evidence: Evidence) -> list[str]:
+    """Checks with a series over time that no figure of its own shows, as the audit lists them."""
+    checks = dict.fromkeys(check for series in evidence.series for check in series)
+    return [
+        check
+        for check in checks
+        if not check.startswith(("error", "consistency")) and _has_course(evidence, check)
+    ]
+
+
+def check_series(
+    validation: Validation, evidence: Evidence, styles: tuple[Style, ...], check: str
+) -> Figure:
+    """Plot a check's series against time, worst of all trajectories, with its budgets."""
+    findings = [f for result in validation.engines for f in result.findings if f.check == check]
+    unit = next((finding.unit for finding in findings), "")
+
+    def draw(axes: Any) -> None:
+        for place, (series, style) in enumerate(zip(evidence.series, styles, strict=True)):
+            if check in series:
+                _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
+        for first in words.ends(validation)[:1]:
+            axes.axvline(first, color=GREY, linewidth=0.9)
+        for budget in sorted({f.budget for f in findings if f.budget}):
+            _level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
+        _log_axis(axes, "" if unit in ("", "1") else unit)
+
+    return _figure(f"{check} over time", draw, check)
+
+
+def matrix(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
+    """Draw the distances between all pairs as a heat map with its numbers; None without pairs."""
+    values = np.array(validation.matrix_m, dtype=np.float64)
+    off = np.where(np.eye(len(values), dtype=bool) | ~np.isfinite(values), np.nan, values)
+    kept = np.flatnonzero(np.isfinite(off).any(axis=0))
+    if not len(kept):
+        return None
+    names, shown, count = [validation.names[k] for k in kept], off[np.ix_(kept, kept)], len(kept)
+    of_engine = {
+        words.label(result): LIGHT[style.colour]
+        for result, style in zip(validation.engines, styles, strict=True)
+    }
+    colours = [of_engine.get(name, INK) for name in names]
+    size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
+    told = (
+        "RMS particle distance at 1 s between all pairs, worst of the low and medium trajectories"
+    )
+    return _figure(
+        "distances between all pairs",
+        lambda axes: _heat(axes, names, shown, colours),
+        told,
+        size,
+        wide=True,
+    )
+
+
+def consistency(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
+    """Plot every trajectory's consistency over its budget; None where no engine has any."""
+    rows = [
+        (place, result, [f for f in result.findings if f.check.startswith("consistency")])
+        for place, result in enumerate(validation.engines)
+    ]
+    checks = dict.fromkeys(f.check for _, _, findings in rows for f in findings if f.budget)
+    if not checks:
+        return None
+    marker = dict(zip(checks, "1x+234|" * 9, strict=False))
+
+    def draw(axes: Any) -> None:
+        for place, _, findings in rows:
+            for f in findings:
+                if f.budget:
+                    ratio = _clipped(np.array(f.figures, dtype=np.float64) / f.budget)
+                    colour = LIGHT[styles[place].colour]
+                    height = np.full(len(ratio), -place - 0.12 * list(checks).index(f.check))
+                    axes.plot(
+                        ratio,
+                        height,
+                        marker[f.check],
+                        color=colour,
+                        alpha=0.8,
+                        ms=7,
+                    )
+        _consistency_axes(axes, validation.engines, marker)
+
+    size = (7.2, 1.3 + 0.34 * len(rows))
+    return _figure("consistency over its budget", draw, "", size, wide=True)
+
+
+def restitution(
+    validation: Validation,
+    evidence: Evidence,
+    styles: tuple[Style, ...],
+    contacts: tuple[Contact | None, ...],
+) -> Figure | None:
+    """Plot what single impacts deliver over their speed; None where there are none.
+
+    Args:
+        validation: With the budget of balls.
+        evidence: With the scene's coefficient.
+        styles: Of the engine results.
+        contacts: Of the reference, then of the engine results.
+    """
+    ground = evidence.scene.ground
+    met = [None if contact is None else _impacts(contact) for contact in contacts]
+    if ground is None or not any(speed.size for speed, _ in filter(None, met)):
+        return None
+
+    e = ground.restitution
+    judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
+
+    def draw(axes: Any) -> None:
+        for place, (found, style) in enumerate(zip(met, (None, *styles), strict=True)):
+            if found is not None:
+                colour = INK if style is None else LIGHT[style.colour]
+                hollow = style is None or style.dashed
+                (marks,) = axes.plot(
+                    *found, "|12x+34"[place % 7], color=colour, ms=9 if style is None else 5,
+                    mfc="none" if hollow else colour, mew=1.1, alpha=0.85,
+                )  # fmt: skip
+                if style is not None:
+                    marks.set_gid(f"curve-{place - 1}")
+        axes.axhline(e, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
+        band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
+        axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
+        if judged:
+            allowed = validation.budget["restitution"]
+            axes.axhspan(e - allowed, e + allowed, color=GREY, alpha=0.14, linewidth=0)
+        axes.set_xlabel("speed of impact [m/s]")
+        axes.set_ylabel("speed after over before")
+        axes.margins(x=0.06, y=0.15)
+
+    told = "Restitution delivered: each mark is one impact of one sphere, of all trajectories"
+    return _figure("restitution delivered", draw, told)
+
+
+def _impacts(contact: Contact) -> tuple[Array, Array]:
+    """Speeds of single impacts, and what part of them is left after."""
+    arriving = np.concatenate([episode.arriving for episode in contact.episodes])
+    leaving = np.concatenate([episode.leaving for episode in contact.episodes])
+    return arriving, leaving / arriving
+
+
+def _error_figure(
+    validation: Validation,
+    evidence: Evidence,
+    styles: tuple[Style, ...],
+    rows: list[int],
+    interval: str,
+) -> Figure:
+    time, length = evidence.reference.time, validation.length_m
+    judged_at_1s = any(evidence.batch.interval(row) != INTERVALS[-1] for row in rows)
+
+    def draw(axes: Any) -> None:
+        _sensitivity_band(axes, time, evidence.growth[rows], validation.budget["error"] * length)
+        for place, (error, style) in enumerate(zip(evidence.errors, styles, strict=True)):
+            if error is not None:
+                _curve(axes, time, _worst(error[rows]), style, place)
+        _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
+        if judged_at_1s and time[-1] >= 1.0:
+            axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=INK, ms=7)
+        _no_solution(axes, time, _known(evidence)[rows])
+        _log_axis(axes, "RMS particle error [m]")
+
+    several = len(evidence.batch) > 1
+    return _figure("error growth", draw, f"Error, {interval} interval" if several else "Error")
+
+
+def _known(evidence: Evidence) -> NDArray[np.bool_]:
+    """Frames for which there is a reference, shape (trajectory, frame)."""
+    return np.asarray(np.isfinite(evidence.reference.position).all(axis=(2, 3)))
+
+
+def _no_solution(axes: Any, time: Array, known: NDArray[np.bool_]) -> None:
+    """Hatch what lies beyond the first impact of the first trajectory that has one."""
+    last = int(known.sum(axis=1).min()) - 1
+    if last + 1 < len(time):
+        axes.axvspan(time[last], time[-1], facecolor="none", edgecolor=GREY, alpha=0.45, hatch="//")
+        axes.annotate(
+            "beyond the first impact:\nno unique solution", (0.98, 0.06), xycoords="axes fraction",
+            ha="right", fontsize=8, color=INK,
+            bbox={"facecolor": PAPER, "alpha": 0.85, "edgecolor": "none", "pad": 2},
+        )  # fmt: skip
+
+
+def _sensitivity_band(axes: Any, time: Array, growth: Array, budget: float) -> None:
+    """Shade what the budget allows, grown as a disturbance of the start grows."""
+    grown = np.maximum(1.0, growth)
+    allowed = np.fmax.reduce(np.where(grown < _GROWTH_LIMIT, budget * grown, np.nan))
+    axes.fill_between(time, _FLOOR, allowed, color=GREY, alpha=0.14, linewidth=0)
+    axes.plot(time, allowed, color=GREY, linewidth=1.0)
+
+
+def _has_course(evidence: Evidence, check: str) -> bool:
+    """Whether a check has more than one frame to plot, and anything but zero."""
+    return any(
+        np.isfinite(series[check]).any(axis=0).sum() > 1 and np.nanmax(np.abs(series[check])) > 0
+        for series in evidence.series
+        if check in series
+    )
+
+
+def _worst(series: Array) -> Array:
+    return _clipped(np.fmax.reduce(np.abs(series)))
+
+
+def _clipped(values: Array) -> Array:
+    return np.where(np.isnan(values), np.nan, np.maximum(np.abs(values), _FLOOR))
+
+
+def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> None:
+    (line,) = axes.plot(
+        time,
+        values,
+        color=LIGHT[style.colour],
+        linestyle=(0, (4, 2)) if style.dashed else "-",
+        linewidth=1.6,
+        marker=rf"$\mathrm{{{style.letter}}}$" if style.letter.isalnum() else None,
+        markersize=8,
+        markeredgewidth=0.3,
+        # Apart, so that curves which lie on each other are told as well.
+        markevery=(int(len(time) * (0.06 + 0.025 * place)) % len(time), max(1, len(time) // 4)),
+    )
+    # The gid becomes a class, by which the page's legend hides the curve.
+    line.set_gid(f"curve-{place}")
+
+
+def _level(axes: Any, value: float, text: str) -> None:
+    axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.annotate(
+        text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-3, 3),
+        textcoords="offset points", ha="right", fontsize=8, color=INK,
+        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
+    )  # fmt: skip
+
+
+def _log_axis(axes: Any, ylabel: str) -> None:
+    axes.set_yscale("log")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(ylabel)
+    axes.margins(x=0.0)
+    _cut_off_starts(axes)
+
+
+def _cut_off_starts(axes: Any) -> None:
+    """Begin the log axis where curves go on, not at their first frames next to zero."""
+    curves = [line.get_ydata() for line in axes.lines if line.get_gid()]
+    values = np.concatenate([*curves, np.empty(0)])
+    seen = values[values > _FLOOR]
+    if len(seen):
+        axes.set_ylim(bottom=10.0 ** np.floor(np.log10(np.quantile(seen, 0.02))))
+
+
+def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None:
+    logs = np.log10(np.where(shown > 0, shown, np.nan))
+    image = axes.pcolormesh(logs, cmap="cividis", edgecolor="none")
+    image.set_rasterized(False)
+    for row, column in np.ndindex(*shown.shape):
+        value = logs[row, column]
+        light = image.norm(value) > 0.5 if np.isfinite(value) else None
+        colour = INK if light is None else "#111111" if light else "#fafafa"
+        text = "" if row == column else quantity.length(float(shown[row, column]))
+        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=8, color=colour)
+    ticks = np.arange(len(shown)) + 0.5
+    axes.xaxis.tick_top()
+    axes.set_xticks(ticks, [name.replace(" ", "\n") for name in names], fontsize=8)
+    axes.set_yticks(ticks, names, fontsize=8)
+    for labels in (axes.get_xticklabels(), axes.get_yticklabels()):
+        for label, colour in zip(labels, colours, strict=True):
+            label.set_color(colour)
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+
+
+def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
+    axes.axvline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.set_xscale("log")
+    axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
+    axes.set_yticks(-np.arange(len(results)), [words.label(result) for result in results])
+    for check, symbol in marker.items():
+        axes.plot([], [], symbol, color=GREY, label=check)
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(marker), frameon=False)
+
+
+def _figure(
+    title: str,
+    draw: Callable[[Any], None],
+    caption: str,
+    size: tuple[float, float] = _SIZE,
+    *,
+    wide: bool = False,
+) -> Figure:
+    return Figure(
+        title, lambda figure: draw(figure.add_subplot()), size, caption=caption, wide=wide
+    )

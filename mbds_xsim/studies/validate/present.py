@@ -1,0 +1,245 @@
+"""A validation as a report: the verdict, then motions, plots, findings and all settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from mbds_xsim.report import animation, quantity
+from mbds_xsim.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figures,
+    Mark,
+    Motion,
+    Place,
+    Remarks,
+    Report,
+    Row,
+    Section,
+    Table,
+    Text,
+    table_of,
+)
+from mbds_xsim.report.palette import Style, styles
+from mbds_xsim.result import EngineResult, Evidence, FindingResult, Validation
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.studies.validate import contact_table, figures, timeline, words
+from mbds_xsim.studies.validate.episodes import Contact, contacts_of
+
+__all__ = ["present"]
+
+_PAGE: frozenset[Place] = frozenset({"page"})
+_VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
+_FEW = 6
+"""Pairs of distributions that are not folded away."""
+_REFERENCE = Style(-1, dashed=False)
+
+
+def present(validation: Validation, evidence: Evidence | None = None) -> Report:
+    """Say which engines can be trusted.
+
+    Args:
+        validation: The figures.
+        evidence: The arrays behind them; without them there are no motions and plots.
+    """
+    versions = ", ".join(f"{name} {what}" for name, what in validation.versions.items())
+    shown = () if evidence is None else tuple(_behind(validation, evidence))
+    return Report(
+        title=validation.scene,
+        what=validation.verdict,
+        description=validation.description,
+        conclusion=words.conclusion(validation),
+        blocks=(*_summary(validation), *shown),
+        command=validation.command,
+        made=f"{validation.machine}, in {validation.wall_s:.0f} s, with {versions}",
+        verdict=_VERDICTS.get(validation.verdict, ""),
+    )
+
+
+def _summary(validation: Validation) -> Iterator[Block]:
+    yield _engines(validation)
+    yield Remarks.of(
+        [
+            *words.remarks(validation),
+            *((f"{name} left out", reason) for name, reason in validation.left_out.items()),
+            ("reference", words.reference_line(validation)),
+            ("odd one out", words.odd_one_out(validation)),
+        ]
+    )
+
+
+def _engines(validation: Validation) -> Table:
+    columns = (*(column for column, _ in words.COLUMNS), Column("verdict", words=True))
+    rows = []
+    for result, style in zip(validation.engines, styles(validation.engines), strict=True):
+        cells = [tell(result, validation) for _, tell in words.COLUMNS]
+        mark = _VERDICTS.get(result.verdict, "")
+        first = Cell(result.engine, line=style)
+        rows.append(Row((first, *cells[1:], Cell(result.verdict, mark)), reasons=result.reasons))
+    return Table(columns, tuple(rows), grouped=True)
+
+
+def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
+    """What only a page shows."""
+    looks = styles(validation.engines)
+    contacts = contacts_of(evidence)
+    yield Section("Motion", (_motion(validation, evidence, contacts),), on=_PAGE)
+    delivered = figures.restitution(validation, evidence, looks, contacts)
+    if delivered is not None:
+        yield Section("Impacts", (Figures((delivered,)),), on=_PAGE)
+    yield _agreement(validation, evidence, looks)
+    checks = [
+        figures.check_series(validation, evidence, looks, check)
+        for check in figures.plotted_checks(evidence)
+    ]
+    if checks:
+        told = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
+        first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
+        blocks = (Text(told + first), Figures(tuple(checks)))
+        yield Section("Checks over time", blocks, on=_PAGE)
+    consistency = figures.consistency(validation, looks)
+    if consistency is not None:
+        told = (
+            "Each engine was run again at another step. What its results tend to as the step "
+            "shrinks must meet the reference within the uncertainty of that estimate; this shows "
+            "errors of the model far below the accuracy budgets."
+        )
+        yield Section("Consistency", (Text(told), Figures((consistency,))), on=_PAGE)
+    found = zip(validation.engines, looks, strict=True)
+    findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(found))
+    yield Section("Findings", findings, on=_PAGE)
+    yield Section("Settings", tuple(_settings(validation, evidence, looks)), on=_PAGE)
+
+
+def _motion(
+    validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...]
+) -> Motion:
+    looks = styles(validation.engines)
+    names = tuple(words.label(result) for result in validation.engines)
+    entries = tuple(zip(names, looks, strict=True))
+    data = animation.pack(evidence, names, looks)
+    if not contacts:
+        return Motion(data, "reference", entries)
+    count = len(data["trajectories"])
+    data["contact"] = timeline.pack(validation, evidence, contacts, count)
+    every = (("reference", _REFERENCE), *entries)
+    numbers = [trajectory["index"] for trajectory in data["trajectories"]]
+    tables = contact_table.tables(contacts, every, numbers)
+    reading = timeline.reading(evidence, slips=data["contact"]["slips"])
+    about = words.contact_words(validation, evidence)
+    return Motion(data, "reference", entries, tables, (about, reading))
+
+
+def _agreement(validation: Validation, evidence: Evidence, looks: tuple[Style, ...]) -> Section:
+    growth = figures.error_growth(validation, evidence, looks)
+    matrix = figures.matrix(validation, looks)
+    shown = (*growth, *([matrix] if matrix is not None else []))
+    blocks: list[Block] = [Text(words.growth_words(validation, known=bool(growth))), Figures(shown)]
+    if validation.ensembles:
+        blocks += _distributions(validation)
+    title = "Agreement with the reference" if growth else "Agreement"
+    return Section(title, tuple(blocks), on=_PAGE)
+
+
+def _distributions(validation: Validation) -> Iterator[Block]:
+    apart = sum(pair.p_value < 0.01 for pair in validation.ensembles)
+    yield Text(
+        "Distributions: pairs whose motions no longer agree one by one, as samples of "
+        "distributions at the end: their energy distance, 0 for equal and 1 for two points, and "
+        "the probability of so large a one if both are draws of one distribution"
+    )
+    columns = [Column("pair", words=True), *map(Column, ("trajectories", "distance", "p-value"))]
+    rows = [
+        [
+            f"{pair.one} and {pair.other}",
+            str(pair.count),
+            quantity.number(pair.distance),
+            quantity.number(pair.p_value),
+        ]
+        for pair in validation.ensembles
+    ]
+    title = f"{len(rows)} pairs, {apart} of them told apart with p below 0.01"
+    yield Section(title, (table_of(columns, rows),), folded=True, opened=len(rows) <= _FEW)
+
+
+def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
+    headings = ("", "check", "figure", "budget", "worst in", "where", "figure of each trajectory")
+    columns = tuple(Column(h, words=h not in ("figure", "budget")) for h in headings)
+    rows = tuple(map(_finding_row, result.findings))
+    blocks: tuple[Block, ...] = (
+        *(Text(failure, "fail") for failure in result.failures),
+        *([Table(columns, rows)] if rows else []),
+    )
+    return Section(
+        words.label(result),
+        blocks,
+        folded=True,
+        opened=first or result.verdict == "fail",
+        verdict=_VERDICTS.get(result.verdict, ""),
+        line=style,
+    )
+
+
+def _finding_row(finding: FindingResult) -> Row:
+    figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
+    judged: Mark = "pass" if finding.passed else "fail"
+    note = f" ({finding.note})" if finding.note else ""
+    each = " ".join(quantity.with_unit(value, finding.unit) for value in finding.figures)
+    texts = (
+        f"{finding.check}{note}",
+        figure,
+        budget,
+        f"trajectory {finding.trajectory}, frame {finding.frame}",
+        finding.where or quantity.NONE,
+        each,
+    )
+    sign = Cell("·", "muted") if finding.budget is None else Cell("", judged)
+    return Row((sign, *map(Cell, texts)), "" if finding.passed else "over")
+
+
+def _settings(
+    validation: Validation, evidence: Evidence, looks: tuple[Style, ...]
+) -> Iterator[Table]:
+    text, figure = (
+        ("engine", "version", "method", "family", "options"),
+        ("coordinates", "constraints"),
+    )
+    columns = [Column(h, words=True) for h in text]
+    columns[4:4] = [Column("order"), Column("step")]
+    columns += [Column(h) for h in (*figure, "set-up")]
+    rows: list[list[Cell | str]] = [
+        [
+            Cell(words.label(result), line=style),
+            result.version,
+            result.method,
+            result.family,
+            str(result.order),
+            f"{result.step_s:g} s",
+            ", ".join(f"{key} = {value}" for key, value in result.options.items()) or "defaults",
+            *(
+                quantity.NONE if n is None else str(n)
+                for n in (result.coordinates, result.constraints)
+            ),
+            quantity.span(result.setup_s),
+        ]
+        for result, style in zip(validation.engines, looks, strict=True)
+    ]
+    yield table_of(columns, rows)
+    budgets = [(key, quantity.number(value)) for key, value in validation.budget.items()]
+    lengths = ("length of the scene", quantity.length(validation.length_m))
+    yield _pairs("Budgets", [*budgets, lengths])
+    yield _pairs("Trajectories", [("seed", str(validation.seed)), *_intervals(evidence)])
+
+
+def _pairs(title: str, pairs: list[tuple[str, str]]) -> Table:
+    return table_of((Column("", words=True), Column("")), pairs, title=title)
+
+
+def _intervals(evidence: Evidence) -> Iterator[tuple[str, str]]:
+    """Trajectories of each sampling interval, where there is more than one trajectory."""
+    batch = evidence.batch
+    of_row = [(str(batch.index[row]), batch.interval(row)) for row in range(len(batch))]
+    for name in INTERVALS if len(batch) > 1 else ():
+        numbers = [number for number, interval in of_row if interval == name]
+        yield name, ", ".join(numbers) or quantity.NONE

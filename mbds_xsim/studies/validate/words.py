@@ -1,0 +1,241 @@
+"""The main table of a validation and the sentences around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Cell, Column
+from mbds_xsim.result import EngineResult, Evidence, Validation
+
+__all__ = [
+    "COLUMNS",
+    "conclusion",
+    "contact_words",
+    "ends",
+    "growth_words",
+    "label",
+    "odd_one_out",
+    "reference_line",
+    "remarks",
+    "sampled",
+]
+
+
+def label(result: EngineResult) -> str:
+    """Name a row: engine and profile."""
+    return f"{result.engine} {result.profile}"
+
+
+def sampled(validation: Validation) -> str:
+    """Say what was drawn: `12 trajectories of seed 0`."""
+    count = len(validation.trajectories)
+    plural = "y" if count == 1 else "ies"
+    return f"{count} trajector{plural} of seed {validation.seed}"
+
+
+def reference_line(validation: Validation) -> str:
+    """Say how good the reference is."""
+    reference = validation.reference
+    if reference is None:
+        return "none: results are compared with each other only"
+    cached = f", {reference.cached} from the cache" if reference.cached else ""
+    if _unknown(validation):
+        return "none: the scene starts in contact, which has no unique solution"
+    return (
+        f"relative tolerance {reference.rtol:.0e}, "
+        f"constraint gap {quantity.length(reference.constraint_gap_m)}, "
+        f"energy balance {quantity.number(reference.energy_balance)}, "
+        f"made in {quantity.span(reference.wall_s)}{cached}{_until(validation)}"
+    )
+
+
+def _until(validation: Validation) -> str:
+    times = ends(validation)
+    if not times:
+        return ""
+    first, last = (f"{time:.2f}" for time in (times[0], times[-1]))
+    return f"; up to the first impact, at {first if first == last else f'{first} to {last}'} s"
+
+
+def _unknown(validation: Validation) -> bool:
+    """Whether there is no reference from the start on."""
+    reference = validation.reference
+    return reference is not None and {0.0} == set(reference.known_s)
+
+
+def ends(validation: Validation) -> list[float]:
+    """First impacts that leave no unique solution, of the trajectories that have one [s]."""
+    known = () if validation.reference is None else validation.reference.known_s
+    return sorted(time for time in known if time is not None)
+
+
+def odd_one_out(validation: Validation) -> str:
+    """Name the entry that stands apart, or the pair that is furthest apart."""
+    if validation.odd_one_out is not None:
+        return f"{validation.odd_one_out} stands apart from all other method families"
+    pairs = [
+        (distance, validation.names[row], validation.names[column])
+        for row, distances in enumerate(validation.matrix_m)
+        for column, distance in enumerate(distances)
+        if column > row and math.isfinite(distance)
+    ]
+    if not pairs:
+        return "none, nothing to compare"
+    distance, one, other = max(pairs)
+    return f"none; furthest apart at 1 s are {one} and {other}, {quantity.length(distance)}"
+
+
+def conclusion(validation: Validation) -> str:
+    """Say the final verdict in one sentence."""
+    total, parts = len(validation.engines), []
+    of_one = len({result.profile for result in validation.engines}) == 1
+    for verdict, word in (("pass", "passed"), ("warn", "with a warning"), ("fail", "failed")):
+        those = [result for result in validation.engines if result.verdict == verdict]
+        names = ", ".join(result.engine for result in those)
+        of = f" ({names})" if of_one and len(those) < total else ""
+        parts += [f"{len(those)} of {total} {word}{of}"] if those else []
+    return f"{', '.join(parts) or 'no engine ran'}; {sampled(validation)}"
+
+
+def remarks(validation: Validation) -> list[tuple[str, str]]:
+    """List what checks could not judge though they pass: the row and check, and why not."""
+    found: dict[tuple[str, str], str] = {}
+    for result in validation.engines:
+        for finding in result.findings:
+            if finding.passed and any(word in finding.note for word in (UNMEASURED, STOPPED)):
+                found.setdefault((label(result), finding.note), finding.check)
+    return [(f"{row}, {check}", note) for (row, note), check in found.items()]
+
+
+def _cell(text: str, *, over: bool) -> Cell:
+    return Cell(text, "over" if over else "")
+
+
+def contact_words(validation: Validation, evidence: Evidence) -> str:
+    """Say what is known of the scene's contact."""
+    ground = evidence.scene.ground
+    assert ground is not None
+    if not ends(validation):
+        told = "The reference is exact through all contacts: that of a ball has one solution."
+    else:
+        begin = (
+            "The scene starts in contact of several points, which has no unique solution, so that "
+            "there is no reference:"
+            if _unknown(validation)
+            else "The reference ends at the first impact: rigid contact of several points, or "
+            "beside a centre of mass, has no unique solution. Beyond it (grey)"
+        )
+        told = (
+            f"{begin} engines are held to the laws that every solution keeps, in the checks below, "
+            "and to each other; with 20 trajectories or more their distributions are compared."
+        )
+    return (
+        f"{told} The scene's coefficients are {ground.friction:g} of friction and "
+        f"{ground.restitution:.4f} of restitution. The plots over time are of the trajectory "
+        "chosen above; press on them to go to a time."
+    )
+
+
+def growth_words(validation: Validation, *, known: bool) -> str:
+    """Say how to read the plots of errors, or why there are none."""
+    if not known:
+        return (
+            "The scene starts in contact of several points, which has no unique solution: there is "
+            "no error to plot. Engines are compared with each other, and held to the laws of "
+            "contact in the checks below."
+        )
+    hatched = (
+        " Hatched: beyond the first impact there is no unique solution, and no error."
+        if ends(validation)
+        else ""
+    )
+    return (
+        "RMS distance of the particles to the reference, the worst of each interval's "
+        "trajectories. The grey area is what the budget allows once the scene's own sensitivity is "
+        "counted: it grows as a disturbance of the start grows, and ends where that is a "
+        "hundredfold and the error is chaos rather than a fault. The triangle is the budget at "
+        f"1 s; letters are engines' initials, dashed lines native settings.{hatched}"
+    )
+
+
+def _over(value: float | None, budget: float) -> bool:
+    return value is not None and not value <= budget
+
+
+def _budget(validation: Validation, key: str, scale: float = 1.0) -> float:
+    return validation.budget.get(key, math.inf) * scale
+
+
+def _step(result: EngineResult, _: Validation) -> Cell:
+    return Cell(quantity.span(result.step_s))
+
+
+def _cost(result: EngineResult, _: Validation) -> Cell:
+    return Cell(quantity.span(result.wall_per_simulated_s))
+
+
+def _gap(result: EngineResult, validation: Validation) -> Cell:
+    gap = result.constraint_gap_m
+    return _cell(quantity.length(gap), over=_over(gap, _budget(validation, "gap")))
+
+
+def _energy(result: EngineResult, validation: Validation) -> Cell:
+    key = "energy_first_order" if result.order == 1 else "energy"
+    balance = result.energy_balance
+    return _cell(quantity.number(balance), over=_over(balance, _budget(validation, key)))
+
+
+def _error_1s(result: EngineResult, validation: Validation) -> Cell:
+    budget = _budget(validation, "error_1s", validation.length_m)
+    return _cell(quantity.length(result.error_1s_m), over=_over(result.error_1s_m, budget))
+
+
+def _error_max(result: EngineResult, validation: Validation) -> Cell:
+    if _unknown(validation):
+        return Cell(quantity.NONE)
+    # What chaos explains is no fault: the error over the growth is what the verdict takes.
+    budget = _budget(validation, "error", validation.length_m)
+    return _cell(quantity.length(result.error_max_m), over=_over(result.error_weighted_m, budget))
+
+
+def _agreement(result: EngineResult, validation: Validation) -> Cell:
+    if result.agreement_time_s is not None:
+        return Cell(f"{result.agreement_time_s:.2f} s")
+    if result.error_max_m is None or _unknown(validation):
+        return Cell(quantity.NONE)
+    times = ends(validation)
+    return Cell(f"≥{times[0]:.2f} s" if times else "always")
+
+
+COLUMNS: tuple[tuple[Column, Callable[[EngineResult, Validation], Cell]], ...] = (
+    (Column("engine", words=True), lambda r, _: Cell(r.engine)),
+    (Column("profile", "Preset of settings", words=True), lambda r, _: Cell(r.profile)),
+    (
+        Column("method", "Way of stepping", words=True, narrow=False),
+        lambda r, _: Cell(r.method),
+    ),
+    (Column("step", "Integration step"), _step),
+    (Column("cost", "Wall time per simulated second and trajectory, set-up apart"), _cost),
+    (Column("gap", "Worst distance between the anchor points of a joint"), _gap),
+    (Column("energy", "Worst energy balance over the energy scale"), _energy),
+    (
+        Column("err 1 s", "Worst RMS particle error at 1 s over the low and medium trajectories"),
+        _error_1s,
+    ),
+    (
+        Column(
+            "err max",
+            "Worst RMS particle error over all frames and trajectories; marked where the error "
+            "divided by the sensitivity's growth is over its budget",
+        ),
+        _error_max,
+    ),
+    (
+        Column("agrees", "Until when all errors stay below 1 % of the scene's length"),
+        _agreement,
+    ),
+)
+"""Columns of the main table, each with what it says of an engine result."""
