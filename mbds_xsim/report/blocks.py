@@ -106,8 +106,19 @@ class Remark:
     """A subject, and a sentence of it."""
 
     subject: str
+    """May be a question."""
     text: str
     mark: Mark = ""
+
+    @property
+    def begin(self) -> str:
+        """The subject, parted from the sentence."""
+        return f"{self.subject}{'' if self.subject.endswith('?') else ':'} "
+
+    @property
+    def sentence(self) -> str:
+        """Both."""
+        return f"{self.begin}{self.text}"
 
 
 @dataclass(frozen=True)

@@ -50,15 +50,11 @@ def _blocks(blocks: Iterable[Block], told: set[Column], level: int) -> Iterator[
             case Text():
                 yield from (in_markdown(sentence(block.text).rstrip()), "")
             case Remarks(lines):
-                yield from (f"- {in_markdown(_joined(r.subject, r.text))}" for r in lines)
+                yield from (f"- {in_markdown(r.sentence)}" for r in lines)
             case Section() if "markdown" in block.on:
                 if block.title:
                     yield from (f"{'#' * level} {in_markdown(block.title)}", "")
-                yield from _blocks(block.blocks, told, level + 1)
-
-
-def _joined(subject: str, text: str) -> str:
-    return f"{subject}: {text}" if subject else text
+                yield from _blocks(block.blocks, told, level + bool(block.title))
 
 
 def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:

@@ -126,8 +126,7 @@ def _reason(cells: tuple[Cell, ...], mark: str, reasons: tuple[str, ...]) -> Gri
 def _remark(remark: Remark) -> Grid:
     style = _STYLES[remark.mark] or "bold"
     sign = SIGNS.get(remark.mark, "·")
-    subject = f"{remark.subject}: " if remark.subject else ""
-    return _hanging(Words(sign, style="dim"), Words.assemble((subject, style), remark.text))
+    return _hanging(Words(sign, style="dim"), Words.assemble((remark.begin, style), remark.text))
 
 
 def _hanging(sign: Words, text: Words) -> Grid:
