@@ -145,7 +145,9 @@ def _answers(shift: Shift, page: Path) -> Iterator[str]:
         if picture.is_file():
             yield f"![{words}, {page.name}]({picture.name})\n"
     yield f"{protocol(shift)}.\n"
-    yield from (f"- **{question}** {answer}" for question, answer in answers(shift))
+    for subject, text in answers(shift):
+        question = subject.endswith("?")
+        yield f"- **{subject}** {text}" if question else f"- {subject}: {text}"
 
 
 if __name__ == "__main__":

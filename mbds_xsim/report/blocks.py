@@ -219,7 +219,7 @@ class Report:
 
     title: str
     what: str
-    """What the title's subject was asked, or the verdict on it."""
+    """What the title's subject was asked; with a verdict, that in words."""
     conclusion: str
     blocks: tuple[Block, ...]
     command: str

@@ -30,7 +30,7 @@ def _spaced(lines: Iterable[str]) -> Iterator[str]:
 
 def _chapter(report: Report, told: set[Column]) -> Iterator[str]:
     yield from (f"# {in_markdown(report.title)}: {in_markdown(report.what)}", "")
-    answer = f"{sentence(report.description)}{sentence(report.conclusion)}".rstrip()
+    answer = f"{sentence(report.conclusion)}{sentence(report.description)}".rstrip()
     yield from (in_markdown(answer), "")
     if report.picture:
         yield from (
@@ -50,7 +50,7 @@ def _blocks(blocks: Iterable[Block], told: set[Column], level: int) -> Iterator[
             case Text():
                 yield from (in_markdown(sentence(block.text).rstrip()), "")
             case Remarks(lines):
-                yield from (f"- {in_markdown(r.sentence)}" for r in lines)
+                yield from (f"- {_bold(in_markdown(r.sentence), r.mark == 'fail')}" for r in lines)
             case Section() if "markdown" in block.on:
                 if block.title:
                     yield from (f"{'#' * level} {in_markdown(block.title)}", "")
@@ -87,4 +87,8 @@ def _cell(cell: Cell, *, bold: bool) -> str:
     text = in_markdown(cell.text)
     if cell.mark in SIGNS and not text:
         return SIGNS[cell.mark]
-    return f"**{text}**" if text and (bold or cell.mark in ("over", "strong")) else text
+    return _bold(text, bold or cell.mark in ("over", "strong"))
+
+
+def _bold(text: str, really: bool) -> str:
+    return f"**{text}**" if text and really else text

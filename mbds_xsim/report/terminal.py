@@ -45,7 +45,7 @@ def print_report(report: Report, console: Console) -> None:
     if report.made:
         console.print(_remark(Remark("made", report.made)))
     console.print()
-    badge = f" {report.verdict.upper()} " if report.verdict else ""
+    badge = f" {report.what.upper()} " if report.verdict else ""
     console.print(
         Words.assemble(
             (badge, f"{_STYLES[report.verdict]} reverse"),

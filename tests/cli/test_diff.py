@@ -435,7 +435,7 @@ def test_markdown_has_it_all(compare: CommandLine, here: Path) -> None:
     text = (here / "diff.md").read_text()
     assert text.startswith("# 3ladder: worse\n")
     assert "| **mujoco matched** | **verdict** | **pass** | **fail** | **worse** |" in text
-    assert "- **Worse: mujoco matched: gap no longer keeps its budget**" in text
+    assert "- **worse: mujoco matched: gap no longer keeps its budget**" in text
 
 
 _FILES: dict[str, tuple[bytes, str]] = {

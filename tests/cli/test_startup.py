@@ -42,7 +42,7 @@ def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
 
 def test_studies_of_engines_do_without_torch() -> None:
     studies = ("study.tradeoff", "study.stability.survey", "validation")
-    reports = ("report.tradeoff_files", "report.stability_files")
+    reports = ("studies.tradeoff.present", "studies.stability.present")
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 
     assert "torch" not in _loaded(f"import {modules}")

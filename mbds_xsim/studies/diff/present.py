@@ -68,7 +68,7 @@ def _entry_rows(entry: EntryDiff) -> Iterator[Row]:
     if entry.worse or entry.old_verdict != entry.new_verdict:
         words = "worse" if entry.worse else "better" if entry.better else ""
         told = (name, "verdict", entry.old_verdict, entry.new_verdict)
-        yield Row((*map(Cell, told), Cell(words, "over" if entry.worse else "")))
+        yield Row((*map(Cell, (*told, words)),), "over" if entry.worse else "")
     for change in entry.settings:
         yield _row(name, change.what, _value(change.old), _value(change.new), "")
     for figure in entry.figures:

@@ -33,7 +33,7 @@ def present(match: Match) -> Report:
     met = all(found.meets_budget for found in match.engines)
     return Report(
         title=match.scene,
-        what="matched settings",
+        what="within budgets" if met else "budgets missed",
         conclusion=_conclusion(match),
         blocks=(
             Table(_COLUMNS, tuple(map(_row, match.engines)), note=_figures_of(match)),

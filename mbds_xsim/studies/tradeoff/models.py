@@ -61,12 +61,12 @@ def models_table(study: Tradeoff) -> Table:
 
 
 def models_short(study: Tradeoff) -> str:
-    """Give the errors of all models, the least first; "" where there are no models."""
+    """Give the errors of all models in a sentence, the least first; "" without models."""
     order = sorted(study.models, key=lambda m: (m.alone.kind != "done", m.alone.error_m or 0.0))
     if not order:
         return ""
     each = ", ".join(f"{m.model} {_error(m)}" for m in order)
-    return f"Trained models are off at {study.horizon_s:g} s by: {each}. "
+    return f"trained models are off at {study.horizon_s:g} s by: {each}"
 
 
 def models_told(study: Tradeoff) -> str:

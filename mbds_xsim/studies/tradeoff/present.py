@@ -26,7 +26,7 @@ from mbds_xsim.report.blocks import (
     Text,
 )
 from mbds_xsim.report.themed import INK, PAPER
-from mbds_xsim.safe_text import in_figure
+from mbds_xsim.safe_text import in_figure, sentence
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.figures import (
     Panel,
@@ -67,7 +67,7 @@ def present(study: Tradeoff, picture: str = "") -> Report:
         title=study.scene,
         what="speed against accuracy",
         description=study.description,
-        conclusion=f"{models_short(study)}{words.conclusion(study)}",
+        conclusion=f"{sentence(models_short(study))}{sentence(words.conclusion(study))}".rstrip(),
         blocks=tuple(_blocks(study)),
         command=study.command,
         made=f"{words.machine_told(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
