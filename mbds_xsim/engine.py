@@ -99,6 +99,8 @@ class Method:
     """Features that this method, unlike the engine, cannot do, with the reason."""
     loop_order: int | None = None
     """Order where constraints are solved beside the coordinates, if it differs."""
+    loop_velocity_order: int | None = None
+    """Order of the velocities there, if it is lower than that of the positions."""
     velocity_lag: float = 0.0
     """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's."""
     own: bool = True
@@ -107,9 +109,19 @@ class Method:
 
     def order_for(self, scene: Scene) -> int:
         """Order that holds for a scene."""
-        mechanism = Mechanism.of(scene)
-        constrained = bool(mechanism.loops or mechanism.distances)
+        constrained = self.loop_order is not None and _constrained(scene)
         return self.loop_order if constrained and self.loop_order is not None else self.order
+
+    def velocity_order_for(self, scene: Scene) -> int:
+        """Order to which a scene's velocities may be down, where they carry constraint forces."""
+        order = self.order_for(scene)
+        lower = self.loop_velocity_order
+        return min(order, lower) if lower is not None and _constrained(scene) else order
+
+
+def _constrained(scene: Scene) -> bool:
+    mechanism = Mechanism.of(scene)
+    return bool(mechanism.loops or mechanism.distances)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +178,7 @@ class _Comparison:
     """One quantity of all runs, held against the reference."""
 
     name: str
-    declared: int
+    declared: str
     series: Array
     """Deviation of the limit over its uncertainty, NaN where no order shows, (trajectory, frame).
     """
@@ -235,26 +236,39 @@ def _compared(
     growth: Array | None,
     resolution: float,
 ) -> list[_Comparison]:
-    order = method.order_for(scene)
+    order, lower = method.order_for(scene), method.velocity_order_for(scene)
     mechanism = Record(scene, batch, reference).mechanism
     places = [_flat(markers_of(mechanism, run)) for run in (*runs, reference)]
-    energies = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
-    levels = [energy.by_body / energies[-1].scale[:, None, None] for energy in energies]
+    stored = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
+    levels = [energy.by_body / stored[-1].scale[:, None, None] for energy in stored]
     shape = places[-1].shape[:2]
     grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
     budget = scene.budget
     with np.errstate(over="ignore", invalid="ignore"):
-        return [
-            _compare(name, values, order, scale * resolution * grown, grown < CHAOS, small)
-            for name, values, scale, small in (
-                ("consistency of positions", places, scene.length, scene.length * budget.error_1s),
-                ("consistency of energy", levels, 1.0, budget.energy),
-            )
-        ]
+        floor, predictable, near = resolution * grown, grown < CHAOS, scene.length * budget.error_1s
+        positions = ("consistency of positions", places, scene.length * floor, predictable, near)
+        energies = ("consistency of energy", levels, floor, predictable, budget.energy)
+        both = [_compare(each, *energies) for each in (order, lower)]
+        return [_compare(order, *positions), _either(*both) if lower < order else both[0]]
+
+
+def _either(first: _Comparison, second: _Comparison) -> _Comparison:
+    """Take the second where the first judges little of a trajectory and the second does not.
+
+    Energy goes from body to body at the order of the velocities, its sum at that of positions.
+    """
+    rows = first.brief & ~second.brief
+    picked: dict[str, Any] = {
+        name: np.where(rows if a.ndim == 1 else rows[:, None], getattr(second, name), a)
+        for name, a in vars(first).items()
+        if isinstance(a, np.ndarray)
+    }
+    orders = f"{first.declared} of positions and {second.declared} of velocities"
+    return dataclasses.replace(first, declared=orders, **picked)
 
 
 def _compare(
-    name: str, values: list[Array], order: int, floor: Array, predictable: Mask, budget: float
+    order: int, name: str, values: list[Array], floor: Array, predictable: Mask, budget: float
 ) -> _Comparison:
     frames = min(value.shape[1] for value in values)
     floor, predictable = floor[:, :frames], predictable[:, :frames]
@@ -275,7 +289,7 @@ def _compare(
     orders = [np.where(known & np.isfinite(each.order), each.order, np.nan) for each in found]
     return _Comparison(
         name=name,
-        declared=order,
+        declared=str(order),
         series=series,
         orders=np.stack([_median(each) for each in orders], axis=1),
         unexplained=np.where(known, left, 0.0).max(axis=1),

@@ -116,6 +116,34 @@ def test_a_method_of_another_order_than_declared_does_not_pass(pendulum: Any, ru
         assert finding.where[0].startswith(("order 0.9", "order 1.0"))
 
 
+class _Constrained(Method):
+    """Its velocities carry constraint forces of first order."""
+
+    def velocity_order_for(self, scene: Scene) -> int:
+        return self.order_for(scene) - 1
+
+
+@pytest.mark.parametrize("change", [_same, _lighter])
+def test_energies_may_have_the_order_that_is_declared_of_velocities(
+    pendulum: Any, runs: Any, change: Callable[[Scene], Scene]
+) -> None:
+    off = [
+        dataclasses.replace(run, velocity=run.velocity * (1.0 + 4e-3 * 0.5**k))
+        for k, run in enumerate(runs("midpoint", change))
+    ]
+    strict = METHODS["midpoint"][0]
+    lax = _Constrained(strict.name, strict.family, strict.order)
+
+    about = (pendulum.scene, pendulum.batch, off, pendulum.exact)
+    places, energy = consistency(*about, lax, resolution=1e-8)
+    right = change is _same
+    assert places.passed.all() == right
+    assert energy.passed.all() == right
+    assert np.isfinite(energy.figure).all()
+    assert "order 2 of positions and 1 of velocities declared" in energy.note
+    assert not consistency(*about, strict, resolution=1e-8)[1].passed.any()
+
+
 def test_times_of_large_growth_are_not_judged(pendulum: Any, runs: Any) -> None:
     growth = np.ones((3, 41))
     growth[:, 15:] = 200.0
