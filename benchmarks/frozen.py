@@ -21,7 +21,7 @@ import numpy as np
 
 from mbds_xsim import load_dataset
 from mbds_xsim.errors import InputError
-from mbds_xsim.study.diff import compare_files
+from mbds_xsim.studies.diff.compare import compare_files
 
 _SCENES = (
     "5pendulum", "6pendulum", "2ladder", "3ladder",

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from mbds_xsim.report import quantity
-from mbds_xsim.study.stored import StoredFinding, StoredValidation
+from mbds_xsim.result import FindingResult, Validation, from_plain
 
 _LEAST = 1e-3
 
@@ -36,13 +36,13 @@ class Worst:
     """What comes nearest to its budget in a check, or goes furthest beyond it."""
 
     scene: str
-    finding: StoredFinding
+    finding: FindingResult
 
     @property
     def share(self) -> float:
         """Of the budget, the figure itself where there is none; no figure is the worst."""
         figure = self.finding.figure
-        return math.inf if figure is None else figure / (self.finding.budget or 1.0)
+        return math.inf if math.isnan(figure) else figure / (self.finding.budget or 1.0)
 
     @property
     def place(self) -> tuple[bool, float]:
@@ -58,7 +58,7 @@ def main(folder: Path) -> None:
     """Print the page."""
     found: Found = {}
     for file in sorted(folder.glob("*.json")):
-        _add(found, msgspec.json.decode(file.read_bytes(), type=StoredValidation))
+        _add(found, from_plain(msgspec.json.decode(file.read_bytes()), Validation))
     engines = sorted({engine for worst in found.values() for engine in worst})
     print(_HEAD)
     print(f"| check | {' | '.join(engines)} |")
@@ -67,7 +67,7 @@ def main(folder: Path) -> None:
         print(f"| {check} | {' | '.join(_cell(worst.get(engine)) for engine in engines)} |")
 
 
-def _add(found: Found, validation: StoredValidation) -> None:
+def _add(found: Found, validation: Validation) -> None:
     for engine in validation.engines:
         for finding in engine.findings:
             worst = Worst(validation.scene, finding)
@@ -91,7 +91,7 @@ def _cell(worst: Worst | None) -> str:
         return quantity.NONE
     finding = worst.finding
     figure = quantity.with_unit(finding.figure, finding.unit)
-    if finding.figure is None:
+    if math.isnan(finding.figure):
         return quantity.NONE if finding.passed else f"**no figure**, {worst.scene}"
     if finding.figure == 0:
         return "0"

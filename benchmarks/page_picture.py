@@ -23,7 +23,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from mbds_xsim.report.few_colours import few_colours
 from mbds_xsim.report.themed import SOURCE
-from mbds_xsim.study.stored import StoredValidation
+from mbds_xsim.result import Validation, from_plain
 from mbds_xsim.write import write_whole
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -31,7 +31,7 @@ SIZE = (1240, 1760)
 
 
 def main(base: str, target: str) -> None:
-    stored = msgspec.json.decode(Path(f"{base}.json").read_bytes(), type=StoredValidation)
+    stored = from_plain(msgspec.json.decode(Path(f"{base}.json").read_bytes()), Validation)
     told = PngInfo()
     lines = (settings_line(e.engine, e.method, e.step_s, e.options) for e in stored.engines)
     told.add_text(SOURCE, "\n".join(lines))

@@ -6,8 +6,9 @@ behind them, for the page's plots.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -26,10 +27,12 @@ __all__ = [
     "ReferenceResult",
     "Validation",
     "Verdict",
+    "from_plain",
     "to_json",
 ]
 
 Array = NDArray[np.float64]
+S = TypeVar("S", bound=msgspec.Struct)
 Verdict = str
 """pass, warn or fail."""
 
@@ -169,6 +172,28 @@ class Evidence:
     """RMS particle error of each engine result [m], shape (trajectory, frame)."""
     series: tuple[dict[str, Array], ...]
     """Per engine result: check name to series (trajectory, frame), budgets in the findings."""
+
+
+def from_plain(what: Any, kind: type[S]) -> S:
+    """Make a result of decoded JSON, in which numbers that are not finite are null.
+
+    Raises:
+        msgspec.ValidationError: It is something else.
+    """
+    return msgspec.convert(_with_nan(what, kind), kind)
+
+
+def _with_nan(what: Any, kind: Any) -> Any:
+    """Put NaN for null where a type has numbers only."""
+    if what is None:
+        return math.nan if kind is float else None
+    if isinstance(what, list):
+        inner = (get_args(kind) or (None,))[0]
+        return [_with_nan(one, inner) for one in what]
+    if isinstance(what, dict) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        hints = get_type_hints(kind)
+        return {key: _with_nan(one, hints.get(key)) for key, one in what.items()}
+    return what
 
 
 def to_json(validation: Validation) -> bytes:

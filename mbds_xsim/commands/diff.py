@@ -41,8 +41,8 @@ def diff(
 ) -> None:
     """Compare two results of one command and scene: 0 nothing is worse, 1 something is."""
     from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.studies.diff.compare import compare_files
     from mbds_xsim.studies.diff.present import present, remarks_of
-    from mbds_xsim.study.diff import compare_files
 
     check_targets(json=json, markdown=markdown)
     comparison = compare_files(old, new, rtol=rtol, factor=factor)

@@ -11,10 +11,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim import result
-from mbds_xsim.study import match, rows, stored
+from mbds_xsim.studies.diff.read import READERS
+from mbds_xsim.study import match, rows
 from mbds_xsim.study.stability import rows as stability_rows
-from mbds_xsim.study.view_readers import READERS
 
 CommandLine = Callable[..., Any]
 Json = dict[str, Any]
@@ -214,20 +213,6 @@ def test_a_result_is_the_same_as_itself(compare: CommandLine, kind: str) -> None
 
 def test_every_schema_is_tried() -> None:
     assert {make()["schema"] for make in _RESULTS.values()} == set(READERS)
-
-
-@pytest.mark.parametrize(
-    ("part", "whole"),
-    [
-        (stored.StoredFinding, result.FindingResult),
-        (stored.StoredEngine, result.EngineResult),
-        (stored.StoredValidation, result.Validation),
-        (stored.StoredFound, match.Found),
-        (stored.StoredMatch, match.Match),
-    ],
-)
-def test_what_is_read_is_what_is_written(part: type[msgspec.Struct], whole: Any) -> None:
-    assert set(part.__struct_fields__) <= set(whole.__struct_fields__)
 
 
 def _failed(told: Json) -> None:

@@ -16,8 +16,8 @@ from mbds_xsim.report.blocks import (
     Section,
     Table,
 )
-from mbds_xsim.study.diff import Change, Comparison, Diff, EntryDiff, FigureChange
-from mbds_xsim.study.view import Value
+from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
+from mbds_xsim.studies.diff.view import Value
 
 __all__ = ["present", "remarks_of"]
 

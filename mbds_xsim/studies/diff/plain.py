@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
+from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 
 __all__ = ["plain_view"]
 

@@ -11,8 +11,8 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
-from mbds_xsim.study.view_readers import read_views
+from mbds_xsim.studies.diff.read import read_views
+from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 
 __all__ = ["Change", "Comparison", "Diff", "EntryDiff", "FigureChange", "OnlyIn", "compare_files"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -12,11 +13,10 @@ import msgspec
 
 from mbds_xsim import result
 from mbds_xsim.errors import InputError
+from mbds_xsim.studies.diff.plain import plain_view
+from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 from mbds_xsim.study import match, rows
-from mbds_xsim.study.plain_view import plain_view
 from mbds_xsim.study.stability import rows as stability_rows
-from mbds_xsim.study.stored import StoredEngine, StoredFound, StoredMatch, StoredValidation
-from mbds_xsim.study.view import FAILING, Entry, Figure, Value, View
 
 __all__ = ["READERS", "read_views"]
 
@@ -85,7 +85,7 @@ def _named(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
 
 
 def _validation(part: object) -> View:
-    stored = msgspec.convert(part, StoredValidation)
+    stored = result.from_plain(part, result.Validation)
     return View(
         scene=stored.scene,
         command=stored.command,
@@ -104,7 +104,7 @@ def _validation(part: object) -> View:
     )
 
 
-def _engine_entry(engine: StoredEngine, stored: StoredValidation) -> Entry:
+def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Entry:
     budget = stored.budget.get("error", 0.0) * stored.length_m
     return Entry(
         verdict=engine.verdict,
@@ -120,7 +120,9 @@ def _engine_entry(engine: StoredEngine, stored: StoredValidation) -> Entry:
         reasons=tuple(dict.fromkeys((*engine.reasons, *engine.failures))),
         broken=frozenset(finding.check for finding in engine.findings if not finding.passed),
         judged=frozenset(f.check for f in engine.findings if f.budget is not None),
-        figures={f.check: Figure(f.figure, f.unit, f.budget or 0.0) for f in engine.findings}
+        figures={
+            f.check: Figure(_finite(f.figure), f.unit, f.budget or 0.0) for f in engine.findings
+        }
         | {
             "largest error": Figure(engine.error_max_m, "m", budget),
             "agreement time": Figure(engine.agreement_time_s, "s"),
@@ -208,7 +210,7 @@ def _point_entry(point: rows.Point, curve: str, scales: Mapping[str, float]) -> 
 
 
 def _match(part: object) -> View:
-    stored = msgspec.convert(part, StoredMatch)
+    stored = result.from_plain(part, match.Match)
     return View(
         scene=stored.scene,
         command=stored.command,
@@ -225,7 +227,7 @@ def _match(part: object) -> View:
     )
 
 
-def _found_entry(found: StoredFound) -> Entry:
+def _found_entry(found: match.Found) -> Entry:
     return Entry(
         verdict="keeps all budgets" if found.meets_budget else "over budget",
         rank=0 if found.meets_budget else FAILING,
@@ -244,8 +246,8 @@ def _found_entry(found: StoredFound) -> Entry:
             "energy": Figure(found.energy_balance),
         },
         timings={
-            "wall time per simulated second": found.wall_per_simulated_s,
-            "processor time per simulated second": found.cpu_per_simulated_s,
+            "wall time per simulated second": _finite(found.wall_per_simulated_s),
+            "processor time per simulated second": _finite(found.cpu_per_simulated_s),
         },
     )
 
@@ -292,6 +294,10 @@ def _cell_entry(cell: stability_rows.Cell, panel: str) -> Entry:
         },
         timings={"wall time": cell.wall_s},
     )
+
+
+def _finite(figure: float) -> float | None:
+    return figure if math.isfinite(figure) else None
 
 
 def _circumstances(versions: Mapping[str, str], machine: str) -> dict[str, Value]:
