@@ -9,7 +9,7 @@ from collections.abc import Callable
 import torch
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.accelerate import check_device
+from mbds_xsim.learn.device import check_device
 
 __all__ = ["add_device", "chosen_device", "machine_of", "spent"]
 

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.learn.energy_model import EnergyModel
-from mbds_xsim.learn.rollout import go_on
-from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.shift.measure import EXPLODED, measure
+from mbds_xsim.learn.energy_models import EnergyModel
+from mbds_xsim.learn.model import go_on
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import EXPLODED, measure
 from mbds_xsim.learn.window import HISTORY, Motions, Start
 from mbds_xsim.report.quantity import number
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.clock import add_device, chosen_device, machine_of, spent
-from mbds_xsim.learn.accelerate import compile_networks, put
+from mbds_xsim.learn.device import compile_networks, put
 from mbds_xsim.learn.gns import GNS, Interaction
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, load_model

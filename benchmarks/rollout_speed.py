@@ -18,11 +18,10 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.clock import add_device, chosen_device, machine_of, spent
-from mbds_xsim.learn.accelerate import put
-from mbds_xsim.learn.channels import CHANNELS
+from mbds_xsim.learn.device import put
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Model, build
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import Inputs, Start
 from mbds_xsim.matched import settings_for

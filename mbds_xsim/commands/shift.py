@@ -82,11 +82,10 @@ def shift(
     """Test models that were trained on one engine's data on every other engine's."""
     check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
-    from mbds_xsim.learn.accelerate import check_device
+    from mbds_xsim.learn.device import check_device
+    from mbds_xsim.learn.shift.models import Selection
     from mbds_xsim.learn.shift.result import to_json
-    from mbds_xsim.learn.shift.roster import Part
-    from mbds_xsim.learn.shift.samples import samples_of
-    from mbds_xsim.learn.shift.study import asked, study
+    from mbds_xsim.learn.shift.study import asked, samples_of, study
     from mbds_xsim.report.files import link, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.shift.figures import to_png
@@ -97,7 +96,7 @@ def shift(
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
     check_device(device)
-    part = Part.parse(settings, on, seeds)
+    part = Selection.parse(settings, on, seeds)
     names = map(folder_name, scene or _scenes(models, data))
     # All at once: what the last is lacking is said before the first has taken its time.
     questions = [asked(models, data, n, trajectories=trajectories, part=part) for n in names]
@@ -118,12 +117,12 @@ def shift(
     stored = to_json([found.shift for found in studies])
     write_if(csv, lambda: to_csv(studies))
     write_if(png, lambda: to_png([found.shift for found in studies], stored))
-    write_if(rollouts, lambda: samples_png([samples_of(found.board) for found in studies]))
+    write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
     shown = html is not None or opened
     reports = [
         present(
             found.shift,
-            samples_of(found.board) if shown else None,
+            samples_of(found.evaluation) if shown else None,
             played=len(studies) == 1,
             picture=link(png, markdown) if not k else "",
         )

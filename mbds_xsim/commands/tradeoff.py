@@ -27,7 +27,7 @@ from mbds_xsim.commands.shared import (
 )
 
 if TYPE_CHECKING:
-    from mbds_xsim.learn.trained import Trained
+    from mbds_xsim.learn.trained import TrainedModel
     from mbds_xsim.scene import Scene
     from mbds_xsim.study.rows import Row, Tradeoff
 
@@ -142,7 +142,9 @@ def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, lis
     return (read_tradeoff(onto), []) if onto is not None else tradeoff_with_rows(scene, **how)
 
 
-def _models(places: list[Path] | None, onto: Path | None, scenes: list[Scene]) -> list[Trained]:
+def _models(
+    places: list[Path] | None, onto: Path | None, scenes: list[Scene]
+) -> list[TrainedModel]:
     """Find the models, and refuse them before engines are measured where there are none."""
     from mbds_xsim.errors import InputError
 

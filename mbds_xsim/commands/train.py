@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbds_xsim.dataset.work import Carrier
-    from mbds_xsim.learn.campaign import Campaign, Request
-    from mbds_xsim.learn.cost import Cost
+    from mbds_xsim.learn.runs import Cost
     from mbds_xsim.learn.train import Profile
+    from mbds_xsim.learn.trainings import TrainingPlan, TrainingRequest
 
 __all__ = ["train"]
 
@@ -97,14 +97,14 @@ def train(
 ) -> None:
     """Train learned models on engines' data, all on equally much of it; see docs/train.md."""
     check_torch("train")
-    from mbds_xsim.learn.campaign import Request, planned
-    from mbds_xsim.learn.domains import groups
+    from mbds_xsim.learn.groups import groups
+    from mbds_xsim.learn.trainings import TrainingRequest, planned
     from mbds_xsim.report.training import print_blocked, print_left_out
 
     console = console_for(json)
     check_targets(json=json, png=png)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
-    request = Request(
+    request = TrainingRequest(
         groups=groups(data),
         models=_names(models),
         on=on,
@@ -116,16 +116,16 @@ def train(
         device=device,
         events=tensorboard,
     )
-    campaign = planned(request, only=plan)
-    print_left_out(campaign, console)
+    trainings = planned(request, only=plan)
+    print_left_out(trainings, console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
-            measured = _costs(campaign, *carrier, console)
-            print_blocked(campaign, console)
-            write_json(encoded({"cost": measured, "left_out": campaign.left_out}, "train"), json)
+            measured = _costs(trainings, *carrier, console)
+            print_blocked(trainings, console)
+            write_json(encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json)
             return
-        told = _trained(campaign, request, *carrier, console)
+        told = _trained(trainings, request, *carrier, console)
     write_json(encoded(told, "train"), json)
     _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
@@ -139,51 +139,55 @@ def _names(models: str | None) -> list[str]:
     return [word.strip() for word in dict.fromkeys(models.split(","))]
 
 
-def _costs(campaign: Campaign, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
+def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
     """Measure and print what the runs will cost."""
-    from mbds_xsim.learn.campaign import costs
+    from mbds_xsim.learn.trainings import costs
     from mbds_xsim.report.training import print_costs
 
-    measured = costs(campaign, workers=at_once, carrier=carrier) if campaign.runs else []
+    measured = costs(trainings, workers=at_once, carrier=carrier) if trainings.runs else []
     if measured:
-        print_costs(campaign, measured, at_once, console)
+        print_costs(trainings, measured, at_once, console)
     return measured
 
 
 def _trained(
-    campaign: Campaign, request: Request, carrier: Carrier, at_once: int, console: Console
+    trainings: TrainingPlan,
+    request: TrainingRequest,
+    carrier: Carrier,
+    at_once: int,
+    console: Console,
 ) -> dict[str, Any]:
     """Carry the runs out, and give what is to be told of them."""
     from mbds_xsim.dataset.lock import locked
-    from mbds_xsim.learn.campaign import LONG, carry, diverged
     from mbds_xsim.learn.curves import log_whole
+    from mbds_xsim.learn.trainings import LONG, carry, diverged
     from mbds_xsim.report.training import TrainingBar, print_outcome
 
     with locked(request.out):
         long = request.profile.steps > LONG
-        measured = _costs(campaign, carrier, at_once, console) if long else []
+        measured = _costs(trainings, carrier, at_once, console) if long else []
         with TrainingBar(console) as bar:
             outcome = carry(
-                campaign, workers=at_once, carrier=carrier, progress=bar, costs=measured
+                trainings, workers=at_once, carrier=carrier, progress=bar, costs=measured
             )
     if request.events is not None:
-        for name in campaign.found:
+        for name in trainings.done:
             log_whole(request.out / f"{name}.curve.json", request.events / name)
-    print_outcome(campaign, outcome, console)
-    runs = dict(sorted({**campaign.found, **outcome.trained}.items()))
+    print_outcome(trainings, outcome, console)
+    runs = dict(sorted({**trainings.done, **outcome.trained}.items()))
     return {
         "runs": runs,
         "failed": outcome.failed,
         "diverged": diverged(runs),
-        "left_out": campaign.left_out,
+        "left_out": trainings.left_out,
         "cost": measured,
     }
 
 
 def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bool) -> None:
     """Refuse what cannot be; a cluster's workers have devices of their own."""
-    from mbds_xsim.learn.accelerate import check_device
     from mbds_xsim.learn.curves import check_events
+    from mbds_xsim.learn.device import check_device
 
     check_device(device, here=not far)
     if fast and device != "cuda":
@@ -196,7 +200,7 @@ def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bo
 def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Profile:
     import msgspec
 
-    from mbds_xsim.learn.campaign import profile_named
+    from mbds_xsim.learn.trainings import profile_named
 
     found = msgspec.structs.replace(profile_named(name), mixed_precision=bf16, compiled=compiled)
     return found if steps is None else found.of_exactly(steps)
@@ -208,7 +212,7 @@ def _carrier(
     """Give what carries runs out, and how many at a time."""
     from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.isolate import run_tasks
-    from mbds_xsim.learn.accelerate import process_count
+    from mbds_xsim.learn.device import process_count
 
     if scheduler is not None and workers is not None:
         msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"

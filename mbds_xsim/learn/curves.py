@@ -10,12 +10,19 @@ from typing import Any
 import msgspec
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.train import Point
+from mbds_xsim.learn.train import CurvePoint
 
-__all__ = ["Curve", "EventLog", "check_events", "log_whole", "read_curve", "write_curve"]
+__all__ = [
+    "EventLog",
+    "LearningCurve",
+    "check_events",
+    "log_whole",
+    "read_curve",
+    "write_curve",
+]
 
 
-class Curve(msgspec.Struct, frozen=True):
+class LearningCurve(msgspec.Struct, frozen=True):
     """How a run went so far."""
 
     run: str
@@ -23,7 +30,7 @@ class Curve(msgspec.Struct, frozen=True):
     """It may take."""
     ended: str
     """Why; empty while it goes on."""
-    points: list[Point]
+    points: list[CurvePoint]
 
 
 class _FilePoint(msgspec.Struct):
@@ -42,12 +49,12 @@ class _FileCurve(msgspec.Struct):
     points: list[_FilePoint]
 
 
-def write_curve(curve: Curve) -> bytes:
+def write_curve(curve: LearningCurve) -> bytes:
     """Give JSON; see `docs/train.md`."""
     return msgspec.json.encode(curve) + b"\n"
 
 
-def read_curve(path: Path) -> Curve:
+def read_curve(path: Path) -> LearningCurve:
     """Read what `write_curve` wrote.
 
     Raises:
@@ -58,8 +65,8 @@ def read_curve(path: Path) -> Curve:
     except (OSError, msgspec.MsgspecError) as error:
         msg = f"{path}: no learning curve, or a damaged one ({error}); remove it"
         raise InputError(msg) from error
-    points = [Point(p.step, _number(p.loss), _number(p.error), p.rate) for p in found.points]
-    return Curve(found.run, found.most_steps, found.ended, points)
+    points = [CurvePoint(p.step, _number(p.loss), _number(p.error), p.rate) for p in found.points]
+    return LearningCurve(found.run, found.most_steps, found.ended, points)
 
 
 def _number(value: float | None) -> float:
@@ -82,7 +89,7 @@ class EventLog(AbstractContextManager["EventLog"]):
         self._folder = folder
         self._to: Any = None
 
-    def add(self, point: Point) -> None:
+    def add(self, point: CurvePoint) -> None:
         """Tell of a point; those of an interrupted process that lie behind it are forgotten."""
         if self._folder is None:
             return

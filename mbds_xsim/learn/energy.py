@@ -3,21 +3,36 @@
 Kinetic energy is a sum over nodes of f(|v_i|²) and over rods (a body's tip and centre of mass) of
 f(|v_i − v_j|²). The rods carry the rotation: a particle welded to its rod couples neighbours.
 First and second derivatives of f come with it in closed form, and with these the mass matrix
-∂²T/∂v².
+∂²T/∂v². The learned V is of places and, by message passing, of distances.
+
+Sources: Bhattoo, Ranu, Krishnan, NeurIPS 2022, and Bishnoi et al., ICLR 2023; T of rods is beyond
+these papers. Lengths are in units of the scene's, times in √(length / gravity), kinetic terms in
+known masses. Functions of squared speeds are convex and grow (Amos, Xu, Kolter: Input convex neural
+networks, ICML 2017), so that the mass matrix is positive definite whatever the parameters.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import msgspec
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.mechanics import Mechanics
+from mbds_xsim.learn.mechanics_points import distinct, kinds_of
+from mbds_xsim.sampling import noise_components
 
 __all__ = [
+    "Drag",
     "Energy",
+    "EnergyNetwork",
+    "EnergyShape",
     "Kinetic",
     "TrueEnergy",
     "mass_matrix",
@@ -111,3 +126,217 @@ def potential_force(energy: Energy, q: Tensor) -> Tensor:
         place = q if q.requires_grad else q.detach().requires_grad_()
         (slope,) = torch.autograd.grad(energy.potential(place).sum(), place, create_graph=outer)
     return -slope
+
+
+class EnergyShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Size of the networks."""
+
+    width: int = 5
+    """Of hidden layers, embeddings and messages."""
+    hidden_layers: int = 2
+    passes: int = 1
+    """Rounds of message passing."""
+
+
+class SquarePlus(nn.Module):
+    """(x + √(x² + 4)) / 2: smooth, convex, growing."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Apply it element by element."""
+        return _squareplus(x)
+
+
+class ConvexScalar(nn.Module):
+    """A convex growing function of one number for each kind, with two derivatives."""
+
+    def __init__(self, kinds: int, shape: EnergyShape) -> None:
+        super().__init__()
+        width, layers = shape.width, shape.hidden_layers
+        sizes = [1, *[width] * layers]
+        self.raw = nn.ParameterList(
+            0.5 * torch.randn(after, before) for before, after in itertools.pairwise(sizes)
+        )
+        self.last = nn.Parameter(0.5 * torch.randn(width) - 2.0)
+        self.shift = nn.Embedding(kinds, layers * width)
+        self.slope = nn.Embedding(kinds, 1)
+        nn.init.zeros_(self.slope.weight)
+
+    def forward(self, s: Tensor, kind: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values, first and second derivatives at s (batch, k) of kinds (k,), of the shape of s."""
+        shifts = self.shift(kind).chunk(len(self.raw), dim=-1)
+        weight = _squareplus(self.raw[0])[:, 0]
+        jet = _bend(s[..., None] * weight + shifts[0], weight, None)
+        for raw, shift in itertools.islice(zip(self.raw, shifts, strict=True), 1, None):
+            across = (_squareplus(raw) / raw.shape[1]).T
+            value, first, second = (part @ across for part in jet)
+            jet = _bend(value + shift, first, second)
+        across = _squareplus(self.last) / len(self.last)
+        value, first, second = (part @ across for part in jet)
+        slope = 0.5 * _squareplus(self.slope(kind))[:, 0]
+        return value + slope * s, first + slope, second
+
+
+class Potential(nn.Module):
+    """V over its unit, of positions in units of the scene's length."""
+
+    kind: Tensor
+    axes: Tensor
+    """1 along axes in which the scene moves: of a plane motion nothing learned shall leave it."""
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        width = shape.width
+        kind, kinds = kinds_of(mechanics.points)
+        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
+        axes = torch.zeros(3)
+        axes[noise_components(mechanics.mechanism.scene)] = 1.0
+        self.register_buffer("axes", axes, persistent=False)
+        self.embed = nn.Embedding(kinds, width)
+        self.of_place = _perceptron(width + 3, 1, shape)
+        self.slope = nn.Linear(width, 3)
+        # A function of distances that nothing changes has a slope along the constraints alone,
+        # whose forces take it up: it moves nothing.
+        self.of_distances = OfDistances(mechanics, shape) if mechanics.mechanism.springs else None
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Give V, shape (batch,), at all nodes (batch, all nodes, 3)."""
+        place = x[:, : len(self.kind)] * self.axes
+        kind = self.embed(self.kind).expand(len(x), -1, -1)
+        at = self.of_place(torch.cat([kind, place], -1))[..., 0]
+        energy = (at + (self.slope(kind) * place).sum(-1)).sum(1)
+        return energy if self.of_distances is None else energy + self.of_distances(x, kind)
+
+
+class OfDistances(nn.Module):
+    """The part of V that message passing on distances gives."""
+
+    edge_map: Tensor
+    ends: Tensor
+    kind: Tensor
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        width = shape.width
+        for name, values in zip(("edge_map", "ends", "kind"), _edges(mechanics), strict=True):
+            self.register_buffer(name, values, persistent=False)
+        self.passes = shape.passes
+        self.embed = nn.Embedding(int(self.kind.max()) + 1, width)
+        self.of_distance = _perceptron(width + 1, width, shape)
+        self.message = _perceptron(2 * width, width, shape)
+        self.renew = _perceptron(width, width, shape)
+        self.of_edge = _perceptron(width, 1, shape)
+        self.of_node = _perceptron(width, 1, shape)
+
+    def forward(self, x: Tensor, node: Tensor) -> Tensor:
+        """Give it, shape (batch,), at all nodes (batch, all nodes, 3) and their embeddings."""
+        span = torch.linalg.vector_norm(self.edge_map @ x, dim=-1, keepdim=True)
+        kind = self.embed(self.kind).expand(len(x), -1, -1)
+        edge = self.of_distance(torch.cat([kind, span], -1))
+        for _ in range(self.passes):
+            a, b = node[:, self.ends[0]], node[:, self.ends[1]]
+            node = node.index_add(1, self.ends[0], self.message(torch.cat([a, edge], -1)))
+            node = node.index_add(1, self.ends[1], self.message(torch.cat([b, edge], -1)))
+            edge = edge + self.renew(node[:, self.ends[0]] * node[:, self.ends[1]])
+        return self.of_edge(edge).sum((1, 2)) + self.of_node(node).sum((1, 2))
+
+
+class EnergyNetwork(nn.Module):
+    """Learned kinetic and potential energy (an `Energy`)."""
+
+    kind: Tensor
+    """Of free nodes, then of rods."""
+
+    def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
+        super().__init__()
+        self.mechanics = mechanics
+        points = mechanics.points
+        node_kind, node_kinds = kinds_of(points)
+        rods = np.stack([points.rod_mass, points.rod_length], axis=1)
+        kind = np.concatenate([node_kind[: points.free], node_kinds + distinct(rods)])
+        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
+        self.kinds = int(kind.max()) + 1
+        self.length, self.square_speed = _units(mechanics)
+        self.unit = self.square_speed * float(points.mass[points.mass > 0].mean())
+        self.of_speed = ConvexScalar(self.kinds, shape)
+        self.of_place = Potential(mechanics, shape)
+
+    def kinetic(self, v: Tensor) -> Kinetic:
+        """See `Energy`."""
+        square, mass = self.square_speed, self.mechanics.moved_mass
+        speed = squares(velocities(self.mechanics, v)) / square
+        value, first, second = self.of_speed(speed, self.kind)
+        return Kinetic(mass * square * value, mass * first, mass / square * second)
+
+    def potential(self, q: Tensor) -> Tensor:
+        """See `Energy`."""
+        energy: Tensor = self.of_place(self.mechanics.all_nodes(q) / self.length)
+        return self.unit * energy
+
+
+class Drag(nn.Module):
+    """A learned force −c v at nodes and between the ends of rods, c ≥ 0: it only takes energy."""
+
+    def __init__(self, energy: EnergyNetwork, shape: EnergyShape) -> None:
+        super().__init__()
+        self.energy = [energy]  # not a part: its parameters are not the drag's
+        self.embed = nn.Embedding(energy.kinds, shape.width)
+        self.of_speed = _perceptron(shape.width + 1, 1, shape)
+
+    def forward(self, v: Tensor) -> Tensor:
+        """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
+        (energy,) = self.energy
+        mechanics = energy.mechanics
+        each = velocities(mechanics, v)
+        # Of a whip's speed itself the share would grow until the integrator is unstable.
+        speed = torch.log1p(squares(each)[..., None] / energy.square_speed)
+        kinds = self.embed(energy.kind).expand(len(v), -1, -1)
+        share = 0.1 * self.of_speed(torch.cat([kinds, speed], -1)) ** 2
+        rate = math.sqrt(energy.square_speed) / energy.length
+        return -mechanics.speed_map.T @ (rate * mechanics.moved_mass[:, None] * share * each)
+
+
+def _squareplus(x: Tensor) -> Tensor:
+    return 0.5 * (x + torch.sqrt(x * x + 4.0))
+
+
+def _bend(value: Tensor, first: Tensor, second: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+    """Put squareplus behind a function, with its derivatives; a straight one has no second."""
+    root = torch.sqrt(value * value + 4.0)
+    over = 1.0 / root
+    bent = 0.5 * (value + root)
+    slope, curve = bent * over, 2.0 * over * (over * first) ** 2
+    return bent, slope * first, curve if second is None else curve + slope * second
+
+
+def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
+    sizes = [before, *[shape.width] * shape.hidden_layers]
+    hidden: Sequence[nn.Module] = [
+        part for a, b in itertools.pairwise(sizes) for part in (nn.Linear(a, b), SquarePlus())
+    ]
+    return nn.Sequential(*hidden, nn.Linear(sizes[-1], after))
+
+
+def _units(mechanics: Mechanics) -> tuple[float, float]:
+    """Length [m] and squared speed [m²/s²] of the scene."""
+    scene = mechanics.mechanism.scene
+    gravity = math.hypot(*scene.gravity)
+    return scene.length, (gravity or scene.length) * scene.length
+
+
+def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:
+    """Vectors along rods, distance links and springs (edge, all nodes), nodes at their ends
+    (2, edge), and what tells their laws apart (edge,).
+    """
+    points, mechanism = mechanics.points, mechanics.mechanism
+    pairs = [*mechanism.distances, *mechanism.springs]
+    spans = [points.span(pair.bodies, pair.in_body) for pair in pairs]
+    rods = np.eye(points.count)[points.rods]
+    ends = [[points.of_body(body).com for body in pair.bodies] for pair in pairs]
+    sizes = [len(rods), len(mechanism.distances), len(mechanism.springs)]
+    law = np.repeat(np.pad(np.eye(3), ((0, 0), (0, 3))), sizes, axis=0)
+    law[sizes[0] + sizes[1] :, 3:] = mechanics.spring_law.numpy()
+    return (
+        torch.as_tensor(np.concatenate([rods[:, 0] - rods[:, 1], *[s[None] for s in spans]])),
+        torch.as_tensor(np.concatenate([points.rods, *[np.array([end]) for end in ends]]).T.copy()),
+        torch.as_tensor(distinct(law)),
+    )

@@ -15,12 +15,10 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.pushforward import pushed
+from mbds_xsim.learn.model import Change, PointModel, pushed
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
-from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.statistics import CHANNELS, Channels, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample
 
 __all__ = ["GNS", "GNSSettings", "Interaction", "random_walk"]

@@ -1,21 +1,36 @@
-"""What a learned model is, and how its prediction becomes the next frame."""
+"""What a learned model is, and how it predicts trajectories of a scene that it can represent."""
 
 from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, final
 
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import Inputs, Sample, Start
+from mbds_xsim.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
+from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Sample, Start
 
-__all__ = ["FlowModel", "Model", "PointModel", "build", "load_model", "model_names"]
+__all__ = [
+    "FlowModel",
+    "Model",
+    "PointModel",
+    "Rollout",
+    "build",
+    "go_on",
+    "load_model",
+    "model_names",
+    "pushed",
+    "refusal",
+    "roll",
+    "rollout",
+]
+
 
 Change = Literal["acceleration", "displacement"]
 
@@ -165,8 +180,8 @@ def build(
 _PLACES = {
     "gns": "mbds_xsim.learn.gns:GNS",
     "sgnn": "mbds_xsim.learn.sgnn:SGNN",
-    "hgnn": "mbds_xsim.learn.hgnn:HGNN",
-    "lgnn": "mbds_xsim.learn.lgnn:LGNN",
+    "hgnn": "mbds_xsim.learn.energy_models:HGNN",
+    "lgnn": "mbds_xsim.learn.energy_models:LGNN",
     "hold": "mbds_xsim.learn.trivial:Hold",
     "constant_velocity": "mbds_xsim.learn.trivial:ConstantVelocity",
     "constant_acceleration": "mbds_xsim.learn.trivial:ConstantAcceleration",
@@ -187,3 +202,161 @@ _DISPLACEMENT: dict[Change, Callable[[Tensor, Tensor], Tensor]] = {
     "acceleration": _of_acceleration,
     "displacement": _of_displacement,
 }
+
+
+_BATCH = 512
+_NODES = 4096
+"""At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
+pages new from the system, which makes rows dearer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Predicted positions beside the true ones; frame 0 is the first predicted."""
+
+    position: Tensor
+    """[m], shape (trajectory, frame, particle, 3); not a number from where a prediction failed."""
+    truth: Tensor
+    """[m], of the same shape."""
+
+    @property
+    def failed(self) -> Tensor:
+        """Whether a trajectory became not finite, bool, shape (trajectory,)."""
+        return ~self.position[:, -1].isfinite().all(-1).all(-1)
+
+    @property
+    def squared_error(self) -> Tensor:
+        """Mean over particles of the squared distance [m²], shape (trajectory, frame).
+
+        Not a number where the prediction failed: to be counted, never dropped.
+        """
+        return ((self.position - self.truth) ** 2).sum(-1).mean(-1)
+
+
+def rollout(
+    model: Model, motions: Motions, *, steps: int | None = None, batch: int = _BATCH
+) -> Rollout:
+    """Predict trajectories from their first `HISTORY` frames on.
+
+    Args:
+        model: On the device of the motions.
+        motions: What really happened, and its inputs.
+        steps: Frames to predict; left out, all.
+        batch: Trajectories at a time.
+
+    Raises:
+        InputError: There are not so many frames, or the model needs the bodies' states.
+    """
+    most = motions.frame_count - HISTORY
+    steps = most if steps is None else steps
+    if not 1 <= steps <= most:
+        msg = f"steps: got {steps}, allowed is 1 to {most}"
+        raise InputError(msg)
+    if model.needs_bodies and motions.body is None:
+        msg = "this model starts from the bodies' states; read the motions with bodies=True"
+        raise InputError(msg)
+    parts = []
+    with torch.no_grad():
+        for k in range(0, len(motions), batch):
+            rows = torch.arange(k, min(k + batch, len(motions)), device=motions.position.device)
+            sample = motions.sample(rows, torch.full_like(rows, HISTORY - 1), steps)
+            parts.append(roll(model, sample.start, sample.inputs))
+    return Rollout(torch.cat(parts), motions.position[:, HISTORY : HISTORY + steps])
+
+
+def roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
+    """Predict frame by frame.
+
+    Args:
+        model: Which model.
+        start: What is known.
+        inputs: Over all frames to come, shapes (batch, frame, body, 3) and (batch, frame, hinge).
+
+    Returns:
+        Positions [m], shape (batch, frame, particle, 3). A row that is not finite at a frame stays
+        so, and the others go on undisturbed.
+    """
+    block = len(start)
+    if start.history.device.type == "cpu":
+        block = max(1, _NODES // model.graph.node_count)
+    parts = range(0, len(start), block)
+    return torch.cat(
+        [go_on(model, model.begin(start[k : k + block]), inputs[k : k + block]) for k in parts]
+    )
+
+
+def go_on(model: Model, state: Tensor, inputs: Inputs) -> Tensor:
+    """Do as `roll` does from states of the model's own, all rows at once."""
+    first = state
+    alive = torch.ones(len(state), dtype=torch.bool, device=state.device)
+    frames = []
+    for frame in range(inputs.torque.shape[1]):
+        state = model.advance(state, inputs.at(frame))
+        alive = alive & state.flatten(1).isfinite().all(1)
+        # Solvers refuse numbers that are none: failed rows are kept at their start, unseen.
+        state = torch.where(_like(alive, state), state, first)
+        seen = model.positions(state)
+        frames.append(torch.where(_like(alive, seen), seen, torch.nan))
+    return torch.stack(frames, dim=1)
+
+
+def _like(flags: Tensor, values: Tensor) -> Tensor:
+    return flags.reshape(-1, *[1] * (values.dim() - 1))
+
+
+def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
+    """Say why a model cannot represent a scene; "" where it can.
+
+    Raises:
+        UnknownName: There is no such model.
+        InputError: It has no such track.
+    """
+    try:
+        build(name, graph, _of_nothing(), track=track)
+    except Unsupported as error:
+        return str(error)
+    return ""
+
+
+def _of_nothing() -> Statistics:
+    """Statistics of what does not move."""
+    one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
+    return Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
+
+
+PART = 0.5
+"""Of the windows, those that go on for a frame more; so half of a batch are true ones."""
+
+
+def pushed(model: PointModel, sample: Sample) -> Sample:
+    """Let half of a batch go on from the model's own prediction, half of these again, and so on.
+
+    The more frames to come, the farther; the last of them is learned from. No gradient passes
+    through the predictions. Source: Brandstetter, Worrall and Welling, "Message passing neural
+    PDE solvers", ICLR 2022, section 3.1, there one frame of all windows; what more are worth is
+    in docs/train.md.
+
+    Args:
+        model: Whose loss it is for.
+        sample: Windows; with one frame to come they stay as they are.
+
+    Returns:
+        The windows, with one frame to come: what follows the predictions, or the last known frame.
+    """
+    history, inputs = sample.start.history, sample.inputs
+    age = torch.zeros(len(history), dtype=torch.int64, device=history.device)
+    with torch.no_grad():
+        for frame in range(sample.position.shape[1] - 1):
+            count = round(PART ** (frame + 1) * len(history))
+            if not count:  # a small batch
+                break
+            given = Inputs(inputs.force[:count, frame], inputs.torque[:count, frame])
+            history = torch.cat([model.advance(history[:count], given), history[count:]])
+            age[:count] += 1
+    row = torch.arange(len(age), device=age.device)
+    return Sample(
+        start=replace(sample.start, history=history),
+        inputs=Inputs(inputs.force[row, age][:, None], inputs.torque[row, age][:, None]),
+        position=sample.position[row, age][:, None],
+        velocity=sample.velocity[row, age][:, None],
+    )

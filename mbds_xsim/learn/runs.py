@@ -1,4 +1,4 @@
-"""One training of a campaign: what it is known by, where its files go, and how it is carried out.
+"""One training: what it is known by, where its files go, how it is carried out and what it costs.
 
 `…/6pendulum/native/gns/mujoco-s0.pt` is the model, `….curve.json` its learning curve, and
 `….checkpoint` what it goes on from while it is not done.
@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import platform
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -19,28 +22,38 @@ import torch
 from mbds_xsim.dataset.content import CONTENT
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.accelerate import put
-from mbds_xsim.learn.curves import Curve, EventLog, write_curve
-from mbds_xsim.learn.domains import Group
-from mbds_xsim.learn.mixture import Share, check_share, mixed
+from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve
+from mbds_xsim.learn.device import put
+from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
 from mbds_xsim.learn.model import Model, build, load_model
+from mbds_xsim.learn.model_file import read_facts, save_model
 from mbds_xsim.learn.recipe import Recipe
-from mbds_xsim.learn.saved import read_facts, save_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Profile, Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.write import write_whole
 
-__all__ = ["Run", "carry_out", "check_data", "facts_of", "finished", "prepared", "recipe_of"]
+__all__ = [
+    "Cost",
+    "TrainingRun",
+    "carry_out",
+    "check_data",
+    "facts_of",
+    "finished",
+    "measure",
+    "prepared",
+    "recipe_of",
+]
+
 
 Parts = tuple[Motions, Motions]
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TrainingRun:
     """A model, what it trains on, and a seed."""
 
-    group: Group
+    group: TrainingGroup
     training: str
     """Name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`."""
     share: Share
@@ -97,7 +110,7 @@ class Run:
         }
 
 
-def check_data(run: Run) -> None:
+def check_data(run: TrainingRun) -> None:
     """Refuse a run that its data are too few or too short for, before any is started.
 
     Raises:
@@ -115,7 +128,7 @@ def check_data(run: Run) -> None:
         raise InputError(msg)
 
 
-def finished(run: Run) -> dict[str, str] | None:
+def finished(run: TrainingRun) -> dict[str, str] | None:
     """Give the facts of a run that has been carried out, or None where it is still to be.
 
     Raises:
@@ -130,7 +143,7 @@ def finished(run: Run) -> dict[str, str] | None:
     return None
 
 
-def prepared(run: Run, *, most: int | None = None) -> tuple[Model, Statistics, Parts]:
+def prepared(run: TrainingRun, *, most: int | None = None) -> tuple[Model, Statistics, Parts]:
     """Make the untrained model of a run, and read its data.
 
     Args:
@@ -157,13 +170,13 @@ def prepared(run: Run, *, most: int | None = None) -> tuple[Model, Statistics, P
     return model, statistics, (training, validation)
 
 
-def recipe_of(run: Run) -> Recipe:
+def recipe_of(run: TrainingRun) -> Recipe:
     """Give the optimiser's settings of a run's track."""
     recipe: Recipe = load_model(run.model).tracks[run.track].recipe
     return recipe
 
 
-def carry_out(run: Run) -> dict[str, str]:
+def carry_out(run: TrainingRun) -> dict[str, str]:
     """Train, or go on, and write the files; called in a process of its own.
 
     Returns:
@@ -199,12 +212,12 @@ def carry_out(run: Run) -> dict[str, str]:
     return facts
 
 
-def _write_curve(run: Run, training: Training) -> None:
-    whole = Curve(run.name, run.profile.steps, training.ended, training.curve)
+def _write_curve(run: TrainingRun, training: Training) -> None:
+    whole = LearningCurve(run.name, run.profile.steps, training.ended, training.curve)
     write_whole(run.curve, write_curve(whole))
 
 
-def facts_of(run: Run, training: Training, parts: Parts) -> dict[str, str]:
+def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, str]:
     """What is to be known of a run besides its identity, as text."""
     steps = training.curve[-1].step
     told = {
@@ -242,14 +255,70 @@ def _place(path: Path) -> str:
     return f"{path.parent.name}/{path.name}"
 
 
-def _content(group: Group, engine: str) -> str:
+def _content(group: TrainingGroup, engine: str) -> str:
     found: str = group.data[engine].attributes[CONTENT]
     return found
 
 
-def _starts(run: Run) -> str:
+def _starts(run: TrainingRun) -> str:
     """Checksum of the trajectories' numbers: they depend on what all engines of the group have."""
     whole = hashlib.sha256()
     for split in ("train", "validation"):
         whole.update(run.share.numbers(run.group, split).astype("<i8").tobytes() + b"|")
     return whole.hexdigest()
+
+
+_FEW = 32  # trajectories to try it on
+_WARM = 3  # steps: the first ones make what later ones reuse
+_STEPS = 20
+_LONGEST = 5.0  # [s] of trying
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one run of a model on one scene, as it is trained here."""
+
+    group: str
+    model: str
+    steps_per_s: float
+    validation_s: float
+    """Of one validation [s]."""
+    hours: float
+    """Of a run that takes all its steps [h]; it may end before where validation is level."""
+
+
+def measure(run: TrainingRun) -> Cost:
+    """Try a few steps and a validation; called in a process of its own."""
+    torch.set_num_threads(1)
+    model, _, (training, validation) = prepared(run, most=_FEW)
+    profile = msgspec.structs.replace(run.profile, until_level=False)
+
+    def seconds(steps: int, judged: Motions, windows: int) -> float:
+        """Time of so many steps with a validation of so many windows."""
+        few = msgspec.structs.replace(profile, steps=steps, every=steps, windows=windows)
+        return _timed(lambda: train(model, training, judged, recipe_of(run), few))
+
+    one = seconds(_WARM, validation, 1) / _WARM
+    steps = max(1, min(_STEPS, round(_LONGEST / one)))
+    step_s = seconds(steps, validation[:1], 1) / steps
+    # As many as a validation of the run has, though of few trajectories.
+    windows = min(run.profile.windows, len(run.share.numbers(run.group, "validation")))
+    many = Motions.joined([validation] * math.ceil(windows / len(validation)))
+    seconds(1, many, windows)  # compiles what is of this size
+    validation_s = max(0.0, seconds(1, many, windows) - step_s)
+    validations = math.ceil(run.profile.steps / run.profile.every)
+    return Cost(
+        group=run.group.name,
+        model=run.model,
+        steps_per_s=1.0 / step_s,
+        validation_s=validation_s,
+        hours=(run.profile.steps * step_s + validations * validation_s) / 3600.0,
+    )
+
+
+def _timed(work: Callable[[], Training]) -> float:
+    begin = time.perf_counter()
+    work()
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
+    return time.perf_counter() - begin

@@ -14,18 +14,15 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.channels import CHANNELS, Channels
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Change, PointModel
-from mbds_xsim.learn.pushforward import pushed
+from mbds_xsim.learn.model import Change, PointModel, pushed
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
-from mbds_xsim.learn.sgnn_network import Network
-from mbds_xsim.learn.sgnn_rigid import nearest_rigid
-from mbds_xsim.learn.sgnn_topology import Hierarchy
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.sgnn_network import Hierarchy, Network, pool
+from mbds_xsim.learn.statistics import CHANNELS, Channels, Moments, Statistics
 from mbds_xsim.learn.window import Inputs, Sample
 
-__all__ = ["SGNN", "SGNNSettings"]
+__all__ = ["SGNN", "SGNNSettings", "nearest_rigid"]
+
 
 UP = (0.0, 0.0, 1.0)
 
@@ -183,3 +180,44 @@ def _hierarchy(graph: Graph) -> Hierarchy:
     alone = -1 - torch.arange(graph.node_count)
     body = torch.where(graph.static.cpu(), alone, graph.body.cpu())
     return Hierarchy(graph.senders.cpu(), graph.receivers.cpu(), graph.inner.cpu(), body)
+
+
+def nearest_rigid(shape: Tensor, predicted: Tensor, object_of: Tensor) -> Tensor:
+    """Move each object's shape, without deforming it, next to where its particles were predicted.
+
+    The motion has the least sum of squared distances and is proper: never a mirror image. An
+    object of one particle, or of particles on a line, keeps its shape trivially. Where a row
+    has a number that is not finite, its result is not a number.
+
+    W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32
+    (1976) 922.
+
+    Args:
+        shape: particles with the right distances, any pose, shape (…, particle, 3).
+        predicted: shape (…, particle, 3).
+        object_of: the object of each particle, from 0 without gaps, shape (particle,).
+
+    Returns:
+        Shape (…, particle, 3).
+    """
+    kind = torch.arange(int(object_of.max()) + 1, device=object_of.device)
+    if len(kind) == len(object_of):
+        return predicted  # a point has no shape to keep, and decompositions are dear
+    belongs = (object_of == kind[:, None]).to(predicted)
+    members = belongs / belongs.sum(dim=1, keepdim=True)
+    arms = shape - (members @ shape)[..., object_of, :]
+    centre = members @ predicted
+    reached = predicted - centre[..., object_of, :]
+    products = reached.unsqueeze(-1) * arms.unsqueeze(-2)
+    covariance = pool(belongs, products)
+    turned = (_rotation(covariance)[..., object_of, :, :] @ arms.unsqueeze(-1)).squeeze(-1)
+    return centre[..., object_of, :] + turned
+
+
+def _rotation(covariance: Tensor) -> Tensor:
+    """Rotation nearest to a matrix (…, 3, 3); any where it is not finite, as an SVD would fail."""
+    finite = covariance.isfinite().all(dim=-1).all(dim=-1)[..., None, None]
+    left, _, right = torch.linalg.svd(torch.where(finite, covariance, 0.0))
+    signs = torch.ones_like(left[..., 0])
+    signs[..., -1] = torch.det(left @ right).sign()
+    return left @ (signs.unsqueeze(-1) * right)

@@ -25,16 +25,9 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.seen import Seen, gap, particle_error, unexplained_energy
-from mbds_xsim.learn.trained import (
-    Known,
-    Trained,
-    carry_on,
-    known_start,
-    true_motion,
-    whole_motion,
-)
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import ParticleMotion, gap, particle_error, unexplained_energy
+from mbds_xsim.learn.trained import Known, TrainedModel, carry_on, known_start, particle_motion
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.reference.cache import directory, key_of
 from mbds_xsim.sampling import draw_batch
@@ -49,9 +42,10 @@ from mbds_xsim.study.store import Store
 from mbds_xsim.study.truths import references
 from mbds_xsim.versions import CHECKS, MODELS
 
-__all__ = ["AT_ONCE", "Trial", "measure_model", "models_of", "with_models"]
+__all__ = ["AT_ONCE", "ModelStarts", "measure_model", "models_of", "with_models"]
 
 Array = NDArray[np.float64]
+Seconds = tuple[float, ...]
 
 AT_ONCE = 64
 """Trajectories of a batch."""
@@ -66,7 +60,7 @@ _GUESS = 10.0  # time of a model before any is measured [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ModelStarts:
     """The starts that models are tried on."""
 
     scene: Scene
@@ -77,7 +71,7 @@ class Trial:
     truths: tuple[Truth, ...]
 
     @staticmethod
-    def of(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) -> Trial:
+    def of(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) -> ModelStarts:
         """Take the starts of a study, with their reference.
 
         Raises:
@@ -95,13 +89,13 @@ class Trial:
         if known < HISTORY * scene.clock.frame * (1 - 1e-9):
             msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
             raise InputError(msg)
-        return Trial(scene, study.seed, starts, quiet, truths)
+        return ModelStarts(scene, study.seed, starts, quiet, truths)
 
 
 def with_models(
     study: Tradeoff,
     scene: Scene,
-    models: Sequence[Trained],
+    models: Sequence[TrainedModel],
     *,
     workers: int | None = None,
     fresh: bool = False,
@@ -129,19 +123,21 @@ def with_models(
             reference is known that could give them their first frames.
     """
     able, left_out = models_of(scene, models)
-    trial = Trial.of(study, scene, cache=cache, workers=workers)
+    trial = ModelStarts.of(study, scene, cache=cache, workers=workers)
     rows = _rows(able, trial, workers=workers, fresh=fresh, meter=meter)
-    told = msgspec.structs.replace(
+    measured = msgspec.structs.replace(
         study,
         models=tuple(_learned(*pair) for pair in zip(able, rows, strict=True)),
         left_out=study.left_out | left_out,
         command=command or study.command,
         versions=study.versions | {"torch": registry.package_version("torch")},
     )
-    return told, list(itertools.chain.from_iterable(rows))
+    return measured, list(itertools.chain.from_iterable(rows))
 
 
-def models_of(scene: Scene, models: Sequence[Trained]) -> tuple[list[Trained], dict[str, str]]:
+def models_of(
+    scene: Scene, models: Sequence[TrainedModel]
+) -> tuple[list[TrainedModel], dict[str, str]]:
     """Find the models of a scene, and say which were trained on others.
 
     Raises:
@@ -154,13 +150,13 @@ def models_of(scene: Scene, models: Sequence[Trained]) -> tuple[list[Trained], d
         for name, count in others.items()
     }
     if not able:
-        told = "; ".join(left_out.values())
-        msg = f"no trained models of {scene.name}: {told}; name the folder of its models"
+        reasons = "; ".join(left_out.values())
+        msg = f"no trained models of {scene.name}: {reasons}; name the folder of its models"
         raise InputError(msg)
     return able, left_out
 
 
-def measure_model(trained: Trained, trial: Trial, expected: Sequence[Row]) -> list[Row]:
+def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[Row]) -> list[Row]:
     """Predict the starts in this process, one by one, then a batch of them.
 
     Args:
@@ -176,18 +172,15 @@ def measure_model(trained: Trained, trial: Trial, expected: Sequence[Row]) -> li
     """
     torch.set_num_threads(1)
     begin = time.perf_counter()
-    model, _ = read_model(trained.path, trial.scene)
+    model, _ = read_model(trained.file, trial.scene)
     setup = time.perf_counter() - begin
     alone = []
     for k, (bare, truth) in enumerate(zip(expected, trial.truths, strict=False)):
-        known = known_start(model, truth.trajectory, trial.quiet[[k]])
-        walls, cpus, predicted = _timed(model, known)
-        seen_so = Seen(
-            model.graph, trial.quiet[[k]], whole_motion(model, truth.trajectory, predicted)[0]
-        )
-        due = Seen(model.graph, trial.starts[[k]], true_motion(model, truth.trajectory)[0])
+        starts, quiet, solution = trial.starts[[k]], trial.quiet[[k]], truth.trajectory
+        walls, cpus, predicted = _timed(model, known_start(model, solution, quiet))
+        motion = particle_motion(model.graph, quiet, solution, predicted)
         row = msgspec.structs.replace(bare, wall_s=walls, cpu_s=cpus, setup_s=setup)
-        alone.append(_judged(row, seen_so, due, truth))
+        alone.append(_judged(row, motion, particle_motion(model.graph, starts, solution), truth))
     whole = Trajectory.joined([truth.trajectory for truth in trial.truths])
     batch = known_start(model, whole, trial.quiet).repeated(AT_ONCE).truncated(_TIMED)
     walls, cpus, _ = _timed(model, batch)
@@ -197,7 +190,7 @@ def measure_model(trained: Trained, trial: Trial, expected: Sequence[Row]) -> li
     ]
 
 
-def _timed(model: Model, known: Known) -> tuple[tuple[float, ...], tuple[float, ...], torch.Tensor]:
+def _timed(model: Model, known: Known) -> tuple[Seconds, Seconds, torch.Tensor]:
     """Wall and processor times per simulated second of one trajectory, and the last prediction."""
     carry_on(model, known.truncated(_WARM_UP))
     rows, frames = known.inputs.force.shape[:2]
@@ -212,7 +205,7 @@ def _timed(model: Model, known: Known) -> tuple[tuple[float, ...], tuple[float, 
     return tuple(w / duration for w in walls), tuple(c / duration for c in cpus), predicted
 
 
-def _judged(row: Row, motion: Seen, due: Seen, truth: Truth) -> Row:
+def _judged(row: Row, motion: ParticleMotion, due: ParticleMotion, truth: Truth) -> Row:
     """Add the figures; a prediction that is lost has failed, as a run that ends early has."""
     finite = np.isfinite(motion.position).all(axis=(1, 2))
     frame = motion.graph.frame_s
@@ -221,7 +214,7 @@ def _judged(row: Row, motion: Seen, due: Seen, truth: Truth) -> Row:
         return msgspec.structs.replace(row, kind="failed", reason=reason)
     with np.errstate(all="ignore"):
         error = particle_error(motion, due)
-        energy, opened = unexplained_energy(motion, due), gap(motion)
+        energy, open_by = unexplained_energy(motion, due), gap(motion)
     known = np.isfinite(error)
     weighted = agreement.growth_weighted(error[None, known], truth.growth[:, known])[0]
     horizon = horizon_of(truth.trajectory)
@@ -230,7 +223,7 @@ def _judged(row: Row, motion: Seen, due: Seen, truth: Truth) -> Row:
         horizon_s=horizon,
         error_m=float(error[round(horizon / frame)]),
         error_weighted_m=float(weighted),
-        gap_m=_worst(opened),
+        gap_m=_worst(open_by),
         energy=_worst(energy),
     )
 
@@ -241,8 +234,8 @@ def _worst(series: Array) -> float | None:
 
 
 def _rows(
-    models: Sequence[Trained],
-    trial: Trial,
+    models: Sequence[TrainedModel],
+    trial: ModelStarts,
     *,
     workers: int | None,
     fresh: bool,
@@ -260,7 +253,8 @@ def _rows(
         for row in _crashed(bare, answer) if isinstance(answer, Crash) else answer:
             store.add(row)
         if meter is not None:
-            meter.advance(_name(models[missing[place]]))
+            model = models[missing[place]]
+            meter.advance(f"{model.kind} {model.run} {model.variant}")
 
     if meter is not None:
         meter.forecast(_GUESS * len(missing))
@@ -269,49 +263,44 @@ def _rows(
     return [[store.rows[row.key] for row in each] for each in expected]
 
 
-def _expected(model: Trained, trial: Trial) -> list[Row]:
+def _expected(model: TrainedModel, trial: ModelStarts) -> list[Row]:
     """Rows without figures: each start alone, each in the batch."""
-    return _bare(model, trial, _ALONE) + _bare(model, trial, _BATCHED)
-
-
-def _bare(model: Trained, trial: Trial, variation: str) -> list[Row]:
-    """Rows of the starts, without figures."""
-    frame = trial.scene.clock.frame
     return [
         Row(
             key=_key(model, trial, k, variation),
             scene=trial.scene.name,
-            engine=model.model,
+            engine=model.kind,
             version=registry.package_version("torch"),
-            method=f"{model.training} {model.entry.variant}",
+            method=f"{model.run} {model.variant}",
             variation=variation,
-            options={"known_frames": HISTORY, "file": model.entry.content[:16]},
+            options={"known_frames": HISTORY, "file": model.content[:16]},
             steps_per_frame=1,
-            step_s=frame,
+            step_s=trial.scene.clock.frame,
             trajectory=int(index),
             seed=trial.seed,
             machine=machine(),
             limit_s=_LIMIT,
             kind="done",
         )
+        for variation in (_ALONE, _BATCHED)
         for k, index in enumerate(trial.starts.index)
     ]
 
 
-def _key(model: Trained, trial: Trial, start: int, variation: str) -> str:
+def _key(model: TrainedModel, trial: ModelStarts, start: int, variation: str) -> str:
     motion = key_of("learned tradeoff", trial.scene, trial.starts, start, 0.0)
     versions = (MODELS, CHECKS, registry.package_version("torch"))
-    what = (model.entry.content, motion, variation, versions, machine())
+    what = (model.content, motion, variation, versions, machine())
     return hashlib.sha256(repr(what).encode()).hexdigest()
 
 
-def _learned(model: Trained, rows: list[Row]) -> Learned:
+def _learned(model: TrainedModel, rows: list[Row]) -> Learned:
     half = len(rows) // 2
     return Learned(
-        model=model.model,
-        training=model.training,
-        variant=model.entry.variant,
-        engines=model.entry.engines,
+        model=model.kind,
+        training=model.run,
+        variant=model.variant,
+        engines=model.engines,
         source=str(model.named),
         known_frames=HISTORY,
         at_once=AT_ONCE,
@@ -326,16 +315,11 @@ def _learned(model: Trained, rows: list[Row]) -> Learned:
     )
 
 
-def _number(model: Trained, fact: str) -> float | None:
-    told = model.facts.get(fact, "")
-    return float(told) if told else None
+def _number(model: TrainedModel, fact: str) -> float | None:
+    return float(model.facts[fact]) if model.facts.get(fact) else None
 
 
-def _name(model: Trained) -> str:
-    return f"{model.model} {model.training} {model.entry.variant}"
-
-
-def _is_of(model: Trained, scene: Scene) -> bool:
+def _is_of(model: TrainedModel, scene: Scene) -> bool:
     """Whether it was trained on this scene, be it over fewer frames."""
     own = msgspec.structs.replace(model.scene, clock=scene.clock)
     return model.scene.clock.frame == scene.clock.frame and fingerprint(own) == fingerprint(scene)

@@ -21,18 +21,17 @@ from torch import Tensor
 
 from mbds_xsim import bounds
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.accelerate import compile_networks, precision
-from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.device import compile_networks, precision
+from mbds_xsim.learn.model import Model, roll
+from mbds_xsim.learn.model_file import array, arrays, read_stored
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
-from mbds_xsim.learn.rollout import roll
-from mbds_xsim.learn.stored import array, arrays, read_stored
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
 
 __all__ = [
     "PROFILES",
     "WITHOUT_END",
-    "Point",
+    "CurvePoint",
     "Profile",
     "Training",
     "check_identity",
@@ -94,7 +93,7 @@ SETTLED = 1 / 32
 at a higher rate validation wavers by more than it improves."""
 
 
-class Point(msgspec.Struct, frozen=True):
+class CurvePoint(msgspec.Struct, frozen=True):
     """A point of a learning curve."""
 
     step: int
@@ -110,7 +109,7 @@ class Training:
     """A run, while it goes on and after; its model has the best parameters at the end."""
 
     model: Model
-    curve: list[Point] = field(default_factory=list)
+    curve: list[CurvePoint] = field(default_factory=list)
     ended: _End = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
     skipped: int = 0
@@ -121,7 +120,7 @@ class Training:
     """Processor time of these [s]."""
 
     @property
-    def best(self) -> Point:
+    def best(self) -> CurvePoint:
         """The point whose parameters the model has."""
         return min(self.curve, key=lambda point: point.error)
 
@@ -170,7 +169,7 @@ def train(
         if motions.split != needed:
             msg = f"train: got the part {motions.split!r}, allowed here is {needed!r}"
             raise InputError(msg)
-    run = _Run(model, recipe, profile, seed, identity or {})
+    run = _Loop(model, recipe, profile, seed, identity or {})
     if checkpoint is not None and checkpoint.exists():
         run.restore(checkpoint)
     judged = _judged(validation, profile)
@@ -205,7 +204,7 @@ def validation_error(model: Model, sample: Sample) -> float:
     return error if math.isfinite(error) else math.inf
 
 
-class _Run:
+class _Loop:
     """All that changes while a model trains."""
 
     def __init__(
@@ -269,7 +268,7 @@ class _Run:
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
-        point = Point(self.step, loss, error, self.rate)
+        point = CurvePoint(self.step, loss, error, self.rate)
         curve.append(point)
         self.clock.read_into(self.training)
         if isinstance(self.schedule, Plateau):
@@ -347,7 +346,7 @@ class _State(msgspec.Struct, frozen=True):
     best: dict[str, Any]
     adam: dict[str, Any]
     generator: Any
-    curve: list[Point]
+    curve: list[CurvePoint]
     ended: _End
     skipped: int
     wall_s: float
@@ -410,7 +409,7 @@ def _schedule(recipe: Recipe, profile: Profile) -> Plateau | Decay | Cosine | No
     return WITHOUT_END if aimless else recipe.schedule
 
 
-def _on_plateau(rate: float, schedule: Plateau, curve: list[Point]) -> float:
+def _on_plateau(rate: float, schedule: Plateau, curve: list[CurvePoint]) -> float:
     """Rate after these validations, from the first one on."""
     best, waited = math.inf, 0
     for point in curve:

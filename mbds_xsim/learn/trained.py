@@ -1,87 +1,198 @@
-"""Trained models as contenders beside engines: which there are, and rollouts from a known start.
+"""Trained models as simulators: what their files say, and motions that they predict.
 
-A model needs the first frames of a motion. They are the reference's, so that it starts where every
-engine starts, and knows what no engine is told: how the motion begins.
+A model needs the first frames of a motion. Beside engines they are the reference's, so that it
+starts where every engine starts, and knows what no engine is told: how the motion begins.
 """
 
 from __future__ import annotations
 
 import glob
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.rollout import roll
-from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.shift.roster import Entry, entry_of
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import Model, load_model, roll
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import ParticleMotion
 from mbds_xsim.learn.window import HISTORY, Inputs, Start
+from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
 __all__ = [
     "Known",
-    "Trained",
+    "TrainedModel",
     "carry_on",
     "known_start",
+    "particle_motion",
     "trained_in",
-    "true_motion",
-    "whole_motion",
+    "trained_model",
 ]
 
-Array = NDArray[np.float64]
-
+_FACTS = ("train_engines", "variant", "training", "seed")
+_ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
+"""Facts that trainings must share to differ in their engines alone."""
 _STATES = ("position", "orientation", "velocity", "angular_velocity")
 
 
 @dataclass(frozen=True)
-class Trained:
-    """A trained model's file."""
+class TrainedModel:
+    """A trained model, as its file says; or a trivial one, which has no file."""
 
-    entry: Entry
-    scene: Scene
-    """That it was trained on, with its clock."""
-    facts: dict[str, str]
-    named: Path
+    model: str
+    """By which it is told from others: the name of its folder."""
+    training: str
+    """What it was trained on and the variant of that: "mujoco-native", "all-matched"."""
+    engines: tuple[str, ...]
+    """Whose data it was trained on; none for trivial models."""
+    variant: str
+    seed: int
+    path: Path | None
+    """Absolute; None: a trivial one."""
+    content: str
+    """Checksum of the file."""
+    profile: str = ""
+    steps: int = 0
+    """Of the optimiser; 0 where not stated."""
+    ended: str = ""
+    data: tuple[tuple[str, str], ...] = ()
+    """Engines and checksums of the files that it was trained on, as far as stated."""
+    drawn: tuple[int, int] | None = None
+    """Seed and number of the trajectories that its training part is of, as far as stated."""
+    interval: str = ""
+    """Of the starts that it was trained on; all when left out."""
+    bodies: bool = False
+    """Whether it starts from the bodies' states, not from the particles' positions alone."""
+    budget: tuple[tuple[str, str], ...] = ()
+    """What else it was made with, as far as stated: a profile, starts."""
+    facts: dict[str, str] = field(default_factory=dict, compare=False, repr=False)
+    """All that the file says."""
+    trained_on: Scene | None = field(default=None, compare=False, repr=False)
+    named: Path | None = field(default=None, compare=False, repr=False)
     """Its file as it was named: in results no paths of a machine are to stand."""
 
     @property
-    def path(self) -> Path:
-        """Where it is, absolute."""
-        assert self.entry.path is not None
-        return self.entry.path
+    def scene(self) -> Scene:
+        """That it was trained on, with its clock; trivial models are of any."""
+        assert self.trained_on is not None
+        return self.trained_on
 
     @property
-    def model(self) -> str:
-        """By which it is told from others."""
-        return self.facts.get("model") or self.entry.model
+    def file(self) -> Path:
+        """Its path, of one that has a file."""
+        assert self.path is not None
+        return self.path
 
     @property
-    def training(self) -> str:
+    def kind(self) -> str:
+        """Name of the model that it is, whatever its folder's."""
+        return self.facts.get("model") or self.model
+
+    @property
+    def run(self) -> str:
         """What it was trained on, and its seed: "mujoco-s0"."""
-        return f"{self.facts['training']}-s{self.entry.seed}"
+        return f"{self.facts['training']}-s{self.seed}"
+
+    @property
+    def single(self) -> bool:
+        """Whether one engine's data made it."""
+        return len(self.engines) == 1
+
+    @property
+    def way(self) -> str:
+        """The word of `mbds-xsim train --on` that makes it."""
+        if self.interval:
+            return "by-interval"
+        if self.single:
+            return "each"
+        return "leave-one-out" if self.training.startswith("not-") else "all"
+
+    def load(self, scene: Scene) -> Model:
+        """Read it, for data of a scene.
+
+        Raises:
+            InputError: It is of another scene.
+        """
+        if self.path is None:
+            # Trivial models look at no statistics.
+            nothing: Any = None
+            return load_model(self.model)(Graph.of(scene), nothing, None)
+        model, _ = read_model(self.path)
+        if model.graph.scene != scene:
+            msg = f"{self.path}: a model of another scene than the data's; train it on such data"
+            raise InputError(msg)
+        return model
 
 
-def trained_in(places: Sequence[Path]) -> list[Trained]:
+def trained_model(path: Path) -> TrainedModel:
+    """Read what a file says.
+
+    Raises:
+        InputError: It is no file of a model, or does not say what it was trained on.
+    """
+    model, facts = read_model(path)
+    missing = [key for key in _FACTS if not facts.get(key)]
+    if missing:
+        msg = f"{path}: does not say its {', '.join(missing)}; train it with mbds-xsim train"
+        raise InputError(msg)
+    try:
+        seed, steps = int(facts["seed"]), int(facts.get("steps", 0))
+        data = msgspec.json.decode(facts.get("data", "{}"), type=dict[str, str])
+        drawn = msgspec.json.decode(facts.get("drawn", "null"), type=dict[str, int] | None)
+        split = None if drawn is None else (drawn["seed"], drawn["trajectories"])
+        interval = facts.get("interval", "")
+        ("", *INTERVALS).index(interval)
+    except (ValueError, KeyError) as error:
+        msg = (
+            f"{path}: its seed, steps, data, interval or drawn are not what mbds-xsim train "
+            "writes; train it again"
+        )
+        raise InputError(msg) from error
+    return TrainedModel(
+        model=path.parent.name,
+        training=f"{facts['training']}-{facts['variant']}",
+        engines=tuple(facts["train_engines"].split(",")),
+        variant=facts["variant"],
+        seed=seed,
+        path=path.resolve(),
+        content=hashlib.sha256(path.read_bytes()).hexdigest(),
+        profile=facts.get("profile_name") or facts.get("profile", ""),
+        steps=steps,
+        ended=facts.get("ended", ""),
+        data=tuple(sorted(data.items())),
+        drawn=split,
+        interval=interval,
+        bodies=model.needs_bodies,
+        budget=tuple((key, facts[key]) for key in _ALIKE if key in facts),
+        facts=facts,
+        trained_on=model.graph.scene,
+        named=path,
+    )
+
+
+def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
     """Find the models of files, of patterns of files, and of all files *.pt below folders.
 
     Raises:
         InputError: There is none, or a file is no trained model.
     """
-    found = []
+    models: list[TrainedModel] = []
     for place in places:
         paths = _files(place)
         if not paths:
             msg = f"{place}: no trained models (*.pt) there; make some with mbds-xsim train"
             raise InputError(msg)
-        found += [_trained(path) for path in paths]
-    return found
+        models += map(trained_model, paths)
+    return models
 
 
 def _files(place: Path) -> list[Path]:
@@ -89,11 +200,6 @@ def _files(place: Path) -> list[Path]:
         return sorted(place.rglob("*.pt"))
     pattern = glob.has_magic(str(place)) and not place.exists()
     return sorted(map(Path, glob.glob(str(place)))) if pattern else [place]
-
-
-def _trained(path: Path) -> Trained:
-    model, facts = read_model(path)
-    return Trained(entry_of(path), model.graph.scene, facts, path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,14 +259,19 @@ def carry_on(model: Model, known: Known) -> torch.Tensor:
         return roll(model, known.start, known.inputs)
 
 
-def whole_motion(model: Model, truth: Trajectory, predicted: torch.Tensor) -> Array:
-    """Put predictions behind the frames that were given [m], (trajectory, frame, particle, 3)."""
-    return np.concatenate(
-        [true_motion(model, truth)[:, :HISTORY], predicted.double().numpy()], axis=1
-    )
+def particle_motion(
+    graph: Graph, start: Batch, truth: Trajectory, predicted: torch.Tensor | None = None
+) -> ParticleMotion:
+    """Give the particles of one motion: the reference's, or predictions behind its first frames.
 
-
-def true_motion(model: Model, truth: Trajectory) -> Array:
-    """Particles of the reference [m], shape (trajectory, frame, particle, 3)."""
-    position, _ = Points.of(model.graph.scene).motion(truth)
-    return np.asarray(model.graph.embed(torch.from_numpy(position)).numpy())
+    Args:
+        graph: Of the scene.
+        start: A batch of one, with the inputs that act.
+        truth: Its solution.
+        predicted: What `carry_on` gave [m], shape (1, frame, particle, 3).
+    """
+    position, _ = Points.of(graph.scene).motion(truth)
+    frames = graph.embed(torch.from_numpy(position))[0]
+    if predicted is not None:
+        frames = torch.cat([frames[:HISTORY], predicted[0].double()])
+    return ParticleMotion(graph, start, frames.numpy())

@@ -16,8 +16,8 @@ from mbds_xsim.counted import counted
 from mbds_xsim.report.bar import Bar
 
 if TYPE_CHECKING:
-    from mbds_xsim.learn.campaign import Campaign, Outcome
-    from mbds_xsim.learn.cost import Cost
+    from mbds_xsim.learn.runs import Cost
+    from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
 
 __all__ = ["TrainingBar", "print_blocked", "print_costs", "print_left_out", "print_outcome"]
 
@@ -73,7 +73,7 @@ class TrainingBar(Bar):
         return f"{self._done}/{self._runs} runs"
 
 
-def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console: Console) -> None:
+def print_costs(plan: TrainingPlan, costs: Sequence[Cost], workers: int, console: Console) -> None:
     """Print what each model's runs take, and all together."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
     for column in ("data", "model"):
@@ -82,14 +82,14 @@ def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console
         table.add_column(column, justify="right")
     total = 0.0
     for cost in costs:
-        runs = [r for r in campaign.runs if (r.group.name, r.model) == (cost.group, cost.model)]
+        runs = [r for r in plan.runs if (r.group.name, r.model) == (cost.group, cost.model)]
         hours = cost.hours * len(runs)
         total += hours
         numbers = (len(runs), runs[0].profile.steps, *_brief(cost.steps_per_s, cost.hours, hours))
         table.add_row(cost.group, cost.model, *map(str, numbers))
     console.print(table)
     console.print(
-        f"{counted(len(campaign.runs), 'run')}, at most {total:.3g} h of one process, "
+        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, "
         f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
         "that are level end before",
         highlight=False,
@@ -97,28 +97,28 @@ def print_costs(campaign: Campaign, costs: Sequence[Cost], workers: int, console
     )
 
 
-def print_blocked(campaign: Campaign, console: Console) -> None:
+def print_blocked(plan: TrainingPlan, console: Console) -> None:
     """Print why what is planned could not be trained into the folder that was named."""
-    if campaign.blocked:
-        first = next(iter(campaign.blocked.values()))
+    if plan.blocked:
+        first = next(iter(plan.blocked.values()))
         console.print(
-            f"{len(campaign.blocked)} of these runs could not be written there: {first}",
+            f"{len(plan.blocked)} of these runs could not be written there: {first}",
             highlight=False,
             soft_wrap=True,
         )
 
 
-def print_left_out(campaign: Campaign, console: Console) -> None:
+def print_left_out(plan: TrainingPlan, console: Console) -> None:
     """Print what a model cannot represent, and which engines have no data."""
-    for name, reason in campaign.left_out.items():
+    for name, reason in plan.left_out.items():
         console.print(f"{name} left out: {reason}", highlight=False, soft_wrap=True)
 
 
-def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> None:
+def print_outcome(plan: TrainingPlan, outcome: TrainingOutcome, console: Console) -> None:
     """Print how many runs ended how, and which diverged."""
-    from mbds_xsim.learn.campaign import diverged
+    from mbds_xsim.learn.trainings import diverged
 
-    facts = [*outcome.trained.values(), *campaign.found.values()]
+    facts = [*outcome.trained.values(), *plan.done.values()]
     ways = {
         "level": "ended level",
         "steps": "took all their steps",
@@ -128,12 +128,12 @@ def print_outcome(campaign: Campaign, outcome: Outcome, console: Console) -> Non
         f"{sum(fact.get('ended') == way for fact in facts)} {words}" for way, words in ways.items()
     ]
     console.print(
-        f"{counted(len(facts), 'run')} done, {len(campaign.found)} of them before, "
+        f"{counted(len(facts), 'run')} done, {len(plan.done)} of them before, "
         f"{len(outcome.failed)} failed; {', '.join(counts)}",
         highlight=False,
         soft_wrap=True,
     )
-    for name in diverged({**campaign.found, **outcome.trained}):
+    for name in diverged({**plan.done, **outcome.trained}):
         console.print(
             f"{name} diverged: its file has the best parameters before; check its data, or train "
             "it with another --track into another --out",

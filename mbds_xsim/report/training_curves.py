@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbds_xsim import registry
-from mbds_xsim.learn.curves import Curve
+from mbds_xsim.learn.curves import LearningCurve
 from mbds_xsim.report.palette import LIGHT, engine_style
 from mbds_xsim.report.themed import INK, png
 
@@ -24,9 +24,9 @@ _DASHES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
 _MARK = {"level": ".", "steps": "|", "diverged": "x", "": "4"}
 
 
-def to_png(curves: Sequence[Curve]) -> bytes:
+def to_png(curves: Sequence[LearningCurve]) -> bytes:
     """Draw the validation errors over the steps; a mark at the end says why it ended there."""
-    panels: dict[str, list[Curve]] = {}
+    panels: dict[str, list[LearningCurve]] = {}
     for curve in curves:
         if not any(math.isfinite(point.error) for point in curve.points):
             continue
@@ -46,7 +46,9 @@ def to_png(curves: Sequence[Curve]) -> bytes:
     return png(draw, (_PANEL[0] * columns, _PANEL[1] * rows + 0.5))
 
 
-def _panel(axes: Any, name: str, curves: Sequence[Curve], styles: Mapping[str, Look]) -> None:
+def _panel(
+    axes: Any, name: str, curves: Sequence[LearningCurve], styles: Mapping[str, Look]
+) -> None:
     axes.set_title(name, fontsize=10, loc="left", color=INK)
     axes.set_xlabel("steps")
     axes.set_ylabel("validation error [m²]")
@@ -102,6 +104,6 @@ def looks(trainings: Sequence[str]) -> dict[str, Look]:
     }
 
 
-def _training(curve: Curve) -> str:
+def _training(curve: LearningCurve) -> str:
     """As in `mujoco` of `6pendulum/native/gns/mujoco-s0`."""
     return curve.run.rpartition("/")[2].rpartition("-s")[0]

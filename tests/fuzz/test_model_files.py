@@ -15,7 +15,7 @@ from tests.fuzz.campaign import fuzz, refused, run_command
 torch = pytest.importorskip("torch")
 
 from mbds_xsim.learn.model import model_names  # noqa: E402
-from mbds_xsim.learn.saved import read_model  # noqa: E402
+from mbds_xsim.learn.model_file import read_model  # noqa: E402
 from mbds_xsim.learn.train import read_identity  # noqa: E402
 from mbds_xsim.learn.trained import trained_in  # noqa: E402
 from tests.learn.hostile import model_file, with_pickle  # noqa: E402

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from mbds_xsim.learn.energy_network import EnergyNetwork, EnergyShape
+from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch

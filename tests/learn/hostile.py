@@ -10,11 +10,10 @@ from typing import Any
 
 import torch
 
-from mbds_xsim.learn.channels import CHANNELS
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
-from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.model_file import save_model
+from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.registry import load_scene
 
 FACTS = {

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import torch
 
-from mbds_xsim.learn.channels import CHANNELS
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.model_file import save_model
+from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.registry import load_scene
 
 __all__ = ["untrained"]

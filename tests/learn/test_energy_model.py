@@ -14,14 +14,10 @@ from mbds_xsim import rotation
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import Unsupported
-from mbds_xsim.learn import refusal
 from mbds_xsim.learn.energy import TrueEnergy
-from mbds_xsim.learn.energy_model import EnergyModel
+from mbds_xsim.learn.energy_models import EnergyModel, Hamiltonian, Lagrangian
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.hgnn import Hamiltonian
-from mbds_xsim.learn.lgnn import Lagrangian
-from mbds_xsim.learn.model import build
-from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.model import _of_nothing, build, rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
 from mbds_xsim.registry import load_scene
@@ -73,7 +69,7 @@ def test_a_start_is_what_was_published(data: Data, name: str) -> None:
 def test_a_start_is_where_the_bodies_are(scene: str) -> None:
     """Also of bodies whose frames are turned at the reference pose, and of nodes off centres."""
     graph = Graph.of(scene_of(scene))
-    model = build("lgnn", graph, refusal._of_nothing(), track="lite")
+    model = build("lgnn", graph, _of_nothing(), track="lite")
     assert isinstance(model, EnergyModel)
     batch = draw_batch(graph.scene, range(3), noise=False)
     rows = ("position", "orientation", "velocity", "angular_velocity")

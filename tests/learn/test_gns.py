@@ -12,8 +12,7 @@ from torch import Tensor
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.gns import GNS, GNSSettings, Interaction, random_walk
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import build
-from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.model import build, rollout
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Sample, Start
 from mbds_xsim.registry import PAPER_SCENES, load_scene

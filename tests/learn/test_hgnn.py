@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mbds_xsim.learn.hgnn import Hamiltonian
+from mbds_xsim.learn.energy_models import Hamiltonian
 
 from .energies import drawn_states, march, no_inputs, random_energy
 from .mechanisms import scene_of

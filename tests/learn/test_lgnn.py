@@ -9,10 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from mbds_xsim.learn.energy import mass_matrix, momentum
-from mbds_xsim.learn.energy_network import Drag, EnergyNetwork, EnergyShape, OfDistances
-from mbds_xsim.learn.hgnn import Hamiltonian
-from mbds_xsim.learn.lgnn import Lagrangian
+from mbds_xsim.learn.energy import (
+    Drag,
+    EnergyNetwork,
+    EnergyShape,
+    OfDistances,
+    mass_matrix,
+    momentum,
+)
+from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.registry import load_scene
 from mbds_xsim.scene import Body, Particle, Scene, SpringDamper

@@ -16,8 +16,7 @@ from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
 from mbds_xsim.learn.energy import TrueEnergy, potential_force
-from mbds_xsim.learn.hgnn import Hamiltonian
-from mbds_xsim.learn.lgnn import Lagrangian
+from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations, solve

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.learn.gns import GNS, GNSSettings
-from mbds_xsim.learn.model import PointModel, build
-from mbds_xsim.learn.pushforward import pushed
+from mbds_xsim.learn.model import PointModel, build, pushed
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Motions

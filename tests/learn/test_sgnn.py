@@ -13,17 +13,19 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
-from mbds_xsim.learn.sgnn_layer import (
+from mbds_xsim.learn.sgnn import SGNN, SGNNSettings, nearest_rigid
+from mbds_xsim.learn.sgnn_network import (
     LEAST_NORM,
+    PARTICLE,
+    READ,
+    Edges,
+    Hierarchy,
     Interaction,
+    Network,
     Scalars,
     SubequivariantMap,
     invariants,
 )
-from mbds_xsim.learn.sgnn_network import PARTICLE, READ, Network
-from mbds_xsim.learn.sgnn_rigid import nearest_rigid
-from mbds_xsim.learn.sgnn_topology import Edges, Hierarchy
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
 from mbds_xsim.registry import load_scene

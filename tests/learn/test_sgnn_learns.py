@@ -11,8 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.model import Model, rollout
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity

@@ -13,26 +13,31 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.shift.agreement import paper_errors, tau
-from mbds_xsim.learn.shift.answers import answers_of
-from mbds_xsim.learn.shift.board import ENGINE, Board, cells_of, valid_time
-from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
-from mbds_xsim.learn.shift.by_interval import answers_by_interval
-from mbds_xsim.learn.shift.domains import Paired, Recorded
-from mbds_xsim.learn.shift.floors import chaos_floor, noise_floor
+from mbds_xsim.learn.particles import EXPLODED, LOST, Figures, RigidPairs, measure, one_step_error
+from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
+from mbds_xsim.learn.shift.domains import Paired, Recorded, ReferenceFrames
+from mbds_xsim.learn.shift.evaluation import (
+    ENGINE,
+    Evaluation,
+    cells_of,
+    chaos_floor,
+    noise_floor,
+    valid_time,
+)
 from mbds_xsim.learn.shift.gaps import (
     UNKNOWN,
     Draws,
-    Training,
+    ModelSeeds,
+    Resampler,
+    bounds_of,
     gaps_of,
     kind_of,
+    paper_errors,
+    ranks_alike,
     why_unresolved,
 )
-from mbds_xsim.learn.shift.measure import EXPLODED, LOST, Figures, measure, one_step_error
 from mbds_xsim.learn.shift.result import Gap
-from mbds_xsim.learn.shift.rigid import RigidPairs
-from mbds_xsim.learn.shift.roster import Entry
-from mbds_xsim.learn.shift.truth import Truth
+from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.trivial import ConstantVelocity
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
@@ -178,12 +183,12 @@ def _figures(error: Array) -> Figures:
     return Figures(error, nothing, nothing, error[:, 0])
 
 
-def _entry(training: str, seed: int, engines: tuple[str, ...]) -> Entry:
+def _entry(training: str, seed: int, engines: tuple[str, ...]) -> TrainedModel:
     name = f"{training}-native"
-    return Entry("gns", name, engines, "native", seed, Path(f"{training}{seed}"), name, "")
+    return TrainedModel("gns", name, engines, "native", seed, Path(f"{training}{seed}"), name, "")
 
 
-def _board(error: Callable[[str, str, int], Array], floor: float) -> Board:
+def _board(error: Callable[[str, str, int], Array], floor: float) -> Evaluation:
     engines = ("a", "b", "c")
     test = _set(engines)
     figures = {
@@ -200,10 +205,10 @@ def _board(error: Callable[[str, str, int], Array], floor: float) -> Board:
         for j in engines
         if i != j
     }
-    return Board(test, (1, FRAMES), figures, oracles)
+    return Evaluation(test, (1, FRAMES), figures, oracles)
 
 
-def _gaps(board: Board) -> list[Gap]:
+def _gaps(board: Evaluation) -> list[Gap]:
     nothing = np.full(2, np.nan)
     return list(gaps_of(board, Draws(board), nothing, nothing))
 
@@ -267,7 +272,7 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     test = dataclasses.replace(board.test, domains=tuple(fewer))
     seen = {key: value for key, value in board.figures.items() if key[1] != "a-native"}
     apart = {key: value for key, value in board.oracles.items() if "a-native" not in key}
-    board = Board(test, board.frames, seen, apart)
+    board = Evaluation(test, board.frames, seen, apart)
     gaps = _gaps(board)
     assert {gap.training for gap in gaps if not all(gap.resolved)} == {"a-native"}
     assert {why for gap in gaps if gap.training == "a-native" for why in gap.why} == {UNKNOWN}
@@ -308,7 +313,7 @@ def test_kinds_of_gaps() -> None:
     every = ["a-native", "b-native", "c-native", "a-matched", "c-matched"]
 
     def kind(engines: tuple[str, ...], test: str) -> str:
-        return kind_of(Training("gns", "any", engines, "native"), test, every)
+        return kind_of(ModelSeeds("gns", "any", engines, "native"), test, every)
 
     assert kind(("a",), "a-native") == ""
     assert kind(("a",), "b-native") == "single"
@@ -350,7 +355,7 @@ def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:
     assert {c.mse for c in oracle} == {(2.0, 2.0)}
 
 
-def _answer(board: Board) -> str:
+def _answer(board: Evaluation) -> str:
     draws = Draws(board)
     gaps = _gaps(board)
     found = {answer.question: answer.answer for answer in answers_of(board, draws, gaps, FRAMES)}
@@ -368,12 +373,15 @@ def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
 
 
 def test_a_model_that_is_worse_than_the_engines_differ_is_not_called_robust() -> None:
-    good, bad = _board(_shifted, floor=100.0), _board(lambda *_: np.full((COUNT, FRAMES), 1e3), 1.0)
+    good, bad = (
+        _board(_shifted, floor=100.0),
+        _board(lambda *_: np.full((COUNT, FRAMES), 1e3), 1.0),
+    )
     weak = {
         (dataclasses.replace(entry, model="sgnn"), name): value
         for (entry, name), value in bad.figures.items()
     }
-    told = _answer(Board(good.test, good.frames, {**good.figures, **weak}, good.oracles))
+    told = _answer(Evaluation(good.test, good.frames, {**good.figures, **weak}, good.oracles))
     assert "gns has the smallest worst-engine gap; sgnn cannot be judged" in told
     assert "sgnn 1 [1, 1]" in told
     assert "Gaps resolved: 6 of 6 of gns, 0 of 6 of sgnn" in told
@@ -430,7 +438,12 @@ def test_of_several_engines_the_one_that_bounds_the_error_best_is_told() -> None
         for engine, error in errors.items()
     }
     near = {("a-native", "c-native"): _figures(np.full((COUNT, FRAMES), 0.16))}
-    board = Board(board.test, board.frames, {**board.figures, **figures}, {**board.oracles, **near})
+    board = Evaluation(
+        board.test,
+        board.frames,
+        {**board.figures, **figures},
+        {**board.oracles, **near},
+    )
     gap = next(gap for gap in _gaps(board) if gap.kind == "leave-one-out")
     assert (gap.own[0], gap.engine_floor[0]) == (0.09, 0.16)  # 0.3 + 0.4, not 0.1 + 1
     assert gap.why[0] == "interval contains 0"
@@ -456,7 +469,7 @@ def test_two_engines_less_one_are_told_once() -> None:
         figures[_entry(other, entry.seed, entry.engines), name] = value
     domains = tuple(domain for domain in board.test.domains if domain.name in tested)
     test = dataclasses.replace(board.test, domains=domains)
-    gaps = _gaps(Board(test, board.frames, figures, board.oracles))
+    gaps = _gaps(Evaluation(test, board.frames, figures, board.oracles))
     assert [(gap.training, gap.test) for gap in gaps] == [
         ("a-native", "b-native"),
         ("b-native", "a-native"),
@@ -472,19 +485,19 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
         entry = _entry(name, 0, engines)
         figures |= {(entry, test): _figures(np.full((COUNT, FRAMES), error)) for test in tested}
     test = dataclasses.replace(board.test, domains=domains)
-    board = Board(test, board.frames, figures, board.oracles)
+    board = Evaluation(test, board.frames, figures, board.oracles)
     found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
     assert "helps" in found["Does training on all engines help gns (native)?"]
 
 
-def _of_variants(away: dict[str, float], spread: float) -> Board:
+def _of_variants(away: dict[str, float], spread: float) -> Evaluation:
     """Two engines, natively and matched; errors away from home are so many times those at home."""
     test = _set(("a", "b"))
     parts = [dataclasses.replace(d, variant=v) for v in away for d in test.domains]
     test = dataclasses.replace(test, domains=tuple(parts))
     figures, rng = {}, np.random.default_rng(5)
     for home, seed in itertools.product(parts, range(3)):
-        entry = Entry(
+        entry = TrainedModel(
             "gns", home.name, (home.engine,), home.variant, seed, Path(f"{home.name}{seed}"), "", ""
         )
         for domain in parts:
@@ -493,7 +506,7 @@ def _of_variants(away: dict[str, float], spread: float) -> Board:
             figures[entry, domain.name] = _figures(np.tile(error, (1, FRAMES)))
     pairs = itertools.permutations([domain.name for domain in parts], 2)
     apart = {pair: _figures(np.full((COUNT, FRAMES), 100.0)) for pair in pairs}
-    return Board(test, (1, FRAMES), figures, apart)
+    return Evaluation(test, (1, FRAMES), figures, apart)
 
 
 @pytest.mark.parametrize(
@@ -559,7 +572,7 @@ def test_what_a_change_of_speed_costs() -> None:
         error = np.tile((0.01 * hard * away)[:, None], (1, FRAMES))
         for engine in ("a", "b", "c"):
             figures[entry, f"{engine}-native"] = _figures(error)
-    whole = Board(board.test, board.frames, figures, board.oracles)
+    whole = Evaluation(board.test, board.frames, figures, board.oracles)
     (answer,) = answers_by_interval(whole, FRAMES)
     assert answer.question == "What does a change of speed cost (a-native)?"
     ratio = answer.ratios["gns"]
@@ -603,7 +616,7 @@ def test_floors_of_noise_and_chaos() -> None:
     quiet = np.zeros((COUNT, FRAMES, 2, 3))
     quiet[:, 2, :, 0] = 0.1
     growth = np.tile(2.0 ** np.arange(frames), (COUNT, 1))
-    truth = Truth(position, position, np.zeros((COUNT, frames, 1, 13)), quiet, growth)
+    truth = ReferenceFrames(position, position, np.zeros((COUNT, frames, 1, 13)), quiet, growth)
     noise = noise_floor(truth, FRAMES)
     np.testing.assert_allclose(noise[:, 2], 0.01)
     assert (noise[:, [0, 1, 3, 4]] == 0.0).all()
@@ -613,11 +626,11 @@ def test_floors_of_noise_and_chaos() -> None:
 
 def test_rank_agreement() -> None:
     first = {"gns": 1.0, "sgnn": 2.0, "hgnn": 3.0, "lgnn": 4.0}
-    assert tau(first, first) == pytest.approx(1.0)
-    assert tau(first, {name: -x for name, x in first.items()}) == pytest.approx(-1.0)
+    assert ranks_alike(first, first) == pytest.approx(1.0)
+    assert ranks_alike(first, {name: -x for name, x in first.items()}) == pytest.approx(-1.0)
     swapped = first | {"gns": 2.5}
-    assert tau(first, swapped) == pytest.approx(4.0 / 6.0)
-    assert tau({"gns": 1.0, "sgnn": 2.0}, first) is None
+    assert ranks_alike(first, swapped) == pytest.approx(4.0 / 6.0)
+    assert ranks_alike({"gns": 1.0, "sgnn": 2.0}, first) is None
 
 
 def test_the_papers_figures_are_there_as_printed() -> None:

@@ -27,22 +27,21 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model
-from mbds_xsim.learn.refusal import refusal
-from mbds_xsim.learn.saved import save_model
-from mbds_xsim.learn.shift import evaluate, restart, study
+from mbds_xsim.learn.model import Model, refusal
+from mbds_xsim.learn.model_file import save_model
+from mbds_xsim.learn.particles import Figures, figures_on
+from mbds_xsim.learn.shift import rollouts, study
 from mbds_xsim.learn.shift.domains import load_paired
-from mbds_xsim.learn.shift.measure import Figures, figures_on
-from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.shift.roster import (
-    Entry,
-    Part,
+from mbds_xsim.learn.shift.models import (
+    Selection,
     check_budget,
     check_data,
-    find_entries,
-    trivial_entries,
+    find_models,
+    trivial_models,
 )
+from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
@@ -150,7 +149,7 @@ def test_what_was_tested_is_not_tested_again(
     def refuse(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(evaluate, "figures_on", refuse)
+    monkeypatch.setattr(rollouts, "figures_on", refuse)
     again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
@@ -161,7 +160,7 @@ def test_without_the_cache_all_is_done_anew(
 ) -> None:
     tested: list[tuple[Any, ...]] = []
     gone_on: list[tuple[Any, ...]] = []
-    predicted = restart._predicted
+    predicted = rollouts._predicted
 
     def noted_figures(*words: Any, **more: Any) -> Figures:
         tested.append(words)
@@ -171,8 +170,8 @@ def test_without_the_cache_all_is_done_anew(
         gone_on.append(words)
         return predicted(*words)
 
-    monkeypatch.setattr(evaluate, "figures_on", noted_figures)
-    monkeypatch.setattr(restart, "_predicted", noted_restart)
+    monkeypatch.setattr(rollouts, "figures_on", noted_figures)
+    monkeypatch.setattr(rollouts, "_predicted", noted_restart)
     question = study.asked(folder / "models", folder / "data", SCENE)
     again = study.study(question, cache=False, workers=0).shift
     assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
@@ -194,14 +193,14 @@ def test_restarts_that_were_interrupted_go_on(
     folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, two = load_paired(folder / "data", SCENE).domains
-    restart._Job(one, two, shift.horizon).path.unlink()
-    predicted, done = restart._predicted, []
+    rollouts.Restart(one, two, shift.horizon).path.unlink()
+    predicted, done = rollouts._predicted, []
 
-    def noted(job: restart._Job, motions: Motions, inputs: Batch) -> torch.Tensor:
+    def noted(job: rollouts.Restart, motions: Motions, inputs: Batch) -> torch.Tensor:
         done.append((job.engine.name, job.domain.name))
         return predicted(job, motions, inputs)
 
-    monkeypatch.setattr(restart, "_predicted", noted)
+    monkeypatch.setattr(rollouts, "_predicted", noted)
     again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
     assert done == [(one.name, two.name)]
     assert again.gaps == shift.gaps
@@ -226,7 +225,7 @@ def test_a_restart_that_crashes_takes_no_other_along(
     """Those of its process are done alone; a file that cannot be read is made again."""
     test = load_paired(folder / "data", SCENE)
     one, two = test.domains
-    jobs = [restart._Job(one, domain, shift.horizon) for domain in (one, two)]
+    jobs = [rollouts.Restart(one, domain, shift.horizon) for domain in (one, two)]
     jobs[0].path.unlink()
     jobs[1].path.write_bytes(b"no archive")
 
@@ -246,8 +245,8 @@ def test_a_restart_that_crashes_takes_no_other_along(
 
     meter = Count()
     with monkeypatch.context() as patch:
-        patch.setattr(restart, "run_tasks", crashing)
-        found, lost = restart.restarted(test, test.domains, shift.horizon, meter=meter)
+        patch.setattr(rollouts, "run_tasks", crashing)
+        found, lost = rollouts.restarted(test, test.domains, shift.horizon, meter=meter)
     assert lost == {f"{one.name} on {one.name}": "it broke"}
     assert set(found) == {(e.name, d.name) for e in (one, two) for d in (one, two)} - {
         (one.name, one.name)
@@ -270,9 +269,9 @@ def test_memory_holds_one_domain_and_no_figures(
         return figures_on(model, motions, **plan)
 
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
-    monkeypatch.setattr(evaluate, "figures_on", watched)
-    entries, plan = trivial_entries(), evaluate.Plan(shift.horizon)
-    found = evaluate.evaluate(test.scene, entries, test.domains, plan, workers=0)
+    monkeypatch.setattr(rollouts, "figures_on", watched)
+    entries, plan = trivial_models(), rollouts.RolloutPlan(shift.horizon)
+    found = rollouts.evaluate(test.scene, entries, test.domains, plan, workers=0)
     assert len(seen) == len(found) == len(entries) * len(test.domains)
     figures = weakref.ref(next(iter(found.values())))
     assert figures() is None
@@ -333,7 +332,7 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
 
 def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     models, data = folder / "models", folder / "data"
-    part = Part.parse("native", "each", 1)
+    part = Selection.parse("native", "each", 1)
     shift = study.study(
         study.asked(models, data, SCENE, trajectories=2, part=part), workers=0
     ).shift
@@ -342,9 +341,9 @@ def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
     assert {domain.variant for domain in shift.domains} == {"native", ""}
     with pytest.raises(InputError, match="no data of matched settings"):
-        study.asked(models, data, SCENE, part=Part.parse("matched", None, None))
+        study.asked(models, data, SCENE, part=Selection.parse("matched", None, None))
     with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
-        find_entries(models, SCENE, Part.parse(None, "leave-one-out", None))
+        find_models(models, SCENE, Selection.parse(None, "leave-one-out", None))
 
 
 def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path) -> None:
@@ -353,7 +352,7 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
         shutil.copytree(folder / part, tmp_path / part)
     for interval in ("low", "medium", "high"):
         _train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
-    parts = find_entries(tmp_path / "models", SCENE, Part.parse(None, "by-interval", None))
+    parts = find_models(tmp_path / "models", SCENE, Selection.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
     found = study.study(study.asked(tmp_path / "models", tmp_path / "data", SCENE), workers=0).shift
     assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
@@ -456,16 +455,16 @@ def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no data files"):
         load_paired(tmp_path, SCENE)
     with pytest.raises(InputError, match="no trained models"):
-        find_entries(tmp_path, SCENE)
+        find_models(tmp_path, SCENE)
     path = tmp_path / SCENE / "native" / "gns" / "mujoco-s0.pt"
     path.parent.mkdir(parents=True)
     path.write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"-s0\.pt: no trained model, or a damaged one; give an"):
-        find_entries(tmp_path, SCENE)
+        find_models(tmp_path, SCENE)
 
 
 def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
-    entry = find_entries(folder / "models", SCENE)[0]
+    entry = find_models(folder / "models", SCENE)[0]
     with pytest.raises(InputError, match="a model of another scene"):
         entry.load(load_scene(SCENE))
 
@@ -510,7 +509,7 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
 
 def test_other_training_data_are_refused(folder: Path) -> None:
     paired = load_paired(folder / "data", SCENE)
-    entry = find_entries(folder / "models", SCENE)[0]
+    entry = find_models(folder / "models", SCENE)[0]
     content = {domain.engine: domain.content for domain in paired.domains}
     good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
     check_data([entry, good], paired)
@@ -520,9 +519,9 @@ def test_other_training_data_are_refused(folder: Path) -> None:
 
 
 def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
-    entry = find_entries(folder / "models", SCENE)[0]
+    entry = find_models(folder / "models", SCENE)[0]
 
-    def trained(**facts: str) -> Entry:
+    def trained(**facts: str) -> TrainedModel:
         return dataclasses.replace(entry, budget=tuple(facts.items()))
 
     check_budget([trained(profile="a", starts="b"), trained(profile="a"), trained()])
@@ -539,7 +538,7 @@ def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Pa
 def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
     """None of its domains is there, so checksums say nothing; a larger set has another split."""
     paired = load_paired(folder / "data", SCENE)
-    entry = dataclasses.replace(find_entries(folder / "models", SCENE)[0], data=())
+    entry = dataclasses.replace(find_models(folder / "models", SCENE)[0], data=())
     same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
     for drawn in (None, (0, same), (1, 10 * same)):
         check_data([dataclasses.replace(entry, drawn=drawn)], paired)

@@ -19,9 +19,9 @@ from mbds_xsim.commands import app
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.seen import Seen, unexplained_energy
-from mbds_xsim.learn.trained import trained_in
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
+from mbds_xsim.learn.trained import particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, Inputs
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
@@ -32,7 +32,12 @@ from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.study.stability import learned
 from mbds_xsim.study.stability.definition import Study
-from mbds_xsim.study.stability.learned import TrainedModel, judge_particles, models_in, run_model
+from mbds_xsim.study.stability.learned import (
+    LearnedContender,
+    judge_particles,
+    models_in,
+    run_model,
+)
 from mbds_xsim.study.stability.plan import Plan
 from mbds_xsim.study.stability.rows import Outcome, Sweep
 from mbds_xsim.study.stability.studies import STUDIES
@@ -65,25 +70,21 @@ def _solved(study: Study, value: float) -> tuple[Scene, Batch, Trajectory]:
     return scene, batch, reference.solve(scene, batch)
 
 
-def _seen(scene: Scene, batch: Batch, motion: Trajectory) -> Seen:
-    from mbds_xsim.dataset.points import Points
-
-    graph = Graph.of(scene)
-    position, _ = Points.of(scene).motion(motion)
-    return Seen(graph, batch, graph.embed(torch.from_numpy(position))[0].numpy())
+def _motion(scene: Scene, batch: Batch, motion: Trajectory) -> ParticleMotion:
+    return particle_motion(Graph.of(scene), batch, motion)
 
 
-def _spoilt(motion: Seen, change: Callable[[Array], Array]) -> Seen:
+def _spoilt(motion: ParticleMotion, change: Callable[[Array], Array]) -> ParticleMotion:
     return dataclasses.replace(motion, position=change(motion.position.copy()))
 
 
 @pytest.fixture(scope="module")
-def swing() -> Seen:
+def swing() -> ParticleMotion:
     """The reference of a double pendulum."""
-    return _seen(*_solved(STUDIES["swing"], 2.0))
+    return _motion(*_solved(STUDIES["swing"], 2.0))
 
 
-def test_the_true_motion_is_stable_and_nobody_says_anything(swing: Seen) -> None:
+def test_the_true_motion_is_stable_and_nobody_says_anything(swing: ParticleMotion) -> None:
     verdict = judge_particles(swing, swing)
 
     assert (verdict.outcome, verdict.told, verdict.broke_s) == ("stable", "nobody", None)
@@ -104,12 +105,12 @@ def test_an_engine_that_holds_holds_by_its_particles_too(name: str, value: float
     settings = dataclasses.replace(adapter.settings(scene, "matched"), method="RK4", step=0.001)
     run = simulate(scene, batch, "mujoco", settings).trajectory
 
-    verdict = judge_particles(_seen(scene, batch, run), _seen(scene, batch, truth))
+    verdict = judge_particles(_motion(scene, batch, run), _motion(scene, batch, truth))
 
     assert verdict.outcome == "stable", verdict
 
 
-def test_a_drag_that_nobody_asked_for_loses_energy(swing: Seen) -> None:
+def test_a_drag_that_nobody_asked_for_loses_energy(swing: ParticleMotion) -> None:
     slow = np.linspace(0, 1, len(swing.position)) ** 2  # time lags ever more
     frames = np.arange(len(swing.position)) - 20.0 * slow
 
@@ -126,7 +127,7 @@ def test_a_drag_that_nobody_asked_for_loses_energy(swing: Seen) -> None:
     assert np.nanmin(energy) < -0.1
 
 
-def test_a_rod_that_grows_comes_apart_when_it_has_grown(swing: Seen) -> None:
+def test_a_rod_that_grows_comes_apart_when_it_has_grown(swing: ParticleMotion) -> None:
     def grow(position: Array) -> Array:
         position[30:, 0] *= 1.05
         return position
@@ -138,7 +139,7 @@ def test_a_rod_that_grows_comes_apart_when_it_has_grown(swing: Seen) -> None:
 
 
 def test_what_stands_still_is_stuck() -> None:
-    ball = _seen(*_solved(STUDIES["throw"], 0.0))
+    ball = _motion(*_solved(STUDIES["throw"], 0.0))
 
     def stay(position: Array) -> Array:
         position[:] = position[0]
@@ -147,7 +148,7 @@ def test_what_stands_still_is_stuck() -> None:
     assert judge_particles(_spoilt(ball, stay), ball).outcome == "stuck"
 
 
-def test_what_is_no_number_has_blown_up(swing: Seen) -> None:
+def test_what_is_no_number_has_blown_up(swing: ParticleMotion) -> None:
     def lose(position: Array) -> Array:
         position[40:] = np.nan
         return position
@@ -162,7 +163,7 @@ def test_what_is_no_number_has_blown_up(swing: Seen) -> None:
     ("name", "value"), [("throw", 15.0), ("throw", 150.0), ("restitution", 0.9)]
 )
 def test_a_bounce_is_no_rise_of_energy_and_a_faster_ball_is(name: str, value: float) -> None:
-    ball = _seen(*_solved(STUDIES[name], value))
+    ball = _motion(*_solved(STUDIES[name], value))
 
     def lift(position: Array) -> Array:
         position[30:] += np.linspace(0.0, 3.0, len(position) - 30)[:, None, None] ** 2 * value
@@ -176,7 +177,7 @@ def test_a_bounce_is_no_rise_of_energy_and_a_faster_ball_is(name: str, value: fl
 
 
 def test_a_ball_in_the_ground_is_seen() -> None:
-    ball = _seen(*_solved(STUDIES["throw"], 0.0))
+    ball = _motion(*_solved(STUDIES["throw"], 0.0))
 
     def sink(position: Array) -> Array:
         position[45:, :, 2] = -0.5
@@ -207,7 +208,7 @@ def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
     model, _ = read_model(next(folder.rglob("*.pt")), scene)
     model.__class__ = _Perfect
     assert isinstance(model, _Perfect)
-    model.truth = torch.from_numpy(_seen(scene, batch, truth).position)[None]
+    model.truth = torch.from_numpy(_motion(scene, batch, truth).position)[None]
     monkeypatch.setattr(learned, "read_model", lambda *_: (model, {}))
 
     judged = run_model(Path("any.pt"), scene, batch, truth)
@@ -318,17 +319,17 @@ def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> No
 
     assert "no reference" in model.refusal(STUDIES["wheels"], scene)
     with pytest.raises(InputError, match="no reference"):
-        run_model(model.trained.path, scene, batch, None)
+        run_model(model.trained.file, scene, batch, None)
 
 
 def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
     (found,) = trained_in([folder])
     slow = dataclasses.replace(
-        found, scene=msgspec.structs.replace(found.scene, clock=Clock(0.1, 40))
+        found, trained_on=msgspec.structs.replace(found.scene, clock=Clock(0.1, 40))
     )
 
-    assert TrainedModel(found).clock(STUDIES["swing"]) == CLOCK
-    assert TrainedModel(slow).clock(STUDIES["swing"]) == Clock(0.1, 10)
+    assert LearnedContender(found).clock(STUDIES["swing"]) == CLOCK
+    assert LearnedContender(slow).clock(STUDIES["swing"]) == Clock(0.1, 10)
 
 
 @pytest.mark.parametrize(
@@ -364,7 +365,7 @@ def test_results_name_files_as_the_user_did(folder: Path, monkeypatch: pytest.Mo
     (model,) = models_in([Path("2pendulum")])
 
     assert model.source == "2pendulum/native/gns/mujoco-s0.pt"
-    assert model.trained.path.is_absolute()
+    assert model.trained.file.is_absolute()
 
 
 def test_models_are_found_by_file_folder_and_pattern(folder: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.saved import read_facts, read_model
+from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.train import read_identity
 from mbds_xsim.learn.trained import trained_in
 from tests.learn.hostile import FACTS, called, model_file, rewrite, with_pickle

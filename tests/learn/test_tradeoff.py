@@ -18,9 +18,9 @@ from mbds_xsim.cli import main
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn import tradeoff as measuring
 from mbds_xsim.learn.gns import GNS
-from mbds_xsim.learn.saved import read_model
-from mbds_xsim.learn.tradeoff import AT_ONCE, Trial, with_models
-from mbds_xsim.learn.trained import Known, known_start, trained_in, true_motion
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.tradeoff import AT_ONCE, ModelStarts, with_models
+from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, Inputs
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
@@ -124,15 +124,15 @@ def test_a_point_has_cost_errors_and_what_training_took(
 def test_a_model_that_knows_the_motion_has_no_error(
     engines: Tradeoff, scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trial = Trial.of(engines, scene, cache=True, workers=0)
+    trial = ModelStarts.of(engines, scene, cache=True, workers=0)
     truth = trial.truths[0].trajectory
     one = dataclasses.replace(trial, starts=trial.starts[[0]], quiet=trial.quiet[[0]],
                               truths=trial.truths[:1])  # fmt: skip
     trained = trained_in([folder / "1pendulum"])[0]
-    model, _ = read_model(trained.path, scene)
+    model, _ = read_model(trained.file, scene)
     model.__class__ = _Perfect
     assert isinstance(model, _Perfect)
-    model.truth = torch.from_numpy(true_motion(model, truth))
+    model.truth = torch.from_numpy(particle_motion(model.graph, one.starts, truth).position)[None]
     monkeypatch.setattr(measuring, "read_model", lambda *_: (model, {}))
     expected = measuring._expected(trained, one)
 
@@ -153,8 +153,8 @@ def test_a_model_that_knows_the_motion_has_no_error(
 def test_a_model_is_given_the_first_frames_and_no_random_forces(
     engines: Tradeoff, scene: Scene, folder: Path
 ) -> None:
-    trial = Trial.of(engines, scene, cache=True, workers=0)
-    model, _ = read_model(trained_in([folder / "1pendulum"])[0].path, scene)
+    trial = ModelStarts.of(engines, scene, cache=True, workers=0)
+    model, _ = read_model(trained_in([folder / "1pendulum"])[0].file, scene)
     truth = trial.truths[0].trajectory
 
     known = known_start(model, truth, trial.quiet[[0]])
@@ -162,7 +162,7 @@ def test_a_model_is_given_the_first_frames_and_no_random_forces(
     assert trial.starts.force.any()
     assert not known.inputs.force.any()
     assert known.inputs.force.shape[1] == FRAMES - HISTORY + 1
-    due = true_motion(model, truth)
+    due = particle_motion(model.graph, trial.starts[[0]], truth).position[None]
     assert known.start.history.numpy() == pytest.approx(due[:, :HISTORY], abs=1e-6)
     speed = (due[:, HISTORY] - due[:, HISTORY - 2]) / (2 * scene.clock.frame)
     assert known.start.velocity.numpy() == pytest.approx(speed, abs=0.01)
@@ -247,7 +247,7 @@ def test_where_the_reference_ends_at_once_nothing_can_be_given(engines: Tradeoff
     study = msgspec.structs.replace(engines, fingerprint=fingerprint(car), trajectories=(1,))
 
     with pytest.raises(InputError, match="the reference ends within the 6 frames"):
-        Trial.of(study, car, cache=True, workers=0)
+        ModelStarts.of(study, car, cache=True, workers=0)
 
 
 def test_the_command_puts_models_onto_a_stored_study(

@@ -12,11 +12,18 @@ from torch import Tensor
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
-from mbds_xsim.learn.model import build, load_model
+from mbds_xsim.learn.model import build, load_model, rollout
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
-from mbds_xsim.learn.rollout import rollout
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import PROFILES, SETTLED, WITHOUT_END, Point, Profile, Training, train
+from mbds_xsim.learn.train import (
+    PROFILES,
+    SETTLED,
+    WITHOUT_END,
+    CurvePoint,
+    Profile,
+    Training,
+    train,
+)
 from mbds_xsim.learn.window import Motions, Sample
 
 Data = Callable[..., Dataset]
@@ -189,7 +196,7 @@ def test_it_stops_where_the_last_fifth_improved_too_little(
 
 def test_improvement_is_that_of_the_last_fifth(parts: tuple[Motions, Motions]) -> None:
     errors = (8.0, 6.0, 5.0, 4.0, 3.0)
-    curve = [Point(10 * k + 10, 1.0, error, 1e-3) for k, error in enumerate(errors)]
+    curve = [CurvePoint(10 * k + 10, 1.0, error, 1e-3) for k, error in enumerate(errors)]
     assert Training(_model(parts[0]), curve).last_improvement == pytest.approx(0.25)
 
 

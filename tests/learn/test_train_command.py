@@ -29,17 +29,21 @@ from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task, run_tasks
-from mbds_xsim.learn import campaign, runs
-from mbds_xsim.learn.campaign import Request, carry, planned
-from mbds_xsim.learn.curves import Curve, EventLog, log_whole, read_curve, write_curve
-from mbds_xsim.learn.domains import Group, groups
-from mbds_xsim.learn.mixture import Share, mixed, trainings, turns
-from mbds_xsim.learn.progress import watched
+from mbds_xsim.learn import runs, trainings
+from mbds_xsim.learn.curves import (
+    EventLog,
+    LearningCurve,
+    log_whole,
+    read_curve,
+    write_curve,
+)
+from mbds_xsim.learn.groups import Share, TrainingGroup, groups, mixed, shares_of, turns
+from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.recipe import Recipe
-from mbds_xsim.learn.saved import read_facts, read_model
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import PROFILES, Point, Profile, Training
+from mbds_xsim.learn.train import PROFILES, CurvePoint, Profile, Training
+from mbds_xsim.learn.trainings import TrainingRequest, carry, planned, watched
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.report.training import TrainingBar
@@ -78,18 +82,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def group(made: Path) -> Group:
+def group(made: Path) -> TrainingGroup:
     (found,) = groups([made])
     return found
 
 
-Ask = Callable[..., Request]
+Ask = Callable[..., TrainingRequest]
 
 
 @pytest.fixture
-def ask(group: Group, tmp_path: Path) -> Ask:
-    def make(*models: str, on: str = "all", seeds: int = 1, out: str = "models") -> Request:
-        return Request(
+def ask(group: TrainingGroup, tmp_path: Path) -> Ask:
+    def make(*models: str, on: str = "all", seeds: int = 1, out: str = "models") -> TrainingRequest:
+        return TrainingRequest(
             groups=[group],
             models=models or ("gns",),
             on=on,
@@ -102,7 +106,7 @@ def ask(group: Group, tmp_path: Path) -> Ask:
     return make
 
 
-def _carry(request: Request) -> campaign.Outcome:
+def _carry(request: TrainingRequest) -> trainings.TrainingOutcome:
     return carry(planned(request), workers=0, carrier=run_tasks, progress=Deaf())
 
 
@@ -113,7 +117,9 @@ def _end(words: list[str], monkeypatch: pytest.MonkeyPatch) -> int:
     return int(ended.value.code or 0)
 
 
-def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(group: Group) -> None:
+def test_a_mixture_has_each_start_once_and_from_the_engine_whose_turn_it_is(
+    group: TrainingGroup,
+) -> None:
     engines = tuple(group.files)
     mixture = mixed(group, Share(engines), "train")
     alone = {engine: mixed(group, Share((engine,)), "train") for engine in engines}
@@ -153,7 +159,7 @@ def test_every_engine_of_a_mixture_is_seen_at_every_speed(count: int) -> None:
         assert np.bincount(speeds, minlength=3).tolist() == [10, 10, 10]
 
 
-def test_what_one_engine_lacks_no_training_sees(group: Group) -> None:
+def test_what_one_engine_lacks_no_training_sees(group: TrainingGroup) -> None:
     short = dict(group.data)
     data = short["pybullet"]
     keep = np.isin(data.index, [0, 7], invert=True)
@@ -210,7 +216,7 @@ def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
-    group: Group, ask: Ask, monkeypatch: pytest.MonkeyPatch
+    group: TrainingGroup, ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lacking = dataclasses.replace(group)
     data = dict(group.data)
@@ -228,7 +234,7 @@ def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
         planned(ask(on="mujoco"))
 
 
-def test_the_name_of_a_scene_names_no_other_folder(group: Group, ask: Ask) -> None:
+def test_the_name_of_a_scene_names_no_other_folder(group: TrainingGroup, ask: Ask) -> None:
     strange = dataclasses.replace(group, scene_name="../my arm")
     (run,) = planned(dataclasses.replace(ask(), groups=[strange])).runs
     assert run.path.resolve().is_relative_to(ask().out.resolve())
@@ -255,8 +261,8 @@ def test_a_curve_that_was_left_over_is_not_the_runs(
     assert [more for _, more in told] == [{"before": True}]
 
 
-def test_leave_one_out_leaves_it_out(group: Group) -> None:
-    found = trainings(group, "leave-one-out,mujoco,all")
+def test_leave_one_out_leaves_it_out(group: TrainingGroup) -> None:
+    found = shares_of(group, "leave-one-out,mujoco,all")
     assert found == {
         "not-mujoco": Share(("pybullet",)),
         "not-pybullet": Share(("mujoco",)),
@@ -265,10 +271,10 @@ def test_leave_one_out_leaves_it_out(group: Group) -> None:
     }
 
 
-def test_an_interval_has_its_starts_of_one_engine_alone(group: Group) -> None:
-    found = trainings(group, "by-interval")
+def test_an_interval_has_its_starts_of_one_engine_alone(group: TrainingGroup) -> None:
+    found = shares_of(group, "by-interval")
     assert list(found) == [f"{e}-{i}" for e in ("mujoco", "pybullet") for i in INTERVALS]
-    assert trainings(group, "mujoco-low") == {"mujoco-low": Share(("mujoco",), "low")}
+    assert shares_of(group, "mujoco-low") == {"mujoco-low": Share(("mujoco",), "low")}
     for place, interval in enumerate(INTERVALS):
         for split in ("train", "validation"):
             whole = mixed(group, Share(("mujoco",)), split)
@@ -278,7 +284,7 @@ def test_an_interval_has_its_starts_of_one_engine_alone(group: Group) -> None:
             assert torch.equal(part.position[0], whole.position[row])
 
 
-def test_statistics_are_of_the_training_part_and_engine(ask: Ask, group: Group) -> None:
+def test_statistics_are_of_the_training_part_and_engine(ask: Ask, group: TrainingGroup) -> None:
     (run,) = planned(ask(on="pybullet")).runs
     _, statistics, _ = runs.prepared(run)
     data: Dataset = group.data["pybullet"]
@@ -339,7 +345,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_bits(
 ) -> None:
     _carry(ask(model, out="whole"))
 
-    def halt(curve: Curve) -> bytes:
+    def halt(curve: LearningCurve) -> bytes:
         if curve.points[-1].step == 8:
             raise KeyboardInterrupt
         return write_curve(curve)
@@ -366,7 +372,7 @@ def test_divergence_is_a_result_and_a_failure(
 ) -> None:
     recipe = runs.recipe_of
 
-    def wild(run: runs.Run) -> object:
+    def wild(run: runs.TrainingRun) -> object:
         return msgspec.structs.replace(recipe(run), rate=1e14)
 
     monkeypatch.setattr(runs, "recipe_of", wild)
@@ -466,7 +472,7 @@ def test_tensorboard_is_told(tmp_path: Path) -> None:
     reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     with EventLog(tmp_path) as log:
         for step in (10, 20):
-            log.add(Point(step, 1.0 / step, 2.0 / step, 1e-3))
+            log.add(CurvePoint(step, 1.0 / step, 2.0 / step, 1e-3))
     read = reading.EventAccumulator(str(tmp_path))
     read.Reload()
     assert [(e.step, e.value) for e in read.Scalars("error")] == [
@@ -479,7 +485,7 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
     reading = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     request = ask()
     _carry(request)
-    (name,) = planned(request).found
+    (name,) = planned(request).done
     for _ in range(2):  # once is enough
         log_whole(request.out / f"{name}.curve.json", tmp_path / "events")
     read = reading.EventAccumulator(str(tmp_path / "events"))
@@ -560,9 +566,10 @@ def test_the_telling_of_level_follows_the_curve(ask: Ask) -> None:
     (run,) = planned(ask()).runs
     model, _, parts = runs.prepared(run)
     level = [
-        Point(4 * k + 4, 1.0, error, 1e-3) for k, error in enumerate((4.0, 2.0, 1.0, 1.0, 0.99))
+        CurvePoint(4 * k + 4, 1.0, error, 1e-3)
+        for k, error in enumerate((4.0, 2.0, 1.0, 1.0, 0.99))
     ]
-    falling = [*level[:-1], Point(20, 1.0, 0.5, 1e-3)]
+    falling = [*level[:-1], CurvePoint(20, 1.0, 0.5, 1e-3)]
     for curve, word in ((level, "yes"), (falling, "no")):
         training = Training(model, curve, ended="steps", wall_s=1.0)
         assert runs.facts_of(run, training, parts)["level"] == word

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.learn.model import build, load_model
-from mbds_xsim.learn.rollout import rollout
+from mbds_xsim.learn.model import build, load_model, rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Motions
 

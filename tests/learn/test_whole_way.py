@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from benchmarks.shift_summary import rows_of
-from mbds_xsim.learn.saved import read_facts
+from mbds_xsim.learn.model_file import read_facts
 from mbds_xsim.learn.shift.result import Shift
 from tests.tutorial import walk
 

@@ -10,9 +10,8 @@ import torch
 from mbds_xsim import rotation
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.channels import Channels
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.statistics import Channels, Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions
 from mbds_xsim.registry import load_scene
 

@@ -1,8 +1,11 @@
-"""Answers in words, computed from the figures."""
+"""Answers in words, computed from the figures.
+
+What a change of engine costs is held against what a change of speed costs on one engine: the shift
+of covariates beside that of domains, as in Koh et al., WILDS, ICML 2021.
+"""
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.learn.shift.board import Board
-from mbds_xsim.learn.shift.bootstrap import bounds_of
+from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.gaps import (
     ALL,
     LEAVE_ONE_OUT,
@@ -21,14 +23,15 @@ from mbds_xsim.learn.shift.gaps import (
     UNSURE,
     WEAK,
     Draws,
-    Training,
+    ModelSeeds,
+    bounds_of,
     trainings_of,
 )
-from mbds_xsim.learn.shift.result import Answer, Gap, Ratio, values
+from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap, values
 
-__all__ = ["MATCHED", "ROBUST", "answers_of"]
+__all__ = ["MATCHED", "ROBUST", "SPEED", "answers_by_interval", "answers_of"]
 
-RESOLVABLE, ROBUST, MATCHED = "resolvable", "robust", "matched"
+RESOLVABLE, ROBUST, MATCHED, SPEED = "resolvable", "robust", "matched", "speed"
 """Kinds of answers beside those that are named after a kind of training."""
 
 _BLIND = (
@@ -39,7 +42,7 @@ _ALONE = "This cannot be asked: no model was trained on two of the tested engine
 _UNTOLD = f"this cannot be told: {_BLIND}"
 
 Array = NDArray[np.float64]
-Look = Callable[[Training, str], Array]
+Look = Callable[[ModelSeeds, str], Array]
 """Errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
 
 
@@ -51,7 +54,7 @@ class _Ratio:
     low: Array
     high: Array
 
-    def told(self, place: int) -> str:
+    def text(self, place: int) -> str:
         return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
 
     def verdict(self, place: int, less: str, more: str, same: str) -> str:
@@ -60,47 +63,54 @@ class _Ratio:
         return more if self.low[place] > 1.0 else same
 
     @property
-    def result(self) -> Ratio:
-        return Ratio(values(self.value), values(self.low), values(self.high))
+    def result(self) -> BoundedRatio:
+        return BoundedRatio(values(self.value), values(self.low), values(self.high))
+
+
+def _texts(ratios: Mapping[str, _Ratio], place: int) -> str:
+    return ", ".join(f"{model} {ratio.text(place)}" for model, ratio in ratios.items())
+
+
+def _results(ratios: Mapping[str, _Ratio]) -> dict[str, BoundedRatio]:
+    return {model: ratio.result for model, ratio in ratios.items()}
 
 
 @dataclass(frozen=True)
-class _Field:
-    """Trainings of one model in one variant, and the domains of the variant."""
+class _Trainings:
+    """Those of one model in one variant, on domains of the variant."""
 
     model: str
     variant: str
-    singles: dict[str, Training]
+    singles: dict[str, ModelSeeds]
     """By the domain."""
-    without: dict[str, Training]
+    without: dict[str, ModelSeeds]
     """Leave-one-out trainings, by the domain that is left out."""
-    everything: Training | None
+    everything: ModelSeeds | None
 
 
-def answers_of(board: Board, draws: Draws, gaps: Sequence[Gap], at: int) -> Iterator[Answer]:
+def answers_of(
+    evaluation: Evaluation, draws: Draws, gaps: Sequence[Gap], at: int
+) -> Iterator[Answer]:
     """Answer what can be answered at a frame from the trainings that there are."""
-    place = board.frames.index(at)
-    fields = [f for f in _fields(board) if len(f.singles) > 1]
-    yield _resolved(gaps, place, board.frames[place])
-    for variant in dict.fromkeys(field.variant for field in fields):
-        yield _most_robust(draws, [f for f in fields if f.variant == variant], gaps, place)
-    for field in fields:
-        yield from _several_engines(draws, field, gaps, place)
-    yield from _matched(draws, fields, gaps, place)
+    place = evaluation.frames.index(at)
+    variants = dict.fromkeys(domain.variant for domain in evaluation.test.domains)
+    pairs = itertools.product(evaluation.models, variants)
+    groups = [g for g in (_trainings(evaluation, *pair) for pair in pairs) if len(g.singles) > 1]
+    yield _resolved(gaps, place, at)
+    for variant in dict.fromkeys(group.variant for group in groups):
+        yield _most_robust(draws, [g for g in groups if g.variant == variant], gaps, place)
+    for group in groups:
+        yield from _several_engines(draws, group, gaps, place)
+    yield from _matched(draws, groups, gaps, place)
 
 
-def _fields(board: Board) -> list[_Field]:
-    variants = dict.fromkeys(domain.variant for domain in board.test.domains)
-    return [_field(board, *pair) for pair in itertools.product(board.models, variants)]
-
-
-def _field(board: Board, model: str, variant: str) -> _Field:
-    tests = [domain.name for domain in board.test.domains if domain.variant == variant]
-    trainings = [t for t in trainings_of(board, model) if t.variant == variant]
+def _trainings(evaluation: Evaluation, model: str, variant: str) -> _Trainings:
+    tests = [domain.name for domain in evaluation.test.domains if domain.variant == variant]
+    trainings = [t for t in trainings_of(evaluation, model) if t.variant == variant]
     singles = {t.domains[0]: t for t in trainings if len(t.engines) == 1}
     several = [t for t in trainings if len(t.engines) > 1]
     absent = {t: [name for name in tests if name not in t.domains] for t in several}
-    return _Field(
+    return _Trainings(
         model,
         variant,
         {name: t for name, t in singles.items() if name in tests},
@@ -116,18 +126,18 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
     if not single:
         return Answer(RESOLVABLE, "Is a shift resolvable?", _ALONE)
     count = Counter(gap.why[place] for gap in single)
-    told = [gap for gap in single if not gap.why[place]]
-    better = sum(_is_gain(gap, place) for gap in told)
+    resolved = [gap for gap in single if not gap.why[place]]
+    better = sum(_is_gain(gap, place) for gap in resolved)
     text = (
-        f"At t = {frame}, {len(told)} of {len(single)} shifts from one engine's data to another's "
-        f"are resolved{_by_settings(single, place)}: {len(told) - better} times the model errs "
-        f"more than the one trained there{_no_harm(told, place)}, {better} times less; "
-        f"{count[WEAK]} are not because the model's own error exceeds the engine floor, "
+        f"At t = {frame}, {len(resolved)} of {len(single)} shifts from one engine's data to "
+        f"another's are resolved{_by_settings(single, place)}: {len(resolved) - better} times the "
+        f"model errs more than the one trained there{_no_harm(resolved, place)}, {better} times "
+        f"less; {count[WEAK]} are not because the model's own error exceeds the engine floor, "
         f"{count[UNSURE]} because the interval of the difference contains 0"
     )
     if count[UNKNOWN]:
         text += f", {count[UNKNOWN]} because the model's own domain is not tested"
-    tried = len(told) + count[UNSURE]
+    tried = len(resolved) + count[UNSURE]
     if tried > 1:
         text += f". Of {tried} intervals at 95 % each, {0.05 * tried:.2g} miss 0 without a shift"
     return Answer(RESOLVABLE, "Is a shift resolvable?", text)
@@ -135,7 +145,7 @@ def _resolved(gaps: Sequence[Gap], place: int, frame: int) -> Answer:
 
 def _by_settings(gaps: Sequence[Gap], place: int) -> str:
     """Tell changes of engine from those of settings, where there are both."""
-    same = [gap for gap in gaps if _variant_of(gap.training) == _variant_of(gap.test)]
+    same = [g for g in gaps if g.training.rpartition("-")[2] == g.test.rpartition("-")[2]]
     others = [gap for gap in gaps if gap not in same]
     if not others:
         return ""
@@ -145,13 +155,9 @@ def _by_settings(gaps: Sequence[Gap], place: int) -> str:
     )
 
 
-def _variant_of(domain: str) -> str:
-    return domain.rpartition("-")[2]
-
-
-def _no_harm(told: Sequence[Gap], place: int) -> str:
+def _no_harm(resolved: Sequence[Gap], place: int) -> str:
     """Count models that lose nothing by the change, and yet err more than the target's own."""
-    worse = [gap for gap in told if not _is_gain(gap, place)]
+    worse = [gap for gap in resolved if not _is_gain(gap, place)]
     none = sum(_not_above(gap.transferred[place], gap.own[place]) for gap in worse)
     return f" (in {none} of these no more than at home: its data teach less)" if none else ""
 
@@ -165,35 +171,30 @@ def _is_gain(gap: Gap, place: int) -> bool:
     return difference is not None and difference < 0.0
 
 
-def _most_robust(draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int) -> Answer:
+def _most_robust(
+    draws: Draws, groups: Sequence[_Trainings], gaps: Sequence[Gap], place: int
+) -> Answer:
     """The model of the smallest worst-engine gap, of those in which a shift can be seen."""
-    frame, variant = draws.board.frames[place], fields[0].variant
-    seen = {field.model: _gaps_within(field, field.singles, gaps) for field in fields}
-    resolved = {model: [g for g in own if g.resolved[place]] for model, own in seen.items()}
+    frame, variant = draws.evaluation.frames[place], groups[0].variant
+    within = {group.model: _gaps_within(group, group.singles, gaps) for group in groups}
+    resolved = {model: [g for g in own if g.resolved[place]] for model, own in within.items()}
     ratios = {
-        f.model: _ratio(draws, functools.partial(_worst_gap, f, resolved[f.model] or seen[f.model]))
-        for f in fields
+        g.model: _ratio(draws, _worst_gap, g, resolved[g.model] or within[g.model]) for g in groups
     }
-    order = sorted(ratios, key=lambda model: ratios[model].value[place])
-    told = ", ".join(f"{model} {ratios[model].told(place)}" for model in order)
-    able = [model for model in order if resolved[model]]
-    parts = ", ".join(f"{len(resolved[m])} of {len(own)} of {m}" for m, own in seen.items())
+    ordered = {m: ratios[m] for m in sorted(ratios, key=lambda model: ratios[model].value[place])}
+    able = [model for model in ordered if resolved[model]]
+    parts = ", ".join(f"{len(resolved[m])} of {len(own)} of {m}" for m, own in within.items())
     text = (
-        f"At t = {frame} on {variant} data {_first(able, order, ratios, place)}. Gaps resolved: "
+        f"At t = {frame} on {variant} data {_first(able, ordered, place)}. Gaps resolved: "
         f"{parts}. Worst ratio of error to that of the target-trained model, of the resolved gaps, "
         "else of all (the worst of several is above 1 even without a shift): "
-        f"{told}"
+        f"{_texts(ordered, place)}"
     )
-    return Answer(
-        ROBUST,
-        f"Which model is most robust ({variant})?",
-        text,
-        variant,
-        {model: ratio.result for model, ratio in ratios.items()},
-    )
+    question = f"Which model is most robust ({variant})?"
+    return Answer(ROBUST, question, text, variant, _results(ratios))
 
 
-def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio], place: int) -> str:
+def _first(able: Sequence[str], ratios: Mapping[str, _Ratio], place: int) -> str:
     """Name the first of those in which a shift can be seen, and how sure that is."""
     if not able:
         return _UNTOLD
@@ -201,113 +202,109 @@ def _first(able: Sequence[str], order: Sequence[str], ratios: dict[str, _Ratio],
     near = [model for model in others if ratios[model].low[place] <= best.high[place]]
     sure = f"its interval overlaps those of {', '.join(near)}" if near else "apart from all others"
     text = f"{able[0]} has the smallest worst-engine gap" + (f" ({sure})" if others else "")
-    unseen = [model for model in order if model not in able]
-    return f"{text}; {', '.join(unseen)} cannot be judged: {_BLIND}" if unseen else text
+    blind = [model for model in ratios if model not in able]
+    return f"{text}; {', '.join(blind)} cannot be judged: {_BLIND}" if blind else text
 
 
 def _gaps_within(
-    field: _Field, trainings: Mapping[str, Training], gaps: Sequence[Gap]
+    group: _Trainings, trainings: Mapping[str, ModelSeeds], gaps: Sequence[Gap]
 ) -> list[Gap]:
-    """Gaps of some of a field's trainings to domains of its variant."""
+    """Gaps of some of a group's trainings to domains of its variant."""
     names = {training.name for training in trainings.values()}
-    own = [gap for gap in gaps if gap.model == field.model and gap.training in names]
-    return [gap for gap in own if gap.test in field.singles]
+    own = [gap for gap in gaps if gap.model == group.model and gap.training in names]
+    return [gap for gap in own if gap.test in group.singles]
 
 
 def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
     return f"{sum(gap.resolved[place] for gap in gaps)} of {len(gaps)}"
 
 
-def _worst_gap(field: _Field, gaps: Sequence[Gap], look: Look) -> Array:
+def _worst_gap(group: _Trainings, gaps: Sequence[Gap], look: Look) -> Array:
     """Largest ratio to the target-trained model."""
-    singles = {training.name: training for training in field.singles.values()}
+    singles = {training.name: training for training in group.singles.values()}
     ratios = [
-        _over(look(singles[gap.training], gap.test), look(field.singles[gap.test], gap.test))
+        _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
         for gap in gaps
     ]
     return np.asarray(np.max(ratios, axis=0))
 
 
-def _mean_gap(field: _Field, look: Look) -> Array:
+def _mean_gap(group: _Trainings, look: Look) -> Array:
     """Geometric mean of the same."""
-    pairs = itertools.permutations(field.singles, 2)
-    singles = field.singles
-    ratios = [_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs]
-    return _geometric(ratios)
+    singles = group.singles
+    pairs = itertools.permutations(singles, 2)
+    return _geometric([_over(look(singles[i], j), look(singles[j], j)) for i, j in pairs])
 
 
 def _several_engines(
-    draws: Draws, field: _Field, gaps: Sequence[Gap], place: int
+    draws: Draws, group: _Trainings, gaps: Sequence[Gap], place: int
 ) -> Iterator[Answer]:
-    frame = draws.board.frames[place]
+    frame = draws.evaluation.frames[place]
     words = ("helps", "harms", "makes no difference that can be told")
-    shared = [name for name in field.without if name in field.singles]
+    shared = [name for name in group.without if name in group.singles]
     if shared:
-        ratio = _ratio(draws, functools.partial(_left_out_ratio, field, shared))
-        parts = _count_resolved(_gaps_within(field, field.without, gaps), place)
+        ratio = _ratio(draws, _left_out_ratio, group, shared)
+        parts = _count_resolved(_gaps_within(group, group.without, gaps), place)
         text = (
             f"At t = {frame} leaving one engine out {ratio.verdict(place, *words)} on the engine "
             "left out, against training on a single other engine: error ratio "
-            f"{ratio.told(place)}. Of the gaps of these trainings to the target-trained model "
+            f"{ratio.text(place)}. Of the gaps of these trainings to the target-trained model "
             f"{parts} are resolved"
         )
-        question = f"Does training on several others help {field.model} ({field.variant})?"
-        yield Answer(LEAVE_ONE_OUT, question, text, field.variant, {field.model: ratio.result})
-    if field.everything is not None:
-        ratio = _ratio(draws, functools.partial(_worst_of_all_ratio, field))
+        question = f"Does training on several others help {group.model} ({group.variant})?"
+        yield Answer(LEAVE_ONE_OUT, question, text, group.variant, {group.model: ratio.result})
+    if group.everything is not None:
+        ratio = _ratio(draws, _worst_of_all_ratio, group)
         text = (
             f"At t = {frame} training on all engines {ratio.verdict(place, *words)} on the worst "
             "engine, against single-engine trainings on their worst: error ratio "
-            f"{ratio.told(place)}"
+            f"{ratio.text(place)}"
         )
-        question = f"Does training on all engines help {field.model} ({field.variant})?"
-        yield Answer(ALL, question, text, field.variant, {field.model: ratio.result})
+        question = f"Does training on all engines help {group.model} ({group.variant})?"
+        yield Answer(ALL, question, text, group.variant, {group.model: ratio.result})
 
 
-def _left_out_ratio(field: _Field, targets: Sequence[str], look: Look) -> Array:
+def _left_out_ratio(group: _Trainings, targets: Sequence[str], look: Look) -> Array:
     """Error without the target over that of single other engines, as geometric means."""
     ratios = []
     for test in targets:
-        others = [look(t, test) for name, t in field.singles.items() if name != test]
-        ratios.append(_over(look(field.without[test], test), _geometric(others)))
+        others = [look(t, test) for name, t in group.singles.items() if name != test]
+        ratios.append(_over(look(group.without[test], test), _geometric(others)))
     return _geometric(ratios)
 
 
-def _worst_of_all_ratio(field: _Field, look: Look) -> Array:
+def _worst_of_all_ratio(group: _Trainings, look: Look) -> Array:
     """Worst engine of the all-engine training over the mean worst of the single ones."""
-    assert field.everything is not None
-    tests = list(field.singles)
-    worst = np.max([look(field.everything, test) for test in tests], axis=0)
-    each = [np.max([look(t, test) for test in tests], axis=0) for t in field.singles.values()]
+    assert group.everything is not None
+    tests = list(group.singles)
+    worst = np.max([look(group.everything, test) for test in tests], axis=0)
+    each = [np.max([look(t, test) for test in tests], axis=0) for t in group.singles.values()]
     return _over(worst, _geometric(each))
 
 
 def _matched(
-    draws: Draws, fields: Sequence[_Field], gaps: Sequence[Gap], place: int
+    draws: Draws, groups: Sequence[_Trainings], gaps: Sequence[Gap], place: int
 ) -> Iterator[Answer]:
     """Compare the mean gaps of a model between variants."""
-    frame = draws.board.frames[place]
-    by_model: dict[str, dict[str, _Field]] = {}
-    for field in fields:
-        by_model.setdefault(field.model, {})[field.variant] = field
+    frame = draws.evaluation.frames[place]
+    by_model: dict[str, dict[str, _Trainings]] = {}
+    for group in groups:
+        by_model.setdefault(group.model, {})[group.variant] = group
     for model, variants in by_model.items():
         if {"native", "matched"} <= set(variants):
             native, matched = (
-                _ratio(draws, functools.partial(_mean_gap, variants[variant]))
-                for variant in ("native", "matched")
+                _ratio(draws, _mean_gap, variants[name]) for name in ("native", "matched")
             )
-            change = _ratio(draws, functools.partial(_lessening, variants))
-            seen = {
-                name: _gaps_within(field, field.singles, gaps) for name, field in variants.items()
-            }
-            text = f"At t = {frame} {_removal(native, matched, change, seen, place)}. "
-            text += f"Mean gap ratio {native.told(place)} on native, {matched.told(place)} on "
-            text += f"matched data, {change.told(place)} of the two"
+            change = _ratio(draws, _lessening, variants)
+            within = {name: _gaps_within(g, g.singles, gaps) for name, g in variants.items()}
+            text = f"At t = {frame} {_removal(native, matched, change, within, place)}. "
+            text += f"Mean gap ratio {native.text(place)} on native, {matched.text(place)} on "
+            text += f"matched data, {change.text(place)} of the two"
             question = f"Does matched data remove the shift of {model}?"
             yield Answer(MATCHED, question, text, ratios={model: change.result})
 
 
-def _lessening(variants: dict[str, _Field], look: Look) -> Array:
+def _lessening(variants: dict[str, _Trainings], look: Look) -> Array:
     """Mean gap on native data over that on matched data, of the same trajectories."""
     return _over(_mean_gap(variants["native"], look), _mean_gap(variants["matched"], look))
 
@@ -331,9 +328,52 @@ def _removal(
     return f"no shift is {'resolved' if there else 'left'} on matched data{why}"
 
 
-def _ratio(draws: Draws, figure: Callable[[Look], Array]) -> _Ratio:
+def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
+    """Answer for every domain on which models were trained on each interval by itself."""
+    speeds = INTERVALS[1:]
+    if not all(evaluation.rows(interval).any() for interval in speeds):
+        return
+    place = evaluation.frames.index(at)
+    draws = {interval: Draws(evaluation, interval) for interval in speeds}
+    for domain in evaluation.test.domains:
+        ratios = {}
+        for model in evaluation.models:
+            trained = {
+                entry.interval: ModelSeeds.of(entry)
+                for entry in evaluation.entries
+                if entry.model == model and entry.interval
+                if domain.name == ModelSeeds.of(entry).domains[0]
+            }
+            if len(trained) == len(speeds):
+                ratios[model] = _worst_speed(draws, trained, domain.name)
+        if ratios:
+            text = (
+                f"At t = {at} on {domain.name}, trained on the starts of another interval of speed "
+                "a model errs by so many times what the one errs that was trained on the interval "
+                f"tested, the worst pair of three intervals: {_texts(ratios, place)}"
+            )
+            question = f"What does a change of speed cost ({domain.name})?"
+            yield Answer(SPEED, question, text, domain.variant, _results(ratios))
+
+
+def _worst_speed(draws: dict[str, Draws], trained: dict[str, ModelSeeds], domain: str) -> _Ratio:
+    """Largest ratio of errors on an interval, of a training on another to that on itself."""
+    pairs = list(itertools.permutations(trained, 2))
+
+    def worst(look: Callable[[Draws, ModelSeeds], Array]) -> Array:
+        ratios = [look(draws[b], trained[a]) / look(draws[b], trained[b]) for a, b in pairs]
+        return np.asarray(np.max(ratios, axis=0))
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _Ratio(figure(draws.mean), *bounds_of(figure(draws.drawn)))
+        value = worst(lambda drawn, training: drawn.mean(training, domain))
+        low, high = bounds_of(worst(lambda drawn, training: drawn.drawn(training, domain)))
+    return _Ratio(value, low, high)
+
+
+def _ratio(draws: Draws, figure: Callable[..., Array], *what: object) -> _Ratio:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value, drawn = (figure(*what, look) for look in (draws.mean, draws.drawn))
+        return _Ratio(value, *bounds_of(drawn))
 
 
 def _over(here: Array, there: Array) -> Array:

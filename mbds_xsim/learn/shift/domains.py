@@ -1,8 +1,12 @@
-"""Test domains of a scene: the same motions in every engine and variant, paired by their number."""
+"""Test domains of a scene: the same motions in every engine and variant, paired by their number.
+
+The reference is one more of them.
+"""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +16,33 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mbds_xsim import reference
 from mbds_xsim.dataset.content import CONTENT
 from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.paired import STARTS, STATES, check_alike, check_paired, numbers_in
+from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.window import Inputs, Motions, names_read
+from mbds_xsim.learn.window import HISTORY, Inputs, Motions, names_read
+from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.write import write_whole
 
-__all__ = ["REFERENCE", "Domain", "Paired", "Recorded", "Solved", "load_paired", "scenes_in"]
+__all__ = [
+    "REFERENCE",
+    "Domain",
+    "Paired",
+    "Recorded",
+    "ReferenceFrames",
+    "Solved",
+    "load_paired",
+    "read_reference",
+    "scenes_in",
+    "solve_domain",
+]
 
 Array = NDArray[np.float64]
 
@@ -31,6 +51,7 @@ REFERENCE = "reference"
 
 _TEST = "test"
 _PAIRED = (*STARTS, "input/force", "input/torque")
+_TOGETHER = 8  # reference solutions a process
 
 
 @dataclass(frozen=True)
@@ -63,25 +84,25 @@ class Solved:
     inputs: Recorded
     """A domain that has the inputs."""
     path: Path
-    """Where `truth.Truth` is kept."""
+    """Where its `ReferenceFrames` are kept."""
     content: str
     name: ClassVar[str] = REFERENCE
     engine: ClassVar[str] = REFERENCE
     variant: ClassVar[str] = ""
+    rows: ClassVar[tuple[int, ...]] = ()
 
     def motions(self, dtype: torch.dtype) -> Motions:
         """Give the motions; frames that are not known are not numbers."""
-        from mbds_xsim.learn.shift.truth import read_truth
-
-        told, truth = self.inputs.motions(dtype), read_truth(self.path)
+        known, truth = self.inputs.motions(dtype), read_reference(self.path)
         frames = truth.position.shape[1]
+        force, torque = known.inputs.force, known.inputs.torque
         return Motions(
-            graph=told.graph,
+            graph=known.graph,
             split=_TEST,
-            index=told.index,
-            position=told.graph.embed(torch.from_numpy(truth.position).to(dtype)),
-            velocity=told.graph.embed(torch.from_numpy(truth.velocity).to(dtype), rest=0.0),
-            inputs=Inputs(told.inputs.force[:, : frames - 1], told.inputs.torque[:, : frames - 1]),
+            index=known.index,
+            position=known.graph.embed(torch.from_numpy(truth.position).to(dtype)),
+            velocity=known.graph.embed(torch.from_numpy(truth.velocity).to(dtype), rest=0.0),
+            inputs=Inputs(force[:, : frames - 1], torque[:, : frames - 1]),
             body=torch.from_numpy(truth.body),
         )
 
@@ -134,40 +155,40 @@ def load_paired(
         InputError: There is no data, or it is not what was written, or files do not belong
             together: another scene, seed, length or start, or no test trajectory that all have.
     """
-    paths = sorted(path for path in (folder / scene).glob("*.h5") if _is_joined(path))
-    if not paths:
-        msg = (
-            f"{folder / scene}: no data files; make some: mbds-xsim generate {scene} --out {folder}"
-        )
+    place = folder / scene
+    files = [load_dataset(path) for path in sorted(place.glob("*.h5")) if _is_joined(path)]
+    if not files:
+        msg = f"{place}: no data files; make some: mbds-xsim generate {scene} --out {folder}"
         raise InputError(msg)
-    files = [load_dataset(path) for path in paths]
     files = [file for file in files if not variants or file.attributes["profile"] in variants]
     if not files:
-        msg = f"{folder / scene}: no data of {', '.join(variants)} settings; generate some"
+        msg = f"{place}: no data of {', '.join(variants)} settings; generate some"
         raise InputError(msg)
     check_alike(files)
     lacking = {_name(file): file.lack for file in files if file.lack}
     files = [file for file in files if not file.lack]
     if not files:
-        msg = f"{folder / scene}: no trajectory was published; generate other data"
+        msg = f"{place}: no trajectory was published; generate other data"
         raise InputError(msg)
     index = numbers_in(files, _TEST)
     if not len(index):
-        msg = f"{folder / scene}: no test trajectory is valid in all {len(files)} files; make more"
+        msg = f"{place}: no test trajectory is valid in all {len(files)} files; make more"
         raise InputError(msg)
     for file in files:
         file.check({*_PAIRED, *names_read(bodies=True)})
     index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     check_paired(files, rows, _PAIRED)
+    batch, first = _batch(files[0], rows[0]), files[0]
+    known = "input/known_force"
     return Paired(
-        scene=files[0].scene,
+        scene=first.scene,
         index=index,
         domains=tuple(_recorded(*pair) for pair in zip(files, rows, strict=True)),
-        batch=_batch(files[0], rows[0]),
-        noise=bool(files[0].attributes["noise"]),
-        quiet=_quiet(files[0], rows[0]),
-        seed=int(files[0].attributes["seed"]),
+        batch=batch,
+        noise=bool(first.attributes["noise"]),
+        quiet=np.asarray(first[known][rows[0]] if known in first else np.zeros_like(batch.force)),
+        seed=int(first.attributes["seed"]),
         left_out=lacking,
     )
 
@@ -181,27 +202,115 @@ def _is_joined(path: Path) -> bool:
 
 
 def _recorded(file: Dataset, rows: NDArray[np.int64]) -> Recorded:
-    told = file.attributes
-    return Recorded(
-        engine=told["engine"],
-        variant=told["profile"],
-        path=file.path.resolve(),
-        rows=tuple(rows.tolist()),
-        content=told[CONTENT],
-    )
+    about = file.attributes
+    place, chosen = file.path.resolve(), tuple(rows.tolist())
+    return Recorded(about["engine"], about["profile"], place, chosen, about[CONTENT])
 
 
 def _batch(file: Dataset, rows: NDArray[np.int64]) -> Batch:
-    states = {name: _stacked(file, f"start/{name}", rows) for name in STATES}
-    inputs = {name: _stacked(file, f"input/{name}", rows) for name in ("force", "torque")}
-    return Batch(index=file.index[rows], **states, **inputs)
+    names = {name: f"start/{name}" for name in STATES}
+    names |= {name: f"input/{name}" for name in ("force", "torque")}
+    arrays: dict[str, Any] = {key: np.asarray(file[name][rows]) for key, name in names.items()}
+    return Batch(index=file.index[rows], **arrays)
 
 
-def _quiet(file: Dataset, rows: NDArray[np.int64]) -> Array:
-    if "input/known_force" in file:
-        return _stacked(file, "input/known_force", rows)
-    return np.zeros_like(_stacked(file, "input/force", rows))
+@dataclass(frozen=True, eq=False)
+class ReferenceFrames:
+    """The reference solution of a test set, up to a last frame."""
+
+    position: Array
+    """Of the particles [m], shape (trajectory, frame, particle, axis); NaN where not known."""
+    velocity: Array
+    """The same [m/s]."""
+    body: Array
+    """Published states of the bodies, shape (trajectory, frame, body, 13)."""
+    quiet: Array
+    """Positions without the noise from frame `HISTORY` on, started from this solution [m], shape
+    (trajectory, frame − 6, particle, axis)."""
+    growth: Array
+    """Growth factor of small errors, `reference.sensitivity`, shape (trajectory, frame)."""
 
 
-def _stacked(file: Dataset, name: str, rows: NDArray[np.int64]) -> NDArray[Any]:
-    return np.asarray(file[name][rows])
+def solve_domain(
+    test: Paired, horizon: int, *, cache: bool = True, workers: int | None = None
+) -> tuple[Solved | None, str]:
+    """Solve the reference for all test starts.
+
+    Returns:
+        The domain; None where it is known nowhere behind the first window, and the reason.
+    """
+    batch = test.batch.truncated(HISTORY - 1 + horizon)
+    path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
+    arrays = read_sealed(path) if cache else None
+    if arrays is None:
+        answers = run_tasks(_tasks(test, batch, cache), workers=workers)
+        crashes = [answer.reason for answer in answers if isinstance(answer, Crash)]
+        if crashes:
+            return None, f"the reference solution failed: {crashes[0]}"
+        arrays = {
+            name: np.concatenate([getattr(answer, name) for answer in answers])
+            for name in ReferenceFrames.__dataclass_fields__
+        }
+        write_whole(path, sealed(path, arrays))
+    if not np.isfinite(arrays["position"][:, HISTORY]).all(axis=(1, 2)).any():
+        return None, "the reference ends at a first impact within the first frames"
+    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Solved(test.domains[0], path, content), ""
+
+
+def read_reference(path: Path) -> ReferenceFrames:
+    """Read what `solve_domain` has kept.
+
+    Raises:
+        InputError: It cannot be read any more.
+    """
+    arrays = read_sealed(path)
+    if arrays is None:
+        msg = f"{path}: cannot be read; run again"
+        raise InputError(msg)
+    return ReferenceFrames(**arrays)
+
+
+def _tasks(test: Paired, batch: Batch, cache: bool) -> list[Task]:
+    parts = [slice(k, k + _TOGETHER) for k in range(0, len(batch), _TOGETHER)]
+    quiet = test.quiet[:, : batch.steps]
+    return [Task(_solved, (test.scene, batch[part], quiet[part], cache)) for part in parts]
+
+
+def _solved(scene: Scene, batch: Batch, quiet: Array, cache: bool) -> ReferenceFrames:
+    trajectory = reference.solve(scene, batch, cache=cache)
+    position, velocity = Points.of(scene).motion(trajectory)
+    return ReferenceFrames(
+        position=position,
+        velocity=velocity,
+        body=np.concatenate([getattr(trajectory, name) for name in STATES], axis=-1),
+        quiet=_without_noise(scene, batch, trajectory, quiet, cache),
+        growth=reference.sensitivity(scene, batch, cache=cache),
+    )
+
+
+def _without_noise(
+    scene: Scene, batch: Batch, trajectory: Trajectory, quiet: Array, cache: bool
+) -> Array:
+    """What a perfect model, which does not see the noise, predicts from the last known frame."""
+    last = HISTORY - 1
+    known = np.isfinite(trajectory.position[:, last]).all(axis=(1, 2))
+    states = {name: getattr(trajectory, name)[known, last] for name in STATES}
+    start = Batch(
+        index=batch.index[known],
+        **states,
+        force=quiet[known, last:],
+        torque=batch.torque[known, last:],
+    )
+    position, _ = Points.of(scene).motion(reference.solve(scene, start, cache=cache))
+    whole = np.full((len(batch), *position.shape[1:]), np.nan)
+    whole[known] = position
+    return whole[:, 1:]
+
+
+def _key(test: Paired, batch: Batch) -> str:
+    digest = hashlib.sha256()
+    for row in range(len(batch)):
+        digest.update(key_of("shift", test.scene, batch, row, 0.0).encode())
+    digest.update(np.ascontiguousarray(test.quiet[:, : batch.steps]).tobytes())
+    return digest.hexdigest()

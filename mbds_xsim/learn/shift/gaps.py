@@ -1,22 +1,53 @@
-"""What a change of engine costs: models on a domain against those that were trained there."""
+"""What a change of engine costs: models on a domain against those that were trained there.
+
+Intervals are by paired bootstrap. Whether engines, and the paper, put the models in one order is
+told beside.
+"""
 
 from __future__ import annotations
 
+import csv
 import functools
-from collections.abc import Iterator, Sequence
+import itertools
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import kendalltau
 
-from mbds_xsim.learn.shift.board import Board
-from mbds_xsim.learn.shift.bootstrap import Resampler, bounds_of
-from mbds_xsim.learn.shift.result import INTERVALS, Gap, Values, values
-from mbds_xsim.learn.shift.roster import Entry
+from mbds_xsim.learn.shift.evaluation import Evaluation
+from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, values
+from mbds_xsim.learn.trained import TrainedModel
 
-__all__ = ["Draws", "Training", "gaps_of", "kind_of", "trainings_of", "why_unresolved"]
+__all__ = [
+    "ALL",
+    "DRAWS",
+    "LEAVE_ONE_OUT",
+    "PAPER",
+    "SINGLE",
+    "UNKNOWN",
+    "UNSURE",
+    "WEAK",
+    "Draws",
+    "ModelSeeds",
+    "Resampler",
+    "agreements_of",
+    "bounds_of",
+    "gaps_of",
+    "kind_of",
+    "paper_errors",
+    "paper_rows",
+    "ranks_alike",
+    "trainings_of",
+    "why_unresolved",
+]
 
 Array = NDArray[np.float64]
+Errors = dict[tuple[str, int], float]
+"""Mean errors by model and frame."""
 
 SINGLE, LEAVE_ONE_OUT, ALL = "single", "leave-one-out", "all"
 
@@ -25,15 +56,27 @@ UNSURE = "interval contains 0"
 UNKNOWN = "own domain is not tested, so neither own error nor engine floor is known"
 """Why gaps tell nothing of a shift."""
 
+PAPER = "the paper"
+DRAWS = 1000
+"""Of the bootstrap."""
+_LEVEL = 0.95
+_SEED = 20240607
+_LEAST = 3  # models: two can only be in order or out of it
+
 
 @dataclass(frozen=True)
-class Training:
+class ModelSeeds:
     """Models of one kind and training; they differ in their seeds."""
 
     model: str
     name: str
     engines: tuple[str, ...]
     variant: str
+
+    @staticmethod
+    def of(model: TrainedModel) -> ModelSeeds:
+        """Those that a model is of."""
+        return ModelSeeds(model.model, model.training, model.engines, model.variant)
 
     @property
     def domains(self) -> tuple[str, ...]:
@@ -44,69 +87,59 @@ class Training:
 class Draws:
     """Mean errors of trainings on domains, and resampled ones, all drawn together."""
 
-    def __init__(self, board: Board, interval: str = INTERVALS[0]) -> None:
-        self.board, self._rows = board, board.rows(interval)
+    def __init__(self, evaluation: Evaluation, interval: str = INTERVALS[0]) -> None:
+        self.evaluation, self._rows = evaluation, evaluation.rows(interval)
         self._resampler = Resampler(int(self._rows.sum()))
         self.mean = functools.cache(self._mean)
         self.drawn = functools.cache(self._drawn)
 
-    def _mean(self, training: Training, test: str) -> Array:
+    def _mean(self, training: ModelSeeds, test: str) -> Array:
         return np.asarray(self._errors(training, test).mean(axis=(0, 1)))
 
-    def _drawn(self, training: Training, test: str) -> Array:
+    def _drawn(self, training: ModelSeeds, test: str) -> Array:
         errors = self._errors(training, test)
-        seeds = [run.seed for run in self.board.runs(training.model, training.name)]
+        seeds = [run.seed for run in self.evaluation.runs(training.model, training.name)]
         return self._resampler.means(errors, f"{training.model} {seeds}")
 
-    def _errors(self, training: Training, test: str) -> Array:
-        return self.board.errors(training.model, training.name, test)[:, self._rows]
+    def _errors(self, training: ModelSeeds, test: str) -> Array:
+        return self.evaluation.errors(training.model, training.name, test)[:, self._rows]
 
 
-def trainings_of(board: Board, model: str) -> list[Training]:
+def trainings_of(evaluation: Evaluation, model: str) -> list[ModelSeeds]:
     """Trainings of a model on all starts, in order.
 
     To leave one of two engines out is to train on the other.
     """
-    found: dict[tuple[str, ...], Training] = {}
-    entries = [entry for entry in board.entries if entry.model == model and not entry.interval]
-    for training in map(_training, entries):
-        if training.domains not in found or training.name in training.domains:
-            found[training.domains] = training
-    return list(found.values())
+    by_domains: dict[tuple[str, ...], ModelSeeds] = {}
+    entries = [entry for entry in evaluation.entries if entry.model == model and not entry.interval]
+    for training in map(ModelSeeds.of, entries):
+        if training.domains not in by_domains or training.name in training.domains:
+            by_domains[training.domains] = training
+    return list(by_domains.values())
 
 
-def kind_of(training: Training, test: str, every: Sequence[str]) -> str:
+def kind_of(training: ModelSeeds, test: str, every: Sequence[str]) -> str:
     """Give what a training is to a test domain; "" where there is no shift between them.
 
     Of several engines' trainings only engines that were left out are told, in either variant: what
-    other settings of a known engine do, single ones tell.
-
-    Args:
-        training: What was trained.
-        test: Where it is tested.
-        every: All engine domains.
+    other settings of a known engine do, single ones tell. `every` names all engine domains.
     """
     if len(training.engines) == 1:
         return "" if test in training.domains else SINGLE
-    if set(domain for domain in every if domain.endswith(f"-{training.variant}")) <= set(
-        training.domains
-    ):
+    own = {domain for domain in every if domain.endswith(f"-{training.variant}")}
+    if own <= set(training.domains):
         return ALL
     return "" if test.rpartition("-")[0] in training.engines else LEAVE_ONE_OUT
 
 
-def gaps_of(board: Board, draws: Draws, noise: Array, chaos: Array) -> Iterator[Gap]:
+def gaps_of(evaluation: Evaluation, draws: Draws, noise: Array, chaos: Array) -> Iterator[Gap]:
     """Give all gaps to models that were trained on the target.
 
-    Args:
-        board: What was measured.
-        draws: Of the same board.
-        noise: Mean noise floor at the frames [m²], NaN where not known.
-        chaos: Mean chaos floor.
+    Beside them stand the mean noise and chaos floors at the frames [m²], NaN where not known.
     """
-    every = [domain.name for domain in board.test.domains]
-    for model in board.models:
-        trainings = trainings_of(board, model)
+    every = [domain.name for domain in evaluation.test.domains]
+    for model in evaluation.models:
+        trainings = trainings_of(evaluation, model)
         targets = {t.domains[0]: t for t in trainings if len(t.engines) == 1}
         for training in trainings:
             for test in every:
@@ -121,8 +154,8 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     Args:
         own: Error of the training on its own domain [m²]; NaN where that is not tested.
         floor: Distance of its engine from the target's [m²], alike.
-        low: Of the interval of the difference [m²].
-        high: The same.
+        low: End of the interval of the difference [m²].
+        high: The other.
     """
     if np.isnan(own) or np.isnan(floor):
         return UNKNOWN
@@ -131,35 +164,32 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     return "" if low > 0.0 or high < 0.0 else UNSURE
 
 
-def _training(entry: Entry) -> Training:
-    return Training(entry.model, entry.training, entry.engines, entry.variant)
-
-
 def _gap(
-    draws: Draws, kind: str, training: Training, target: Training, floors: tuple[Array, Array]
+    draws: Draws, kind: str, training: ModelSeeds, target: ModelSeeds, floors: tuple[Array, Array]
 ) -> Gap:
-    test, board = target.domains[0], draws.board
+    test, evaluation = target.domains[0], draws.evaluation
     here, there = draws.mean(training, test), draws.mean(target, test)
     drawn = draws.drawn(training, test), draws.drawn(target, test)
     own, floor = _own_and_floor(draws, training, test)
     low, high = bounds_of(drawn[0] - drawn[1])
     why = [why_unresolved(*each) for each in zip(own, floor, low, high, strict=True)]
-    ratio_low, ratio_high = _finite_bounds(_ratio(*drawn))
+    with np.errstate(divide="ignore", invalid="ignore"):  # not a number where both are 0
+        ratio, (ratio_low, ratio_high) = here / there, bounds_of(drawn[0] / drawn[1])
     return Gap(
         model=training.model,
         kind=kind,
         training=training.name,
         test=test,
         seeds=(
-            len(board.runs(training.model, training.name)),
-            len(board.runs(target.model, target.name)),
+            len(evaluation.runs(training.model, training.name)),
+            len(evaluation.runs(target.model, target.name)),
         ),
         own=values(own),
         transferred=values(here),
         target=values(there),
-        ratio=values(_ratio(here, there)),
-        ratio_low=ratio_low,
-        ratio_high=ratio_high,
+        ratio=values(ratio),
+        ratio_low=values(ratio_low),
+        ratio_high=values(ratio_high),
         difference=values(here - there),
         difference_low=values(low),
         difference_high=values(high),
@@ -171,30 +201,107 @@ def _gap(
     )
 
 
-def _own_and_floor(draws: Draws, training: Training, test: str) -> tuple[Array, Array]:
+def _own_and_floor(draws: Draws, training: ModelSeeds, test: str) -> tuple[Array, Array]:
     """R_ii and D_ij of the engine i of the training from which √R_ij ≤ √R_ii + √D_ij says most.
 
     Both are NaN where no other domain of the training is tested.
     """
-    board = draws.board
-    tested = {domain.name for domain in board.test.domains}
-    others = [n for n in training.domains if n in tested and (n, test) in board.oracles]
+    evaluation = draws.evaluation
+    tested = {domain.name for domain in evaluation.test.domains}
+    others = [n for n in training.domains if n in tested and (n, test) in evaluation.oracles]
     if not others:
-        return (np.full(len(board.frames), np.nan),) * 2
+        return (np.full(len(evaluation.frames), np.nan),) * 2
     own = np.stack([draws.mean(training, name) for name in others])
-    floor = np.stack([board.floor(name, test).mean(axis=0) for name in others])
+    floor = np.stack([evaluation.floor(name, test).mean(axis=0) for name in others])
     most = np.sqrt(own) + np.sqrt(floor)
     least = np.where(np.isnan(most), np.inf, most).argmin(axis=0)[None]
     return np.take_along_axis(own, least, 0)[0], np.take_along_axis(floor, least, 0)[0]
 
 
-def _ratio(here: Array, there: Array) -> Array:
-    """Not a number where both are 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(here / there)
+class Resampler:
+    """Draws the same trajectories for every model and domain: what they share cancels.
+
+    Runs of a seed share first weights and the order of windows, whatever they are trained on: seeds
+    are drawn together, too.
+    """
+
+    def __init__(self, trajectories: int, *, draws: int = DRAWS, seed: int = _SEED) -> None:
+        self._draws, self._seed = draws, seed
+        self._weights = _weights(np.random.default_rng([seed]), draws, trajectories)
+
+    def means(self, errors: Array, runs: str) -> Array:
+        """Give resampled means (draw, frame) of finite errors (seed, trajectory, frame).
+
+        Of the same name of runs the same seeds are drawn.
+        """
+        rng = np.random.default_rng([self._seed, zlib.crc32(runs.encode())])
+        seeds = _weights(rng, self._draws, len(errors))
+        each = np.einsum("dt,stf->dsf", self._weights, errors, optimize=True)
+        return np.einsum("ds,dsf->df", seeds, each)
 
 
-def _finite_bounds(ratios: Array) -> tuple[Values, Values]:
-    with np.errstate(invalid="ignore"):
-        low, high = bounds_of(ratios)
-    return values(low), values(high)
+def bounds_of(draws: Array) -> tuple[Array, Array]:
+    """Central 95 % of draws, frame by frame; not a number where a draw is none."""
+    tail = 0.5 * (1.0 - _LEVEL)
+    low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+    return low, high
+
+
+def _weights(rng: np.random.Generator, draws: int, count: int) -> Array:
+    return np.asarray(rng.multinomial(count, np.full(count, 1.0 / count), draws) / count)
+
+
+def agreements_of(evaluation: Evaluation, draws: Draws) -> Iterator[Agreement]:
+    """Compare the orders of models that were trained where they are tested, and the paper's."""
+    orders = _orders(evaluation, draws)
+    paper = paper_errors(evaluation.test.scene.name, flagged=False)
+    if orders and paper:
+        orders[PAPER] = paper
+    for (first, one), (second, two) in itertools.combinations(orders.items(), 2):
+        for frame in evaluation.frames:
+            both = [model for model, at in one if at == frame and (model, frame) in two]
+            if both:
+                here, there = ({m: order[m, frame] for m in both} for order in (one, two))
+                yield Agreement(first, second, frame, tuple(both), ranks_alike(here, there))
+
+
+def ranks_alike(first: Mapping[str, float], second: Mapping[str, float]) -> float | None:
+    """Kendall's τ-b of the models that both have; None of fewer than three, or all ties."""
+    both = [model for model in first if model in second]
+    if len(both) < _LEAST:
+        return None
+    tau = float(kendalltau([first[m] for m in both], [second[m] for m in both]).statistic)
+    return None if np.isnan(tau) else tau
+
+
+def paper_rows(scene: str) -> list[dict[str, str]]:
+    """Give the paper's printed values of a scene, as they stand in its tables."""
+    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
+    rows = csv.DictReader(text.splitlines())
+    values_of = [row for row in rows if row["kind"] == "value"]
+    return [row for row in values_of if row["scenario"].replace("-", "").lower() == scene]
+
+
+def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
+    """Give the same of all speeds together [m², if the paper's unit is the metre].
+
+    Args:
+        scene: Which.
+        flagged: Whether to give those, too, that a note says cannot be right as printed.
+    """
+    rows = [r for r in paper_rows(scene) if not r["speed"] and (flagged or not r["note"])]
+    return {(row["model"].lower(), int(row["t"])): float(row["mean_si"]) for row in rows}
+
+
+def _orders(evaluation: Evaluation, draws: Draws) -> dict[str, Errors]:
+    """Mean errors by domain."""
+    orders: dict[str, Errors] = {}
+    tested = {domain.name for domain in evaluation.test.domains}
+    for training in (t for model in evaluation.models for t in trainings_of(evaluation, model)):
+        if len(training.engines) == 1 and training.domains[0] in tested:
+            means = draws.mean(training, training.domains[0]).tolist()
+            order = orders.setdefault(training.domains[0], {})
+            order.update(
+                {(training.model, f): x for f, x in zip(evaluation.frames, means, strict=True)}
+            )
+    return orders

@@ -17,12 +17,12 @@ __all__ = [
     "SCHEMA",
     "Agreement",
     "Answer",
-    "Cell",
+    "BoundedRatio",
     "DomainFacts",
-    "Floor",
+    "ErrorCell",
+    "ErrorFloor",
     "Gap",
     "ModelFacts",
-    "Ratio",
     "Shift",
     "Values",
     "to_json",
@@ -66,7 +66,7 @@ class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
 
 
-class Cell(msgspec.Struct, frozen=True):
+class ErrorCell(msgspec.Struct, frozen=True):
     """One model of one training and seed on one domain, over one interval."""
 
     model: str
@@ -98,7 +98,7 @@ class Cell(msgspec.Struct, frozen=True):
     """Median at every frame [m²]; of interval "all"."""
 
 
-class Floor(msgspec.Struct, frozen=True):
+class ErrorFloor(msgspec.Struct, frozen=True):
     """What no figure on a domain can resolve below."""
 
     kind: str
@@ -156,7 +156,7 @@ class Agreement(msgspec.Struct, frozen=True):
     """Kendall's τ-b."""
 
 
-class Ratio(msgspec.Struct, frozen=True):
+class BoundedRatio(msgspec.Struct, frozen=True):
     """A figure that is 1 where nothing changes, at the frames, with its 95 % interval."""
 
     value: Values
@@ -172,7 +172,7 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
     question: str
     answer: str
     variant: str = ""
-    ratios: dict[str, Ratio] = {}
+    ratios: dict[str, BoundedRatio] = {}
     """By model: of "robust" the worst gap, of the others the ratio that decides the answer."""
 
 
@@ -203,8 +203,8 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     domains: tuple[DomainFacts, ...]
     left_out: dict[str, str]
     models: tuple[ModelFacts, ...]
-    cells: tuple[Cell, ...]
-    floors: tuple[Floor, ...]
+    cells: tuple[ErrorCell, ...]
+    floors: tuple[ErrorFloor, ...]
     gaps: tuple[Gap, ...]
     agreements: tuple[Agreement, ...]
     answers: tuple[Answer, ...]

@@ -1,4 +1,4 @@
-"""The whole study of a scene: domains, models, floors, gaps and answers."""
+"""The whole study of a scene: domains, models, floors, gaps, answers, and rollouts to look at."""
 
 from __future__ import annotations
 
@@ -9,39 +9,50 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn.model import trainable
-from mbds_xsim.learn.refusal import refusal
-from mbds_xsim.learn.shift.agreement import agreements_of
-from mbds_xsim.learn.shift.answers import answers_of
-from mbds_xsim.learn.shift.board import RESTART, Board, cells_of, known_mean
-from mbds_xsim.learn.shift.bootstrap import DRAWS
-from mbds_xsim.learn.shift.by_interval import answers_by_interval
-from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, Solved, load_paired
-from mbds_xsim.learn.shift.evaluate import Plan, evaluate
-from mbds_xsim.learn.shift.floors import chaos_floor, floors_of, noise_floor, oracles
-from mbds_xsim.learn.shift.gaps import Draws, gaps_of
-from mbds_xsim.learn.shift.measure import EXPLODED, LOST
-from mbds_xsim.learn.shift.meter import Meter
-from mbds_xsim.learn.shift.restart import restarted
-from mbds_xsim.learn.shift.result import FRAMES, DomainFacts, ModelFacts, Shift
-from mbds_xsim.learn.shift.roster import (
+from mbds_xsim.learn.model import refusal, rollout, trainable
+from mbds_xsim.learn.particles import EXPLODED, LOST
+from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
+from mbds_xsim.learn.shift.domains import (
+    REFERENCE,
+    Domain,
+    Paired,
+    Recorded,
+    load_paired,
+    read_reference,
+    solve_domain,
+)
+from mbds_xsim.learn.shift.evaluation import (
+    RESTART,
+    Evaluation,
+    cells_of,
+    chaos_floor,
+    floors_of,
+    known_mean,
+    noise_floor,
+    oracles,
+)
+from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
+from mbds_xsim.learn.shift.models import (
     WHOLE,
-    Entry,
-    Part,
+    Selection,
     check_budget,
     check_data,
-    find_entries,
-    trivial_entries,
+    find_models,
+    trivial_models,
 )
-from mbds_xsim.learn.shift.truth import read_truth, solve_domain
+from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, ModelFacts, Shift
+from mbds_xsim.learn.shift.rollouts import RolloutMeter, RolloutPlan, evaluate, restarted
+from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.registry import package_version
 from mbds_xsim.study.identity import machine
 
-__all__ = ["Asked", "Studied", "asked", "study"]
+__all__ = ["Asked", "SampleRollout", "Samples", "Studied", "asked", "samples_of", "study"]
 
 Array = NDArray[np.float64]
 _AT = 10
@@ -52,7 +63,7 @@ class Asked:
     """Models and data of one scene that belong together."""
 
     test: Paired
-    trained: tuple[Entry, ...]
+    trained: tuple[TrainedModel, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +71,7 @@ class Studied:
     """A study, and the raw figures that it was made from."""
 
     shift: Shift
-    board: Board
-    domains: tuple[Domain, ...]
+    evaluation: Evaluation
 
 
 def asked(
@@ -70,7 +80,7 @@ def asked(
     scene: str,
     *,
     trajectories: int | None = None,
-    part: Part = WHOLE,
+    part: Selection = WHOLE,
 ) -> Asked:
     """Find what is to be studied.
 
@@ -85,7 +95,7 @@ def asked(
         InputError: Models or data are missing, or do not belong together.
     """
     test = load_paired(data, scene, trajectories, part.variants)
-    trained = find_entries(models, scene, part)
+    trained = find_models(models, scene, part)
     check_budget(trained)
     check_data(trained, test)
     return Asked(test, tuple(trained))
@@ -98,7 +108,7 @@ def study(
     cache: bool = True,
     workers: int | None = None,
     device: str = "cpu",
-    meter: Meter | None = None,
+    meter: RolloutMeter | None = None,
     command: str = "",
 ) -> Studied:
     """Test all models of a scene on all domains, and say what a change of engine does.
@@ -116,55 +126,51 @@ def study(
         InputError: There is no such frame, or a model cannot be tested.
     """
     began = time.perf_counter()
-    test, entries = question.test, [*trivial_entries(), *question.trained]
-    plan = Plan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
+    test, models = question.test, [*trivial_models(), *question.trained]
+    plan = RolloutPlan(min(max(FRAMES), test.batch.steps + 1 - HISTORY), device=device)
     frames = tuple(frame for frame in FRAMES if frame <= plan.horizon)
     at = _frame_of(frames, at)
     solved, reason = solve_domain(test, plan.horizon, cache=cache, workers=workers)
     domains: tuple[Domain, ...] = (*test.domains, *([solved] if solved else []))
-    figures = evaluate(
-        test.scene, entries, domains, plan, cache=cache, workers=workers, meter=meter
-    )
+    figures = evaluate(test.scene, models, domains, plan, cache=cache, workers=workers, meter=meter)
     gone_on, refused = restarted(
         test, domains, plan.horizon, cache=cache, workers=workers, meter=meter
     )
-    board = Board(test, frames, figures, oracles(domains, plan.horizon), gone_on)
-    left_out = {
-        **test.left_out,
-        **({} if solved else {REFERENCE: reason}),
-        **{f"{RESTART} {name}": why for name, why in refused.items()},
-        **_lost(board),
-        **_absent(test, board),
-    }
+    evaluation = Evaluation(test, frames, figures, oracles(domains, plan.horizon), gone_on)
+    floors: tuple[Array | None, Array | None] = (None, None)
+    if solved is not None:
+        truth = read_reference(solved.path)
+        floors = noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
     shift = _shift(
-        board,
+        evaluation,
         plan,
         at,
-        _floors(test, solved, plan),
+        floors,
         command=command,
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
-        left_out=left_out,
-        models=tuple(map(_facts, entries)),
-        kept=len(entries) - figures.tested,
+        left_out={
+            **test.left_out,
+            **({} if solved else {REFERENCE: reason}),
+            **{f"{RESTART} {name}": why for name, why in refused.items()},
+            **_lost(evaluation),
+            **_absent(evaluation),
+        },
+        models=tuple(map(_facts, models)),
+        kept=len(models) - figures.tested,
     )
-    shift = msgspec.structs.replace(shift, wall_s=time.perf_counter() - began)
-    return Studied(shift, board, domains)
-
-
-def _floors(test: Paired, solved: Solved | None, plan: Plan) -> tuple[Array | None, Array | None]:
-    """Give the noise floor and the chaos floor, where the reference is known."""
-    if solved is None:
-        return None, None
-    truth = read_truth(solved.path)
-    return noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
+    return Studied(msgspec.structs.replace(shift, wall_s=time.perf_counter() - began), evaluation)
 
 
 def _shift(
-    board: Board, plan: Plan, at: int, floors: tuple[Array | None, Array | None], **facts: Any
+    evaluation: Evaluation,
+    plan: RolloutPlan,
+    at: int,
+    floors: tuple[Array | None, Array | None],
+    **facts: Any,
 ) -> Shift:
     """Say what was measured and what follows from it."""
-    test, draws = board.test, Draws(board)
-    gaps = tuple(gaps_of(board, draws, *(_mean(board, floor) for floor in floors)))
+    test, draws = evaluation.test, Draws(evaluation)
+    gaps = tuple(gaps_of(evaluation, draws, *(_mean(evaluation, floor) for floor in floors)))
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -178,15 +184,18 @@ def _shift(
         lost=LOST,
         exploded=EXPLODED,
         draws=DRAWS,
-        frames=board.frames,
+        frames=evaluation.frames,
         at=at,
         index=tuple(test.index.tolist()),
         noise=test.noise,
-        cells=tuple(cells_of(board)),
-        floors=tuple(floors_of(board, *floors)),
+        cells=tuple(cells_of(evaluation)),
+        floors=tuple(floors_of(evaluation, *floors)),
         gaps=gaps,
-        agreements=tuple(agreements_of(board, draws)),
-        answers=(*answers_of(board, draws, gaps, at), *answers_by_interval(board, at)),
+        agreements=tuple(agreements_of(evaluation, draws)),
+        answers=(
+            *answers_of(evaluation, draws, gaps, at),
+            *answers_by_interval(evaluation, at),
+        ),
         wall_s=0.0,
         **facts,
     )
@@ -202,11 +211,11 @@ def _frame_of(frames: tuple[int, ...], asked: int | None) -> int:
     return asked
 
 
-def _lost(board: Board) -> dict[str, str]:
+def _lost(evaluation: Evaluation) -> dict[str, str]:
     """Say which engines did not go on from which domains."""
     reasons = {}
-    for (engine, test), figures in board.restarted.items():
-        lost = (figures.error > board.largest).any(axis=1)
+    for (engine, test), figures in evaluation.restarted.items():
+        lost = (figures.error > evaluation.largest).any(axis=1)
         if lost.any():
             reasons[f"{RESTART} {engine} on {test} as a floor"] = (
                 f"lost in {lost.sum()} of {len(figures.error)} trajectories; there the distance of "
@@ -215,31 +224,98 @@ def _lost(board: Board) -> dict[str, str]:
     return reasons
 
 
-def _absent(test: Paired, board: Board) -> dict[str, str]:
+def _absent(evaluation: Evaluation) -> dict[str, str]:
     """Say of models that are not there whether they could be."""
-    reasons = {}
-    for name in sorted(set(trainable()) - set(board.models)):
-        reasons[name] = refusal(name, test.graph) or "no trained model of it was given"
-    return reasons
+    names = sorted(set(trainable()) - set(evaluation.models))
+    graph = evaluation.test.graph
+    return {n: refusal(n, graph) or "no trained model of it was given" for n in names}
 
 
-def _mean(board: Board, error: Array | None) -> Array:
+def _mean(evaluation: Evaluation, error: Array | None) -> Array:
     """Over the known trajectories at the frames; NaN where there is nothing."""
     if error is None:
-        return np.full(len(board.frames), np.nan)
-    return known_mean(board.counted(error))
+        return np.full(len(evaluation.frames), np.nan)
+    return known_mean(evaluation.counted(error))
 
 
-def _facts(entry: Entry) -> ModelFacts:
-    return ModelFacts(
-        model=entry.model,
-        training=entry.training,
-        engines=entry.engines,
-        seed=entry.seed,
-        profile=entry.profile,
-        steps=entry.steps,
-        ended=entry.ended,
-        content=entry.content,
-        interval=entry.interval,
-        bodies=entry.bodies,
+def _facts(model: TrainedModel) -> ModelFacts:
+    return ModelFacts(**{name: getattr(model, name) for name in ModelFacts.__struct_fields__})
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRollout:
+    """Predictions of one model."""
+
+    model: str
+    training: str
+    at_home: bool
+    """Whether it was trained on the domain that is shown."""
+    position: Array
+    """[m], shape (trajectory, frame, particle, 3); NaN where lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Predictions of the same trajectories, from the last known frame on."""
+
+    evaluation: Evaluation
+    domain: Recorded
+    index: NDArray[np.int64]
+    """Numbers of the trajectories, one of each interval."""
+    truth: Array
+    """[m], shape (trajectory, frame, particle, 3)."""
+    models: tuple[SampleRollout, ...]
+
+
+def samples_of(evaluation: Evaluation) -> Samples:
+    """Predict one trajectory of each interval, on the first domain that a model was trained on.
+
+    Of each model the first seed of the training there, and of the training on the engine that is
+    furthest from it.
+    """
+    homes = [entry.training for entry in evaluation.entries if entry.single]
+    domains = evaluation.test.domains
+    domain = next((d for d in domains if d.name in homes), domains[0])
+    firsts = [np.flatnonzero(r)[0] for name, r in evaluation.intervals() if name != INTERVALS[0]]
+    rows = torch.tensor(firsts)
+    whole = domain.motions(torch.float64)[rows]
+    horizon = min(whole.frame_count - HISTORY, max(evaluation.frames))
+    return Samples(
+        evaluation=evaluation,
+        domain=domain,
+        index=whole.index,
+        truth=whole.position[:, HISTORY - 1 : HISTORY + horizon].numpy(),
+        models=tuple(
+            SampleRollout(
+                model.model,
+                model.training,
+                model.training == domain.name,
+                _predicted(evaluation, model, domain, rows, horizon),
+            )
+            for model in _chosen(evaluation, domain)
+        ),
     )
+
+
+def _chosen(evaluation: Evaluation, domain: Recorded) -> list[TrainedModel]:
+    chosen = []
+    for model in evaluation.models:
+        singles = [entry for entry in evaluation.entries if entry.model == model and entry.single]
+        away = [e for e in singles if e.variant == domain.variant and e.training != domain.name]
+        away = [e for e in away if (e.training, domain.name) in evaluation.oracles]
+        furthest = sorted(
+            away, key=lambda e: -float(evaluation.floor(e.training, domain.name).mean())
+        )
+        chosen += [e for e in singles if e.training == domain.name][:1] + furthest[:1]
+    return chosen
+
+
+def _predicted(
+    evaluation: Evaluation, trained: TrainedModel, domain: Domain, rows: Tensor, horizon: int
+) -> Array:
+    """Start with the last known frame."""
+    model = trained.load(evaluation.test.scene)
+    motions = domain.motions(model.dtype)[rows]
+    rolled = rollout(model, motions, steps=horizon).position
+    whole = torch.cat([motions.position[:, HISTORY - 1 : HISTORY], rolled], dim=1)
+    return np.asarray(whole.double().numpy())

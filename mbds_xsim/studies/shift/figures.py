@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from mbds_xsim.learn.shift.board import RESTART
-from mbds_xsim.learn.shift.result import INTERVALS, Cell, Shift
-from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.learn.shift.evaluation import RESTART
+from mbds_xsim.learn.shift.models import TRIVIAL
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
 from mbds_xsim.report.training_curves import looks
@@ -85,7 +85,7 @@ def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:
     return middle - half, middle + half
 
 
-def curves_of(shift: Shift, model: str, test: str) -> list[Cell]:
+def curves_of(shift: Shift, model: str, test: str) -> list[ErrorCell]:
     """Give what there is to draw of a model on one domain: trainings of its variant."""
     variant = test.rpartition("-")[2]
     return [
@@ -145,7 +145,7 @@ def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> N
             )
 
 
-def _first(cells: Sequence[Cell], training: str) -> Cell:
+def _first(cells: Sequence[ErrorCell], training: str) -> ErrorCell:
     return next(cell for cell in cells if cell.training == training)
 
 

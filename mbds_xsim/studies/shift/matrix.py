@@ -6,12 +6,12 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from mbds_xsim.learn.shift.result import INTERVALS, Cell, Shift
-from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.learn.shift.models import TRIVIAL
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 
 __all__ = ["Matrix", "Pick", "at", "best_formula", "matrix_of", "mean", "trained_models"]
 
-Pick = Callable[[Cell], float | None]
+Pick = Callable[[ErrorCell], float | None]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.learn.shift.samples import Sample, Samples
+from mbds_xsim.learn.shift.study import SampleRollout, Samples
 from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import LIGHT, Style, model_style
@@ -26,7 +26,7 @@ _SHOTS = 5  # frames of a picture
 _PICTURE = (11.0, 2.1, 0.6)  # width, height a trajectory, height of the legend [in]
 
 
-def name_of(sample: Sample) -> str:
+def name_of(sample: SampleRollout) -> str:
     """How a rollout is told from the others."""
     return f"{sample.model}, trained on {sample.training}"
 
@@ -38,7 +38,7 @@ def styles_of(samples: Samples) -> tuple[Style, ...]:
 
 def pack(samples: Samples) -> dict[str, Any]:
     """Give what the viewer reads, ready for JSON."""
-    graph, truth = samples.board.test.graph, samples.truth
+    graph, truth = samples.evaluation.test.graph, samples.truth
     low, high = truth.min(axis=(0, 1, 2)), truth.max(axis=(0, 1, 2))
     reach = _REACH * max(float(np.linalg.norm(high - low)), graph.length)
     styles = (None, *styles_of(samples))
@@ -65,7 +65,7 @@ def pack(samples: Samples) -> dict[str, Any]:
         "fixed": graph.anchor_positions.tolist(),
         "edges": edges[edges[:, 0] < edges[:, 1]].tolist(),
         "ground": graph.ground,
-        "dimension": samples.board.test.scene.dimension,
+        "dimension": samples.evaluation.test.scene.dimension,
     }
 
 
@@ -91,7 +91,7 @@ def samples_png(studies: Sequence[Samples]) -> bytes:
             draw_samples(block, samples)
             if len(studies) > 1:
                 block.suptitle(
-                    in_figure(samples.board.test.scene.name), fontsize=10, x=0.01, ha="left"
+                    in_figure(samples.evaluation.test.scene.name), fontsize=10, x=0.01, ha="left"
                 )
 
     return themed.png(draw, (sizes[0][0], sum(heights)))
@@ -99,7 +99,7 @@ def samples_png(studies: Sequence[Samples]) -> bytes:
 
 def draw_samples(figure: Any, samples: Samples) -> None:
     """Draw x and z of the particles: a row a trajectory, a few frames from left to right."""
-    graph = samples.board.test.graph
+    graph = samples.evaluation.test.graph
     shots = np.linspace(0, samples.truth.shape[1] - 1, _SHOTS).round().astype(int)
     charts = figure.subplots(len(samples.index), _SHOTS, squeeze=False)
     motions = [(samples.truth, themed.INK, "-", "truth", 3.0)]

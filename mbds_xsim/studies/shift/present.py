@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.shift.samples import Samples
+from mbds_xsim.learn.shift.study import Samples
 from mbds_xsim.report.blocks import (
     EVERYWHERE,
     Block,

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbds_xsim.learn.shift.board import ENGINE, RESTART, Board
-from mbds_xsim.learn.shift.measure import Figures
+from mbds_xsim.learn.particles import Figures
+from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import Studied
 from mbds_xsim.safe_text import csv_text
@@ -21,27 +21,22 @@ def to_csv(studies: Sequence[Studied]) -> bytes:
     kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
     head = ["scene", "model", "training", "seed", "test", "trajectory", "interval", "one_step_m2"]
     head += [f"{kind}_t{frame}" for kind in kinds for frame in frames]
-    rows = (row for studied in studies for row in _rows(studied.board, frames))
+    rows = (row for studied in studies for row in _rows(studied.evaluation, frames))
     return csv_text([head, *rows]).encode()
 
 
-def _rows(board: Board, frames: Sequence[int]) -> Iterator[list[object]]:
-    scene = board.test.scene.name
-    for (entry, test), figures in board.figures.items():
-        key = [scene, entry.model, entry.training, entry.seed, test]
-        yield from _figures(board, key, figures, frames)
-    for (first, test), figures in board.oracles.items():
-        yield from _figures(board, [scene, ENGINE, first, 0, test], figures, frames)
-    for (first, test), figures in board.restarted.items():
-        yield from _figures(board, [scene, RESTART, first, 0, test], figures, frames)
+def _rows(evaluation: Evaluation, frames: Sequence[int]) -> Iterator[list[object]]:
+    scene = evaluation.test.scene.name
+    for key, figures in evaluation.rolled():
+        yield from _figures(evaluation, [scene, *key], figures, frames)
 
 
 def _figures(
-    board: Board, key: list[object], figures: Figures, frames: Sequence[int]
+    evaluation: Evaluation, key: list[object], figures: Figures, frames: Sequence[int]
 ) -> Iterator[list[object]]:
     series = (figures.error, figures.energy, figures.gap)
     length = figures.error.shape[1]
-    for row, number in enumerate(board.test.index.tolist()):
+    for row, number in enumerate(evaluation.test.index.tolist()):
         told = [
             _text(values[row, frame - 1]) if frame <= length else ""
             for values in series

@@ -6,11 +6,11 @@ import statistics
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from mbds_xsim.learn.shift.agreement import PAPER, paper_errors
-from mbds_xsim.learn.shift.board import ENGINE, RESTART
 from mbds_xsim.learn.shift.domains import REFERENCE
-from mbds_xsim.learn.shift.result import INTERVALS, Cell, Gap, ModelFacts, Shift
-from mbds_xsim.learn.shift.roster import TRIVIAL
+from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
+from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
+from mbds_xsim.learn.shift.models import TRIVIAL
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Gap, ModelFacts, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.matrix import (
@@ -99,7 +99,7 @@ def _headings(shift: Shift, place: int) -> Iterator[str]:
 
 
 def _one_step(shift: Shift, model: str) -> Table:
-    def pick(cell: Cell) -> float | None:
+    def pick(cell: ErrorCell) -> float | None:
         return cell.one_step
 
     rows = list(_rows(matrix_of(shift, model, pick)))

@@ -22,15 +22,21 @@ from mbds_xsim import registry
 from mbds_xsim.engine import Profile
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task
-from mbds_xsim.learn import seen
-from mbds_xsim.learn.saved import read_model
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import (
+    ParticleMotion,
+    gap,
+    particle_error,
+    sunk,
+    unexplained_energy,
+    way,
+)
 from mbds_xsim.learn.trained import (
-    Trained,
+    TrainedModel,
     carry_on,
     known_start,
+    particle_motion,
     trained_in,
-    true_motion,
-    whole_motion,
 )
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.reference.cache import key_of
@@ -52,31 +58,31 @@ from mbds_xsim.study.stability.verdict import _SUNK as SUNK
 from mbds_xsim.study.stability.verdict import Verdict
 from mbds_xsim.versions import CHECKS, MODELS
 
-__all__ = ["TrainedModel", "judge_particles", "models_in", "run_model", "run_models"]
+__all__ = ["LearnedContender", "judge_particles", "models_in", "run_model", "run_models"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class TrainedModel:
+class LearnedContender:
     """A trained model; see `Contender`."""
 
-    trained: Trained
+    trained: TrainedModel
 
     @property
     def engine(self) -> str:
         """Name of the model."""
-        return self.trained.model
+        return self.trained.kind
 
     @property
     def method(self) -> str:
         """What it was trained on."""
-        return f"{self.trained.scene.name}-{self.trained.training}"
+        return f"{self.trained.scene.name}-{self.trained.run}"
 
     @property
     def profile(self) -> Profile:
         """Of its data."""
-        return cast(Profile, self.trained.entry.variant)
+        return cast(Profile, self.trained.variant)
 
     @property
     def name(self) -> str:
@@ -118,7 +124,7 @@ class TrainedModel:
         if not study.known:
             return f"{self.name}: no reference is known that could give it its first frames"
         try:
-            read_model(self.trained.path, scene)
+            read_model(self.trained.file, scene)
         except InputError as error:
             return str(error)
         return ""
@@ -132,7 +138,7 @@ class TrainedModel:
         """Hash file, motion, versions and machine."""
         motion = key_of("learned", case.scene, case.batch, 0, 0.0)
         versions = (MODELS, CHECKS, self.version)
-        what = (self.trained.entry.content, motion, count, versions, machine())
+        what = (self.trained.content, motion, count, versions, machine())
         return hashlib.sha256(repr(what).encode()).hexdigest()
 
     def group(self, value: Value) -> tuple[Value, ...]:
@@ -143,16 +149,16 @@ class TrainedModel:
     def task(self, cells: Sequence[tuple[Case, int]], limit: float) -> Task:
         """Predict and judge."""
         cases = [(case.scene, case.batch, case.truth) for case, _ in cells]
-        return Task(run_models, (self.trained.path, cases, limit / 2.0), limit)
+        return Task(run_models, (self.trained.file, cases, limit / 2.0), limit)
 
 
-def models_in(places: Sequence[Path]) -> tuple[TrainedModel, ...]:
+def models_in(places: Sequence[Path]) -> tuple[LearnedContender, ...]:
     """Find trained models in files and folders.
 
     Raises:
         InputError: There is none, or a file is no trained model.
     """
-    return tuple(map(TrainedModel, trained_in(places)))
+    return tuple(map(LearnedContender, trained_in(places)))
 
 
 def run_models(
@@ -185,31 +191,30 @@ def run_model(path: Path, scene: Scene, batch: Batch, truth: Trajectory | None) 
     begin = time.perf_counter()
     predicted = carry_on(model, known)
     wall = time.perf_counter() - begin
-    motion = seen.Seen(model.graph, batch, whole_motion(model, truth, predicted)[0])
-    due = seen.Seen(model.graph, batch, true_motion(model, truth)[0])
-    return Judged(judge_particles(motion, due), wall)
+    motion = particle_motion(model.graph, batch, truth, predicted)
+    return Judged(judge_particles(motion, particle_motion(model.graph, batch, truth)), wall)
 
 
-def judge_particles(motion: seen.Seen, truth: seen.Seen) -> Verdict:
+def judge_particles(motion: ParticleMotion, truth: ParticleMotion) -> Verdict:
     """Judge one motion by its particles, with the limits of `verdict`.
 
     Nothing tells that a prediction is wrong: models have no words for it.
     """
     length, frame = motion.graph.length, motion.graph.frame_s
     with np.errstate(all="ignore"):
-        opened, sunk = seen.gap(motion) / length, seen.sunk(motion) / length
-        energy = seen.unexplained_energy(motion, truth)
-        due = seen.way(truth)
-        way = np.where(due > OFF * length, seen.way(motion) / due, np.nan)
-        error = seen.particle_error(motion, truth) / length
+        open_by, deep = gap(motion) / length, sunk(motion) / length
+        energy = unexplained_energy(motion, truth)
+        due = way(truth)
+        gone = np.where(due > OFF * length, way(motion) / due, np.nan)
+        error = particle_error(motion, truth) / length
     finite = np.asarray(np.isfinite(motion.position).all(axis=(1, 2)))
     ended = len(finite) if finite.all() else int(finite.argmin())
     broken: dict[Outcome, NDArray[np.bool_]] = {
-        "comes apart": opened > OPEN,
-        "sinks in": sunk > SUNK,
+        "comes apart": open_by > OPEN,
+        "sinks in": deep > SUNK,
         "gains energy": energy > ENERGY,
         "loses energy": energy < -ENERGY,
-        "stuck": _to_the_end(way, way < FROZEN),
+        "stuck": _to_the_end(gone, gone < FROZEN),
         "blows up": ~finite,
     }
     first: dict[Outcome, int] = {
@@ -227,9 +232,9 @@ def judge_particles(motion: seen.Seen, truth: seen.Seen) -> Verdict:
         broke_s=first[cast(Outcome, outcome)] * frame if first else None,
         ended_s=(ended - 1) * frame,
         energy=_extreme(energy),
-        gap=_extreme(opened),
-        sunk=_extreme(sunk),
-        way=float(way[-1]) if np.isfinite(way[-1]) else None,
+        gap=_extreme(open_by),
+        sunk=_extreme(deep),
+        way=float(gone[-1]) if np.isfinite(gone[-1]) else None,
         error=_extreme(error),
     )
 

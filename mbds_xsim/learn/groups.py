@@ -1,0 +1,266 @@
+"""The data to train on: engines that simulated the same starts, in groups of scene and variant.
+
+A model trains on one engine, all but one, or all, always to one budget. Of several engines each
+trajectory is taken from one, in turn: as many distinct trajectories as of a single engine, from the
+same starts and in the same order, so that the same seed draws the same windows in every training.
+One engine's starts of a single interval are for measuring an engine's shift by one that everybody
+knows: they are a third as many, at as many steps.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mbds_xsim.dataset.found import joined_files
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.errors import InputError
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+
+__all__ = ["Share", "TrainingGroup", "groups", "mixed", "shares_of", "turns"]
+
+Numbers = NDArray[np.int64]
+
+
+_ALIKE = {
+    "scene": "scene",
+    "seed": "seed",
+    "noise": "noise",
+    "count": "number of trajectories drawn",
+}
+_NEEDED = ("train", "validation")
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingGroup:
+    """A scene in a variant of the engines' settings: each engine is a domain."""
+
+    scene_name: str
+    variant: str
+    """`native` or `matched`."""
+    files: Mapping[str, Path]
+    """Of each engine, by name."""
+    left_out: Mapping[str, str]
+    """Engines of whose trajectories none were published, with the reason."""
+
+    @property
+    def name(self) -> str:
+        """As in `6pendulum/native`."""
+        return f"{self.scene_name}/{self.variant}"
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, the same in all files."""
+        return next(iter(self.data.values())).scene
+
+    @functools.cached_property
+    def data(self) -> dict[str, Dataset]:
+        """The open files, by engine."""
+        return {engine: load_dataset(path) for engine, path in self.files.items()}
+
+    @property
+    def drawn(self) -> dict[str, int]:
+        """What the split depends on: the seed, and the number of trajectories drawn."""
+        told = next(iter(self.data.values())).attributes
+        return {"seed": int(told["seed"]), "trajectories": int(told["count"])}
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave open files behind when it goes to another process."""
+        return {key: value for key, value in vars(self).items() if key != "data"}
+
+    def numbers(self, split: str) -> Numbers:
+        """Numbers of the trajectories of a part that every engine of the group has, ascending."""
+        each = [data.index[data.rows_of(split)] for data in self.data.values()]
+        return functools.reduce(np.intersect1d, each)
+
+
+def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
+    """Find data sets, and put together those of one scene and one variant.
+
+    Raises:
+        InputError: There are none, one has nothing to train on, two are of one engine, or two of
+            one group do not have the same starts.
+    """
+    files = dict.fromkeys(file.resolve() for path in paths for file in joined_files(path))
+    found: dict[tuple[str, str], dict[str, Dataset]] = {}
+    for file in files:
+        data = load_dataset(file)
+        told = data.attributes
+        engines = found.setdefault((told["scene_name"], told["profile"]), {})
+        if told["engine"] in engines:
+            msg = (
+                f"{engines[told['engine']].path} and {file} are both {told['scene_name']} of "
+                f"{told['engine']} {told['profile']}; give one of them"
+            )
+            raise InputError(msg)
+        engines[told["engine"]] = data
+    made = [_group(*key, dict(sorted(engines.items()))) for key, engines in sorted(found.items())]
+    for group in made:
+        _check(group)
+    return made
+
+
+def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> TrainingGroup:
+    lacking = {engine: data.lack for engine, data in engines.items() if data.lack}
+    files = {engine: data.path for engine, data in engines.items() if engine not in lacking}
+    if not files:
+        msg = "; ".join(f"{engines[engine].path}: {lack}" for engine, lack in lacking.items())
+        raise InputError(f"{msg}; generate other data")
+    return TrainingGroup(scene, variant, files, lacking)
+
+
+def _check(group: TrainingGroup) -> None:
+    (first, data), *others = group.data.items()
+    for engine, other in others:
+        for key, words in _ALIKE.items():
+            if data.attributes[key] != other.attributes[key]:
+                msg = (
+                    f"{group.name}: the {words} of {engine} is not that of {first}, so their "
+                    f"trajectories cannot be paired ({other.path}, {data.path}); give data that "
+                    "were generated together"
+                )
+                raise InputError(msg)
+    frames = int(data.attributes["steps"]) + 1
+    for split in _NEEDED:
+        if not len(group.numbers(split)) or frames <= HISTORY:
+            where = ", ".join(str(file.path) for file in group.data.values())
+            msg = (
+                f"{where}: {len(group.numbers(split))} trajectories of {frames} frames for "
+                f"{split} that all engines have, needed are at least 1 of {HISTORY + 1}; "
+                "generate more"
+            )
+            raise InputError(msg)
+
+
+_SEVERAL = ("all", "leave-one-out")
+
+
+@dataclass(frozen=True)
+class Share:
+    """The part of a group that a training has."""
+
+    engines: tuple[str, ...]
+    interval: str = ""
+    """Of the starts: low, medium or high; all when left out."""
+
+    def numbers(self, group: TrainingGroup, split: str) -> NDArray[np.int64]:
+        """Numbers of the trajectories of a part, ascending."""
+        found = group.numbers(split)
+        if not self.interval:
+            return found
+        return found[found % len(INTERVALS) == INTERVALS.index(self.interval)]
+
+
+def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
+    """Give what each training has, by its name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`.
+
+    Args:
+        group: The engines that there are.
+        on: Comma-separated: `each`, `leave-one-out`, `all`, `by-interval`, or names of those of
+            single engines.
+
+    Raises:
+        InputError: A word is none of these, or there are too few engines.
+    """
+    found: dict[str, Share] = {}
+    for word in (word.strip() for word in on.split(",")):
+        found |= dict(_of_word(group, word))
+    return found
+
+
+def _of_word(group: TrainingGroup, word: str) -> Iterator[tuple[str, Share]]:
+    engines = tuple(group.files)
+    parts = {f"{e}-{interval}": Share((e,), interval) for e in engines for interval in INTERVALS}
+    ways = {
+        "each": {engine: Share((engine,)) for engine in engines},
+        "leave-one-out": {
+            f"not-{out}": Share(tuple(e for e in engines if e != out)) for out in engines
+        },
+        "all": {"all": Share(engines)},
+        "by-interval": parts,
+        **{engine: {engine: Share((engine,))} for engine in engines},
+    }
+    known = list(ways)
+    ways |= {name: {name: share} for name, share in parts.items()}
+    if word not in ways:
+        msg = (
+            f"--on: got {word!r}, allowed for {group.name} is {', '.join(known)}, or an engine's "
+            f"starts of an interval, as {next(iter(parts))}"
+        )
+        raise InputError(msg)
+    if word in _SEVERAL and len(engines) < 2:
+        msg = (
+            f"--on: {word} needs data of at least 2 engines, {group.name} has {engines[0]} only; "
+            "give more data, or --on each"
+        )
+        raise InputError(msg)
+    yield from ways[word].items()
+
+
+def turns(numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Which of so many engines each trajectory is taken from.
+
+    The interval of speed is the number modulo 3, so whole triples are taken in turn: with three
+    engines each would otherwise be seen at one speed only.
+    """
+    return numbers // len(INTERVALS) % count
+
+
+def check_share(group: TrainingGroup, share: Share, split: str) -> None:
+    """Refuse a training without any trajectory of a part.
+
+    Raises:
+        InputError: None is of its interval of speed.
+    """
+    if not len(share.numbers(group, split)):
+        msg = (
+            f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
+            "generate more"
+        )
+        raise InputError(msg)
+
+
+def mixed(
+    group: TrainingGroup,
+    share: Share,
+    split: str,
+    *,
+    bodies: bool = False,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float32,
+    most: int | None = None,
+) -> Motions:
+    """Read a part of a training's data, in ascending order of the trajectories' numbers.
+
+    Args:
+        group: Only trajectories that every engine of it has are taken.
+        share: Of the training.
+        split: "train" or "validation".
+        bodies: Whether to read the bodies' states too.
+        device: Where to put them.
+        dtype: Of positions, velocities and inputs.
+        most: The first so many trajectories; all when left out.
+    """
+    check_share(group, share, split)
+    numbers = share.numbers(group, split)[:most]
+    turn = turns(numbers, len(share.engines))
+    parts = []
+    for k, engine in enumerate(share.engines):
+        data = group.data[engine]
+        rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
+        if len(rows):
+            parts.append(
+                Motions.of(data, split, rows=rows, bodies=bodies, device=device, dtype=dtype)
+            )
+    if len(parts) == 1:
+        return parts[0]  # no copy of what may fill the memory; files are in ascending order
+    whole = Motions.joined(parts)
+    return whole[torch.from_numpy(np.argsort(whole.index))]

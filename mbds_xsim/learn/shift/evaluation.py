@@ -1,0 +1,256 @@
+"""All that was measured of a scene: figures of models on domains, their cells, and the floors.
+
+Floors are what the engines, the noise and chaos alone make of identical starts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mbds_xsim.learn.particles import EXPLODED, LOST, Figures, measure
+from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
+from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values
+from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.learn.window import HISTORY
+
+__all__ = [
+    "CHAOS_START",
+    "ENGINE",
+    "RESTART",
+    "Evaluation",
+    "cells_of",
+    "chaos_floor",
+    "floors_of",
+    "known_mean",
+    "median",
+    "noise_floor",
+    "oracles",
+    "valid_time",
+]
+
+Array = NDArray[np.float64]
+
+ENGINE = "engine"
+"""Stands for a model where an engine's own motion is the prediction."""
+RESTART = "restarted engine"
+"""The same where the engine goes on from the last known frame of the domain."""
+CHAOS_START = 1e-4
+"""Root mean square displacement of the last known frame that chaos grows from [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Everything that was measured of a scene."""
+
+    test: Paired
+    frames: tuple[int, ...]
+    """Counted from 1."""
+    figures: Mapping[tuple[TrainedModel, str], Figures]
+    """By model and domain."""
+    oracles: Mapping[tuple[str, str], Figures]
+    """By the domain that is taken as the prediction, and the domain it is held against."""
+    restarted: Mapping[tuple[str, str], Figures] = field(default_factory=dict)
+    """The same, where engines go on from the domain's last known frame."""
+
+    @property
+    def at(self) -> NDArray[np.int64]:
+        """Places of the frames."""
+        return np.array(self.frames) - 1
+
+    @property
+    def largest(self) -> float:
+        """Squared error that counts for an exploded or lost prediction [m²]."""
+        return (EXPLODED * self.test.scene.length) ** 2
+
+    @property
+    def entries(self) -> list[TrainedModel]:
+        """Trained and trivial models."""
+        return list(dict.fromkeys(entry for entry, _ in self.figures))
+
+    @property
+    def models(self) -> list[str]:
+        """Names of the trained models."""
+        return list(dict.fromkeys(e.model for e in self.entries if e.path is not None))
+
+    def runs(self, model: str, training: str) -> list[TrainedModel]:
+        """Seeds of a training."""
+        return [e for e in self.entries if (e.model, e.training) == (model, training)]
+
+    def rolled(self) -> Iterator[tuple[tuple[str, str, int, str], Figures]]:
+        """Give model, training, seed and domain of all figures; engines stand behind as models."""
+        for (entry, test), figures in self.figures.items():
+            yield (entry.model, entry.training, entry.seed, test), figures
+        for kind, pairs in ((ENGINE, self.oracles), (RESTART, self.restarted)):
+            for (first, test), figures in pairs.items():
+                yield (kind, first, 0, test), figures
+
+    def errors(self, model: str, training: str, test: str) -> Array:
+        """Errors at `frames`, none of them dropped: lost ones count as exploded [m²].
+
+        Returns:
+            Shape (seed, trajectory, frame); NaN where the truth is not known.
+        """
+        errors = [self.figures[run, test].error for run in self.runs(model, training)]
+        return self.counted(np.stack(errors))
+
+    def floor(self, first: str, test: str) -> Array:
+        """Distance of an engine from a domain at `frames` [m²], shape (trajectory, frame).
+
+        From the same window where the engine went on from it, else from the same start: that it
+        was lost, as on a state that its constraints forbid, is no distance of two engines.
+        """
+        apart = self.oracles[first, test].error
+        if (first, test) not in self.restarted:
+            return self.counted(apart)
+        error = self.restarted[first, test].error
+        return self.counted(np.where(error > self.largest, apart, error))
+
+    def counted(self, error: Array) -> Array:
+        """Errors at `frames` with lost ones counted."""
+        return np.asarray(np.minimum(error[..., self.at], self.largest))
+
+    def rows(self, interval: str) -> NDArray[np.bool_]:
+        """Trajectories of an interval."""
+        number = self.test.index % (len(INTERVALS) - 1)
+        return np.asarray((interval == INTERVALS[0]) | (number == INTERVALS.index(interval) - 1))
+
+    def intervals(self) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+        """Give the intervals that there are trajectories of, and these."""
+        rows = {interval: self.rows(interval) for interval in INTERVALS}
+        return ((interval, chosen) for interval, chosen in rows.items() if chosen.any())
+
+
+def cells_of(evaluation: Evaluation) -> Iterator[ErrorCell]:
+    """Give a cell for every model, domain and interval."""
+    for key, figures in evaluation.rolled():
+        for interval, rows in evaluation.intervals():
+            yield _cell(evaluation, (*key, interval), figures, rows)
+
+
+def _cell(
+    evaluation: Evaluation,
+    key: tuple[str, str, int, str, str],
+    figures: Figures,
+    rows: NDArray[np.bool_],
+) -> ErrorCell:
+    scene, error = evaluation.test.scene, figures.error[rows]
+    at = error[:, evaluation.at]
+    exploded = np.logical_or.accumulate(error > evaluation.largest, axis=1)[:, evaluation.at]
+    time, never = valid_time(error, scene.length, scene.clock.frame)
+    begun = ~np.isnan(error[:, 0])
+    return ErrorCell(
+        *key,
+        known=_counts(~np.isnan(at)),
+        finite=_counts(np.isfinite(at)),
+        diverged=_counts(exploded & ~np.isnan(at)),
+        mse=values(known_mean(evaluation.counted(error))),
+        median=values(median(at)),
+        energy=values(median(figures.energy[rows][:, evaluation.at])),
+        gap=values(median(figures.gap[rows][:, evaluation.at])),
+        one_step=_mean(figures.one_step[rows]),
+        valid_s=float(np.median(time[begun])) if begun.any() else None,
+        never_lost=int((never & begun).sum()),
+        curve=values(median(error)) if key[-1] == INTERVALS[0] else (),
+    )
+
+
+def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Time until the root mean square error first exceeds `LOST` of the length.
+
+    Returns:
+        [s], shape (trajectory,), the known horizon where it never does; and whether it never does.
+    """
+    lost = error > (LOST * length) ** 2
+    known = (~np.isnan(error)).sum(axis=1)
+    never = ~lost.any(axis=1)
+    return np.asarray(np.where(never, known, lost.argmax(axis=1)) * frame_s), np.asarray(never)
+
+
+def median(figures: Array) -> Array:
+    """Over the known trajectories, frame by frame; NaN where there is none."""
+    medians = np.full(figures.shape[1], np.nan)
+    known = ~np.isnan(figures).all(axis=0)
+    # Where two infinite values meet in the middle their mean is none.
+    with np.errstate(invalid="ignore"):
+        medians[known] = np.nanmedian(figures[:, known], axis=0)
+    return medians
+
+
+def known_mean(figures: Array) -> Array:
+    """Over the known trajectories, frame by frame; NaN where there is none."""
+    known = ~np.isnan(figures)
+    total = np.where(known, figures, 0.0).sum(axis=0)
+    return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
+
+
+def _counts(flags: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(flags.sum(axis=0).tolist())
+
+
+def _mean(numbers: Array) -> float | None:
+    known = numbers[~np.isnan(numbers)]
+    return float(known.mean()) if len(known) and np.isfinite(known).all() else None
+
+
+def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], Figures]:
+    """Hold every domain against every other, as if it were a prediction.
+
+    They share the start at frame 0, not the window: at the first predicted frame they have had
+    `HISTORY` frames to part.
+    """
+    # Without the bodies' states, which fill more memory than all the rest of so many domains.
+    motions = {d.name: dataclasses.replace(d.motions(torch.float64), body=None) for d in domains}
+    return {
+        (first, test): measure(truth, other.position[:, HISTORY : HISTORY + horizon])
+        for first, other in motions.items()
+        for test, truth in motions.items()
+        if first not in (test, REFERENCE)
+    }
+
+
+def noise_floor(truth: ReferenceFrames, horizon: int) -> Array:
+    """Squared distance of the reference without the noise from that with it [m²].
+
+    Both are at the same state at the last known frame: what a perfect model, which does not see
+    the noise, gets wrong. Shape (trajectory, frame).
+    """
+    noisy = truth.position[:, HISTORY : HISTORY + horizon]
+    return np.asarray(((truth.quiet[:, :horizon] - noisy) ** 2).sum(-1).mean(-1))
+
+
+def chaos_floor(test: Paired, truth: ReferenceFrames, horizon: int) -> Array:
+    """Squared distance that a displacement by `CHAOS_START` at the last known frame grows to [m²].
+
+    By the reference's growth factor, which is of small errors: it ends at what counts as exploded.
+    Shape (trajectory, frame).
+    """
+    growth = truth.growth[:, HISTORY : HISTORY + horizon] / truth.growth[:, HISTORY - 1, None]
+    return np.minimum((CHAOS_START * growth) ** 2, (EXPLODED * test.scene.length) ** 2)
+
+
+def floors_of(
+    evaluation: Evaluation, noise: Array | None, chaos: Array | None
+) -> Iterator[ErrorFloor]:
+    """Give all floors of all intervals."""
+    errors = {
+        (kind, first, test): figures.error
+        for (kind, first, _, test), figures in evaluation.rolled()
+        if kind in (ENGINE, RESTART)
+    }
+    known = {"noise": noise, "chaos": chaos}
+    errors |= {(k, REFERENCE, REFERENCE): e for k, e in known.items() if e is not None}
+    for key, error in errors.items():
+        for interval, rows in evaluation.intervals():
+            yield ErrorFloor(
+                *key,
+                interval,
+                mse=values(known_mean(evaluation.counted(error)[rows])),
+                median=values(median(error[rows][:, evaluation.at])),
+                curve=values(median(error)) if interval == INTERVALS[0] else (),
+            )

@@ -1,0 +1,292 @@
+"""Roll models and engines out on domains, side by side; what was done is kept and not done again.
+
+Engines are models too: each starts from the last known frame of every domain, and goes on. Unlike
+the published motions, which part from frame 0 on, these share the window with a learned model:
+their distance from the domain is what a model that knows its engine by heart would get wrong. An
+engine on its own domain tells what restarting alone costs (velocities that belong to another time
+than positions, solvers that start cold).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+import torch
+
+from mbds_xsim.dataset.facts import attributes_of
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.engine import Settings
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.learn.device import process_count, put
+from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.particles import Figures, figures_on, measure, read_figures
+from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
+from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.reference.cache import directory
+from mbds_xsim.registry import load_adapter
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch
+from mbds_xsim.versions import MODELS
+
+__all__ = ["Evaluated", "RolloutMeter", "RolloutPlan", "evaluate", "restarted"]
+
+_TIMEOUT = 4 * 3600.0  # of the work of a process [s]
+_MODELS = 6  # a process: starting one takes seconds
+_RESTARTS = 3  # a process: one engine may take longest by far
+Paths = dict[tuple[TrainedModel, str], Path]
+"""Where the figures of a model on a domain are kept."""
+
+
+class RolloutMeter(Protocol):
+    """A bar: it begins anew for each kind of work."""
+
+    def begin(self, total: int) -> None:
+        """Say how many pieces of work there are."""
+
+    def advance(self, what: str) -> None:
+        """Tell of one that is done."""
+
+
+@dataclass(frozen=True)
+class RolloutPlan:
+    """What to predict, and where."""
+
+    horizon: int
+    """Frames of a rollout."""
+    stride: int = 8
+    """Frames from a window of the teacher-forced prediction to the next."""
+    device: str = "cpu"
+    """Of the models."""
+
+
+class Evaluated(Mapping[tuple[TrainedModel, str], Figures]):
+    """Reads figures when they are asked for: those of a large study together fill the memory."""
+
+    def __init__(self, paths: Paths, tested: int) -> None:
+        self._paths, self.tested = paths, tested
+
+    def __getitem__(self, key: tuple[TrainedModel, str]) -> Figures:
+        figures = read_figures(self._paths[key])
+        if figures is None:
+            msg = f"{self._paths[key]}: cannot be read; remove it and run again"
+            raise InputError(msg)
+        return figures
+
+    def __iter__(self) -> Iterator[tuple[TrainedModel, str]]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+
+def evaluate(
+    scene: Scene,
+    models: Sequence[TrainedModel],
+    domains: Sequence[Domain],
+    plan: RolloutPlan,
+    *,
+    cache: bool = True,
+    workers: int | None = None,
+    meter: RolloutMeter | None = None,
+) -> Evaluated:
+    """Test every model on every domain; without `cache` what was done is done anew.
+
+    Returns:
+        Figures by model and domain.
+
+    Raises:
+        InputError: A model cannot be tested; those tested before are kept.
+    """
+    # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
+    paths = {(m, d.name): _path(d, m.model, m.content, plan) for m in models for d in domains}
+    if not cache:
+        for path in paths.values():
+            path.unlink(missing_ok=True)
+    missing = [m for m in models if not all(read_figures(paths[m, d.name]) for d in domains)]
+    parts = [missing[k : k + _MODELS] for k in range(0, len(missing), _MODELS)]
+    wanted = [{key: path for key, path in paths.items() if key[0] in part} for part in parts]
+    if meter is not None and missing:
+        meter.begin(len(missing))
+
+    def finished(place: int, answer: object) -> None:
+        del answer
+        if meter is not None:
+            for model in parts[place]:
+                meter.advance(f"{model.model} {model.training}")
+
+    tasks = [Task(_test, (scene, part, domains, plan), _TIMEOUT) for part in wanted]
+    answers = run_tasks(tasks, workers=process_count(workers, plan.device), finished=finished)
+    for part, answer in zip(parts, answers, strict=True):
+        if isinstance(answer, Crash):
+            msg = f"testing {part[0].path or part[0].model} and others failed: {answer.reason}"
+            raise InputError(msg if not answer.refused else answer.reason)
+    return Evaluated(paths, len(missing))
+
+
+def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPlan) -> None:
+    torch.set_num_threads(1)
+
+    @functools.cache
+    def load(trained: TrainedModel) -> Model:
+        model = trained.load(scene)
+        put(model, plan.device)
+        return model
+
+    for domain in domains:  # outermost, so that the motions of one alone are in memory
+        motions = functools.cache(domain.motions)
+        for (trained, name), path in paths.items():
+            if name == domain.name and read_figures(path) is None:
+                model = load(trained)
+                known = motions(model.dtype)
+                figures_on(model, known, **dataclasses.asdict(plan)).write(path)
+
+
+def _path(domain: Domain, *what: object) -> Path:
+    """Where figures on a domain are kept: by all that decides on them."""
+    known = (MODELS, *what, domain.name, domain.content, domain.rows)
+    key = hashlib.sha256(repr(known).encode()).hexdigest()
+    return directory() / "shift" / key[:2] / f"{key[2:]}.npz"
+
+
+@dataclass(frozen=True)
+class Restart:
+    """One engine that goes on from one domain."""
+
+    engine: Recorded
+    domain: Domain
+    horizon: int
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.engine.name} on {self.domain.name}"
+
+    @functools.cached_property
+    def path(self) -> Path:
+        """Where its figures are kept."""
+        adapter = load_adapter(self.engine.engine)
+        versions = (adapter.version(), adapter.revision)
+        return _path(self.domain, self.engine.content, versions, self.horizon)
+
+
+def restarted(
+    test: Paired,
+    domains: Sequence[Domain],
+    horizon: int,
+    *,
+    cache: bool = True,
+    workers: int | None = None,
+    meter: RolloutMeter | None = None,
+) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
+    """Let every engine go on from every domain; with `cache` what was done is not done again.
+
+    Returns:
+        Figures by engine and domain, and why there are none, by engine or by engine and domain.
+    """
+    restarts: list[Restart] = []
+    missing: list[Restart] = []
+    lost: dict[str, str] = {}
+    for engine in test.domains:
+        each = [Restart(engine, domain, horizon) for domain in domains]
+        try:
+            # All places are named here: tasks take them along.
+            missing += [one for one in each if not cache or read_figures(one.path) is None]
+        except Exception as error:  # an engine that is not installed, or does not load
+            lost[engine.name] = str(error)
+        else:
+            restarts += each
+    if meter is not None and missing:
+        meter.begin(len(missing))
+    lost |= _run(test.batch, missing, workers, meter)
+    kept = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
+    return {pair: figures for pair, figures in kept.items() if figures is not None}, lost
+
+
+def _run(
+    inputs: Batch, missing: Sequence[Restart], workers: int | None, meter: RolloutMeter | None
+) -> dict[str, str]:
+    """Carry restarts out, and say which could not be.
+
+    A process that crashed takes those behind along: each of them is tried once more, alone.
+    """
+
+    def tell(restart: Restart) -> None:
+        if meter is not None:
+            meter.advance(restart.name)
+
+    shares = list(_shares(missing))
+    answers = _round(inputs, shares, workers, tell)
+    alone = []
+    for share, answer in zip(shares, answers, strict=True):
+        for restart in share if isinstance(answer, Crash) else ():
+            if read_figures(restart.path) is None:
+                alone.append([restart])
+            else:
+                tell(restart)
+    lost = {}
+    for (restart,), answer in zip(alone, _round(inputs, alone, workers, tell), strict=True):
+        if isinstance(answer, Crash):
+            lost[restart.name] = answer.reason
+            tell(restart)
+    return lost
+
+
+def _round(
+    inputs: Batch,
+    shares: Sequence[list[Restart]],
+    workers: int | None,
+    tell: Callable[[Restart], None],
+) -> list[Any]:
+    def finished(place: int, answer: object) -> None:
+        if not isinstance(answer, Crash):
+            for restart in shares[place]:
+                tell(restart)
+
+    tasks = [Task(_go_on, (inputs, share), _TIMEOUT) for share in shares]
+    return run_tasks(tasks, workers=workers, finished=finished)
+
+
+def _shares(restarts: Sequence[Restart]) -> Iterator[list[Restart]]:
+    """Deal them out, a few of one engine to a process."""
+    for _, group in itertools.groupby(restarts, key=lambda restart: restart.engine.name):
+        each = list(group)
+        yield from (each[k : k + _RESTARTS] for k in range(0, len(each), _RESTARTS))
+
+
+def _go_on(inputs: Batch, restarts: Sequence[Restart]) -> None:
+    for restart in restarts:
+        motions = restart.domain.motions(torch.float64)
+        figures = measure(motions, _predicted(restart, motions, inputs))
+        dataclasses.replace(figures, one_step=figures.error[:, 0]).write(restart.path)
+
+
+def _predicted(restart: Restart, motions: Motions, inputs: Batch) -> torch.Tensor:
+    """Positions from frame `HISTORY` on, shape (trajectory, frame, particle, 3)."""
+    assert motions.body is not None
+    state, last = motions.body[:, HISTORY - 1].numpy(), HISTORY - 1
+    known = np.flatnonzero(np.isfinite(state).all(axis=(1, 2)))
+    steps = slice(last, last + restart.horizon)
+    placed, turned, moving, spinning = np.split(state[known], (3, 7, 10), axis=-1)
+    acting = inputs.force[known, steps], inputs.torque[known, steps]
+    start = Batch(inputs.index[known], placed, turned, moving, spinning, *acting)
+    scene, about = motions.graph.scene, attributes_of(restart.engine.path)
+    settings = Settings(about["method"], about["step_s"], msgspec.json.decode(about["options"]))
+    trajectory = simulate(scene, start, restart.engine.engine, settings).trajectory
+    position, _ = Points.of(scene).motion(trajectory)
+    whole = motions.position.new_full(
+        (len(state), restart.horizon, motions.graph.particle_count, 3), torch.nan
+    )
+    whole[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
+    return whole
