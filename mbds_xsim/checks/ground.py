@@ -112,11 +112,15 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     spheres = np.flatnonzero(np.isin(mechanism.sphere_body, group))
     reach = ~clear(mechanism, record.bodies, record.frame)[:, :, spheres]
     fall = record.frame * float(np.linalg.norm(gravity))
-    climb = np.abs(spheres_of(mechanism, record.bodies).climb[:, :, spheres])
+    over = spheres_of(mechanism, record.bodies)
+    climb = np.abs(over.climb[:, :, spheres])
     fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
+    # From the top of a hop into the next impact both ends are slow, and the way between is not.
+    mean = np.abs(np.diff(over.gap[:, :, spheres], axis=1)) / record.frame
+    moving = np.maximum(fastest, np.where(reach, mean, 0.0).max(axis=2))
     lift = impulse[..., 2] / (mass.sum() * (fall or 1.0))
     supported = reach.any(axis=2) & (fastest <= _SUPPORT * fall) & (lift <= _SUPPORT)
-    steady = supported & (fastest <= _STEADY * fall) & (np.abs(lift - 1.0) <= 0.5)
+    steady = supported & (moving <= _STEADY * fall) & (np.abs(lift - 1.0) <= 0.5)
     return Push(
         name=name,
         bodies=bodies,

@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import reference
-from mbds_xsim.checks import Finding, audit
+from mbds_xsim.checks import Finding, Record, audit
+from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
@@ -88,6 +89,21 @@ def test_exact_motions_pass_every_check(scene: Scene) -> None:
     assert {"penetration", "contact gap", "passivity", "friction", "hop"} <= set(findings)
     for name in ("balance", "contact gap", "passivity", "friction", "restitution", "hop"):
         assert findings[name].figure.max() < 1e-9, name
+
+
+def test_hops_that_a_frame_sees_at_their_turns_alone_are_no_rest() -> None:
+    """At the top and at the bottom nothing moves up or down; the cubli hops so in MuJoCo."""
+    scene = _short("ballscroll", 60)
+    batch, motion = _exact(scene)
+    hops = motion.position.copy()
+    hops[:, 20:30:2, :, 2] += 1.4e-3
+    hopping = dataclasses.replace(motion, position=hops)
+
+    (rests,), (hopped,) = (pushes_of(Record(scene, batch, m, RK4)) for m in (motion, hopping))
+
+    assert rests.resting[:, 1:].all()
+    assert not hopped.resting[:, 19:30].any()
+    assert hopped.resting[:, 30:].all()
 
 
 def _driven(
