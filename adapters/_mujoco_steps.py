@@ -117,6 +117,8 @@ class FinerNearGround:
         self._integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
         self._finer = float(model.opt.timestep)
         self._step = division * self._finer  # in the air
+        # What is less above the ground than it falls in a finer step rattles and does not fly.
+        self._lifted = float(np.linalg.norm(model.opt.gravity)) * self._finer**2
         self._seen, self._gap, self._low, self._until = math.nan, np.empty(0), 0.0, -math.inf
         self.remark = (
             " This is the model near the ground. Where no sphere can come down to it, integrator "
@@ -161,7 +163,7 @@ class FinerNearGround:
         Those of semi-implicit Euler belong to half a step before its positions. Taken for the
         positions' own they would lift every bounce by g h v.
         """
-        if low > 0.0:
+        if low > self._lifted:
             mujoco.mj_forward(model, data)
             data.qvel += steps * self._finer * data.qacc
 

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import readback, reference, rotation
+from mbds_xsim.checks import audit
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.engine import Settings
@@ -266,6 +267,19 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
     assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
     gap = gaps(scene, motion).min(axis=-1)
     assert -1e-3 < gap.min() <= gap.max() < 1e-3
+
+
+def test_a_car_whose_wheels_rattle_by_nanometres_is_not_recorded_as_in_flight() -> None:
+    """All four are 39 nm and more above the ground at frame 47, and slip throughout."""
+    scene = load_scene("particlecar")
+    batch = draw_batch(scene, [190], seed=7001).truncated(50)
+    settings = settings_for(scene, ENGINE, "matched")
+    motion = rollout(scene, batch, settings)
+
+    found = audit(scene, batch, motion, ENGINE.methods[settings.method], step=settings.step)
+
+    cone = next(finding for finding in found if finding.check == "cones")
+    assert cone.figure[0] < 0.2 * scene.budget.balance
 
 
 def test_a_cars_loads_come_to_a_limit_where_contacts_leave_half_to_the_spring() -> None:
