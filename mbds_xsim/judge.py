@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from mbds_xsim import readback, registry, rotation
 from mbds_xsim.campaign import Outcome, ReferenceOutcome
-from mbds_xsim.checks import Finding, agreement, audit
+from mbds_xsim.checks import Finding, Record, agreement, audit, audited
+from mbds_xsim.checks.impact_coefficients import impact_coefficients
 from mbds_xsim.convergence import convergence
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import FirstImpact
@@ -69,14 +70,24 @@ def judge(
     method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
     spread = outcome.simulations[0].contact_time
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
+    record = Record(scene, batch, trajectory, method, settings.step, spread)
     findings = [
-        *audit(scene, batch, trajectory, method, step=settings.step, contact_time=spread),
+        *audited(record),
+        *_together(record),
         *error_findings(scene, batch, error, truth, reference.growth),
         turn_finding(scene, trajectory, truth, reference.growth),
         *convergence(scene, batch, outcome, reference),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
     return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
+
+
+def _together(record: Record) -> list[Finding]:
+    """Ask all trajectories of a run what none of them tells by itself."""
+    # As in `audited`: a blow-up may overflow.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = impact_coefficients(record)
+    return [] if found is None else [found]
 
 
 def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:

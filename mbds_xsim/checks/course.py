@@ -8,6 +8,7 @@ but that its push is half a sine in time, which only matters for what rotation a
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,9 +42,9 @@ class Course:
     169)."""
 
 
-def course_of(record: Record, hits: Impacts) -> Course:
-    """Follow impacts through their recorded normal impulse."""
-    assert record.scene.ground is not None
+@functools.lru_cache(maxsize=4)
+def course_of(record: Record, hits: Impacts, coefficient: float) -> Course:
+    """Follow impacts through their recorded normal impulse, with a coefficient of friction."""
     ends = (hits.before, hits.after)
     yields = [yielding(record, bodies, hits.sphere) for bodies in ends]
     pulls = [_acceleration(record, hits, bodies) for bodies in ends]
@@ -57,7 +58,7 @@ def course_of(record: Record, hits: Impacts) -> Course:
         alone = ((1.0 - share) * pulls[0] + share * pulls[1]) * duration
         up = hits.impulse[:, 2] * np.diff(-0.5 * np.cos(np.pi * np.array([k, k + 1]) / _PARTS))
         alone = alone + gives[:, :, 2] * up[:, None]
-        across = _friction(velocity[:, :2], gives, alone, record.scene.ground.friction * up)
+        across = _friction(velocity[:, :2], gives, alone, coefficient * up)
         change = alone + np.einsum("kij,kj->ki", gives[:, :, :2], across)
         speed = velocity[:, 2] + 0.5 * change[:, 2]
         work += up * np.stack([np.maximum(-speed, 0.0), np.maximum(speed, 0.0)])

@@ -138,7 +138,7 @@ def _from_rigid(record: Record, hits: Impacts) -> _Deviation:
 def _from_compliant(record: Record, hits: Impacts) -> _Deviation:
     ground = record.scene.ground
     assert ground is not None
-    course = course_of(record, hits)
+    course = course_of(record, hits, ground.friction)
     blur = _BLUR * np.abs(course.velocity[:, 2] - hits.leaving) / hits.arriving
     off = np.linalg.norm(course.friction - hits.impulse[:, :2], axis=1)
     return _Deviation(

@@ -117,6 +117,7 @@ def told_restitution(ratios: list[float], wanted: float) -> str:
     return f"{told}, the scene has {wanted:.4f}"
 
 
+@functools.lru_cache(maxsize=4)
 def fast_impacts_of(record: Record, push: Push) -> Impacts:
     """Find the single impacts that are a measure of restitution."""
     hits = impacts_of(record, push)

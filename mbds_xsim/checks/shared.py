@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.coefficients import SURE, parts_of, steps_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.flight import flying
+from mbds_xsim.checks.impact_coefficients import Pool, Shown, shown_of
 
 __all__ = ["Evidence", "evidence_of", "shared_faults"]
 
@@ -42,6 +43,8 @@ class Evidence:
     """Of the inputs of each step, shape (trajectory, step)."""
     weight: Array
     """How well that is known, shape (trajectory, step)."""
+    impacts: Shown | None
+    """What single impacts show; None without contact, or of balls alone."""
 
 
 def evidence_of(record: Record) -> Evidence | None:
@@ -56,6 +59,7 @@ def evidence_of(record: Record) -> Evidence | None:
         error=np.stack([np.maximum(part.error, _SHARPEST) for part in parts]),
         missing=steps.share,
         weight=np.minimum(steps.inputs, 1.0 / _SHARPEST) ** 2,
+        impacts=shown_of(record),
     )
 
 
@@ -71,7 +75,8 @@ def shared_faults(found: Iterable[Evidence | None]) -> list[str]:
     missing, weight = (
         np.concatenate([getattr(each, name) for each in kept]) for name in ("missing", "weight")
     )
-    return [*_of_parts(kept[0], share, error), *_of_steps(missing, weight)]
+    impacts = [each.impacts for each in kept if each.impacts is not None]
+    return [*_of_parts(kept[0], share, error), *_of_steps(missing, weight), *_of_impacts(impacts)]
 
 
 def _of_parts(parts: Evidence, share: Array, error: Array) -> Iterator[str]:
@@ -91,6 +96,12 @@ def _of_steps(missing: Array, weight: Array) -> Iterator[str]:
     enough = (weight > 1.0).sum(axis=0) >= _ENOUGH
     for step in np.flatnonzero(enough & (mean - _ERRORS * spread > _HALF))[:1]:
         yield f"inputs of step {step}: {mean[step]:.2g} of them are missing in all trajectories"
+
+
+def _of_impacts(found: list[Shown]) -> Iterator[str]:
+    pool = Pool.of(Shown.joined(found)) if found else None
+    if pool is not None and max(pool.used) > 1.0:
+        yield str(pool)
 
 
 def _mean(values: Array, weight: Array) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.ground import pushes_of
+from mbds_xsim.checks.impact_coefficients import impact_coefficients
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.checks.overlap import contact_gap
 from mbds_xsim.checks.passivity import energy_rise, passivity
@@ -241,6 +242,30 @@ def test_another_friction_of_eccentric_impacts_shows(law: Law, taken: float) -> 
 
     assert not friction.passed.all()
     assert friction.figure.max() <= 1.0 - taken / 0.43 + 5e-3
+
+
+@pytest.mark.parametrize("law", [_State.hit, _State.press])
+def test_impacts_together_tell_a_coefficient_that_none_of_them_tells(law: Law) -> None:
+    """0.033 of restitution, or a sixth of friction, are within the budgets of a single impact."""
+    sound, bounced = impact_coefficients(_bounced(law)), _bounced(law, restitution=0.90)
+    lively, rough = impact_coefficients(bounced), impact_coefficients(_bounced(law, friction=0.37))
+    assert sound is not None
+    assert lively is not None
+    assert rough is not None
+
+    assert sound.figure.max() < 0.1
+    assert _eccentric(bounced)[0].passed.all()
+    assert not lively.passed.any()
+    assert set(lively.where) == {"restitution"}
+    assert not rough.passed.any()
+    assert set(rough.where) == {"friction"}
+
+
+def test_few_impacts_tell_no_coefficient(lawful: Record) -> None:
+    few = dataclasses.replace(
+        lawful, batch=lawful.batch[:3], trajectory=lawful.trajectory[slice(0, 3)]
+    )
+    assert impact_coefficients(few) is None
 
 
 def _eccentric(record: Record) -> tuple[Finding, Finding]:

@@ -1,6 +1,8 @@
 """All the faults."""
 
-from .contact import CONTACT
+from .contact_balls import BALLS
+from .contact_car import CAR
+from .contact_cube import CUBE
 from .driving import DRIVING
 from .modelling import MODELLING
 from .recorded import RECORDED
@@ -9,4 +11,4 @@ from .smooth import SMOOTH
 
 __all__ = ["FAULTS"]
 
-FAULTS = (*SMOOTH, *CONTACT, *RECORDED, *RECORDING, *MODELLING, *DRIVING)
+FAULTS = (*SMOOTH, *BALLS, *CAR, *CUBE, *RECORDED, *RECORDING, *MODELLING, *DRIVING)

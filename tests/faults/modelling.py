@@ -10,6 +10,7 @@ import msgspec
 
 from mbds_xsim.scene import Scene
 
+from .contact_changes import raised
 from .planting import Fault
 
 __all__ = ["MODELLING"]
@@ -71,18 +72,6 @@ def _moments(*shares: float) -> Callable[[Any], Any]:
 
 def _shifted_centre(*by: float) -> Callable[[Any], Any]:
     return lambda inertia: msgspec.structs.replace(inertia, com=_moved(*by)(inertia.com))
-
-
-def _higher(by: float) -> Change:
-    """Let every sphere touch as if the ground were higher, by its radius."""
-
-    def changed(scene: Scene) -> Scene:
-        spheres = tuple(
-            msgspec.structs.replace(each, radius=each.radius + by) for each in scene.contacts
-        )
-        return msgspec.structs.replace(scene, contacts=spheres)
-
-    return changed
 
 
 def _fault(
@@ -190,7 +179,7 @@ MODELLING = (
         "particlecar",
         "exudyn",
         ("contact gap", "passivity"),
-        _higher(2e-3),
+        raised(2e-3),
         "radius of contact",
     ),
     _fault(

@@ -21,7 +21,7 @@ from .bench import ENGINES
 from .native import force_off_center, joint_damping, motors_left_on, no_reaction
 from .planting import Fault
 
-__all__ = ["SMOOTH", "gravity", "heavier"]
+__all__ = ["SMOOTH", "gravity", "heavier", "stouter"]
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,21 @@ def heavier(name: str, share: float) -> Callable[[Scene], Scene]:
         return _with_particles(
             body,
             lambda particle: msgspec.structs.replace(particle, mass=particle.mass * (1 + share)),
+        )
+
+    return _in_body(name, change)
+
+
+def stouter(name: str, share: float) -> Callable[[Scene], Scene]:
+    """Give a body more inertia, by a share of its largest moment, and no more mass."""
+
+    def change(body: Body) -> Body:
+        places = np.array([particle.position for particle in body.particles])
+        spread = np.sum((places - places.mean(axis=0)) ** 2, axis=0)
+        more = share * float(spread.sum() - spread.min()) / len(places)
+        return _with_particles(
+            body,
+            lambda each: msgspec.structs.replace(each, inertia=each.inertia + more),
         )
 
     return _in_body(name, change)
