@@ -128,7 +128,7 @@ RECORDED = (
         engines=("mujoco", "pybullet"),
         motion=_twisting,
         unseen={
-            "mujoco": "0.1 rad/s is 0.64 of what 0.8 s of rolling at up to 10 m/s leave open; after "
+            "mujoco": "0.1 rad/s is 0.64 of what 0.8 s of rolling at 10 m/s leave open; after "
             "2 s the turn itself is 0.2 rad off the reference, of 0.1 allowed"
         },
     ),
