@@ -43,6 +43,13 @@ class Shown:
     square: Array
     """Of what a larger μ would add."""
 
+    @property
+    def known(self) -> Shown:
+        """Those of which every number is finite."""
+        values = list(vars(self).values())
+        finite = np.isfinite(values).all(axis=(0, 1))
+        return Shown(*(value[:, finite] for value in values))
+
     @staticmethod
     def joined(parts: list[Shown]) -> Shown:
         """Put the impacts of several groups of bodies or trajectories together."""
@@ -64,7 +71,11 @@ class Pool:
 
     @staticmethod
     def of(shown: Shown) -> Pool | None:
-        """Average by the law that impacts scatter less about; None with few impacts."""
+        """Average by the law that impacts scatter less about; None with few impacts.
+
+        What a law cannot follow, such as an impact in which it does no work, is left out.
+        """
+        shown = shown.known
         count = shown.weight.shape[1]
         if count < _ENOUGH:
             return None

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impact_coefficients import impact_coefficients
+from mbds_xsim.checks.impact_coefficients import Pool, Shown, impact_coefficients
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.checks.overlap import contact_gap
 from mbds_xsim.checks.passivity import energy_rise, passivity
@@ -266,6 +266,16 @@ def test_few_impacts_tell_no_coefficient(lawful: Record) -> None:
         lawful, batch=lawful.batch[:3], trajectory=lawful.trajectory[slice(0, 3)]
     )
     assert impact_coefficients(few) is None
+
+
+def test_an_impact_that_a_law_cannot_follow_is_left_out() -> None:
+    restitution, ones = np.full((2, 9), 0.001), np.ones((2, 9))
+    restitution[1, 4] = np.nan
+    pool = Pool.of(Shown(restitution, ones, 0.0 * ones, ones))
+
+    assert pool is not None
+    assert pool.impacts == 8
+    assert pool.restitution == pytest.approx(0.001)
 
 
 def _eccentric(record: Record) -> tuple[Finding, Finding]:
