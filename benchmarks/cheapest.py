@@ -18,15 +18,15 @@ from mbds_xsim.campaign import run_references
 from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.identity import machine
+from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.report import quantity
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
-from mbds_xsim.study.identity import machine
-from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
-from mbds_xsim.study.sweep import NATIVE
-from mbds_xsim.study.trial import Trial, failed_trial, joined, part_of, run_trial
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
 _STARTS, _SEED = 20, 5  # of each interval; the seed of no search, proof or chart
 _MORE, _PROOF = 100, 1  # what the settings of the chains and ladders in MuJoCo were held to

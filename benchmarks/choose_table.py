@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from mbds_xsim.report.choose_table import choose_table
-from mbds_xsim.study.rows import Tradeoff
+from mbds_xsim.studies.tradeoff.rows import Tradeoff
 from mbds_xsim.write import write_whole
 
 BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"

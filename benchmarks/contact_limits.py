@@ -13,12 +13,12 @@ from mbds_xsim.checks import Finding, audit
 from mbds_xsim.engine import Adapter
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.contact import contact_findings
 from mbds_xsim.registry import installed_engines, load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch
-from mbds_xsim.study.contact_accuracy import contact_findings
 
 _STARTS = 20  # of each interval
 _SEED = 3

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import mbds_xsim
 from benchmarks.windows import made
-from mbds_xsim.study.identity import machine
+from mbds_xsim.measure.identity import machine
 
 _SCENES = ("6pendulum", "3ladder", "balldrop")
 _TRAJECTORIES = 96

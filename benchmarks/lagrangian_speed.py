@@ -21,9 +21,9 @@ from torch import Tensor
 from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
+from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
-from mbds_xsim.study.identity import machine
 
 AIM = {"6pendulum": 5, "3ladder": 15}
 _HEAD = """\

@@ -30,8 +30,8 @@ from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
+from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_scene
-from mbds_xsim.study.identity import machine
 
 SCENES = ("6pendulum", "3ladder")
 TRACKS = ("lite", "native", "paper")

@@ -19,11 +19,11 @@ from mbds_xsim.engine import Profile
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.studies.shift import figures as shift_figures
 from mbds_xsim.studies.stability import present as stability
+from mbds_xsim.studies.stability.rows import SCHEMA, Cell, Panel, Sweep
+from mbds_xsim.studies.stability.studies import study_named
+from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff import present as tradeoff
-from mbds_xsim.study.rows import Tradeoff
-from mbds_xsim.study.stability.rows import SCHEMA, Cell, Panel, Sweep
-from mbds_xsim.study.stability.studies import study_named
-from mbds_xsim.study.stability.verdict import CRITERIA
+from mbds_xsim.studies.tradeoff.rows import Tradeoff
 from mbds_xsim.write import write_whole
 
 TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"} | {

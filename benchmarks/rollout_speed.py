@@ -25,10 +25,10 @@ from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import Inputs, Start
 from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
-from mbds_xsim.study.identity import machine
 
 SCENES = ("6pendulum", "3ladder")
 MODELS = ("gns", "sgnn", "hgnn", "lgnn")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mbds_xsim.errors import InputError
     from mbds_xsim.scene import Scene
     from mbds_xsim.scene_file import save_scene
-    from mbds_xsim.study.tradeoff import tradeoff
+    from mbds_xsim.studies.tradeoff.study import tradeoff
 
 __all__ = [
     "InputError",
@@ -34,7 +34,7 @@ _HOMES = {
     "load_dataset": "mbds_xsim.dataset.read",
     "load_pairs": "mbds_xsim.dataset.paired",
     "save_scene": "mbds_xsim.scene_file",
-    "tradeoff": "mbds_xsim.study.tradeoff",
+    "tradeoff": "mbds_xsim.studies.tradeoff.study",
 }
 
 

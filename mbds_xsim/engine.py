@@ -179,7 +179,7 @@ class ContactScales:
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """What contact is in an engine, in words; the study `mbds_xsim.study.contact` measures it."""
+    """What contact is in an engine, in words; `mbds-xsim contact` measures it."""
 
     normal: str
     """How a sphere is kept out of the ground."""

@@ -17,6 +17,7 @@ from mbds_xsim.convergence import refine
 from mbds_xsim.counted import counted
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.judge import Row, judge, reference_result
+from mbds_xsim.measure.quick import searched
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
 from mbds_xsim.sampling import distinct_starts, draw_batch
@@ -24,7 +25,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch
-from mbds_xsim.study.quick import searched
 
 __all__ = ["Choice", "validate_with_evidence"]
 

@@ -11,7 +11,7 @@ import pytest
 from mbds_xsim import registry
 from mbds_xsim.engine import Adapter
 from mbds_xsim.errors import EngineMissing
-from mbds_xsim.study import quick
+from mbds_xsim.measure import quick
 from tests.farm import Farm
 
 _WITHOUT = quick._without

@@ -19,7 +19,7 @@ from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
 from mbds_xsim.studies.stability.present import present
-from mbds_xsim.study.stability.studies import STUDIES
+from mbds_xsim.studies.stability.studies import STUDIES
 
 _ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"\]\(([^)#]+)")

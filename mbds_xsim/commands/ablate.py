@@ -58,7 +58,7 @@ def ablate(
     from mbds_xsim.choice import Choice
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.ablate.present import present
-    from mbds_xsim.study.ablate import ablate as study
+    from mbds_xsim.studies.ablate.study import ablate as study
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)

@@ -49,7 +49,7 @@ def contact(
     """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.report.contact_summary import print_study
-    from mbds_xsim.study.contact import study_contact
+    from mbds_xsim.studies.contact.study import study_contact
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)

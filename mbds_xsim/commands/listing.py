@@ -104,7 +104,7 @@ def show(
         draw_scene(loaded, png, start=start)
     if native is not None:
         from mbds_xsim.choice import Choice
-        from mbds_xsim.study.quick import searched
+        from mbds_xsim.measure.quick import searched
 
         console = console_for(Path("-"))
         choice = Choice.parse(engines=native, profiles=settings)

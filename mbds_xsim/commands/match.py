@@ -66,9 +66,9 @@ def match(
     from mbds_xsim.registry import scene_names
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.studies.match import search as study
+    from mbds_xsim.studies.match.file import matched_toml, stored_path
     from mbds_xsim.studies.match.present import present
-    from mbds_xsim.study import match as study
-    from mbds_xsim.study.matched_file import matched_toml, stored_path
     from mbds_xsim.write import write_whole
 
     console = console_for(json)

@@ -23,9 +23,9 @@ from mbds_xsim.commands.shared import (
 )
 
 if TYPE_CHECKING:
-    from mbds_xsim.study.stability.contenders import Contender
-    from mbds_xsim.study.stability.definition import Study, Value
-    from mbds_xsim.study.stability.rows import Sweep
+    from mbds_xsim.studies.stability.contenders import Contender
+    from mbds_xsim.studies.stability.definition import Study, Value
+    from mbds_xsim.studies.stability.rows import Sweep
 
 __all__ = ["stability"]
 
@@ -88,12 +88,11 @@ def stability(
     from mbds_xsim.report.files import rows_csv, write_if
     from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
+    from mbds_xsim.studies.stability.contenders import Plan, profiles_of
     from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
-    from mbds_xsim.study.stability.contenders import profiles_of
-    from mbds_xsim.study.stability.plan import Plan
-    from mbds_xsim.study.stability.rows import to_json
-    from mbds_xsim.study.stability.studies import STUDIES, study_named
-    from mbds_xsim.study.stability.survey import survey
+    from mbds_xsim.studies.stability.rows import to_json
+    from mbds_xsim.studies.stability.studies import STUDIES, study_named
+    from mbds_xsim.studies.stability.survey import survey
 
     console = console_for(json)
     if listed:
@@ -153,7 +152,7 @@ def _models(places: list[Path] | None) -> tuple[Contender, ...]:
     if not places:
         return ()
     check_torch("stability --models")
-    from mbds_xsim.study.stability.learned import models_in
+    from mbds_xsim.studies.stability.learned import models_in
 
     return models_in(places)
 
@@ -171,7 +170,7 @@ def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...
 def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
     """Steps a frame."""
     from mbds_xsim.engine import Settings
-    from mbds_xsim.study.stability.definition import COUNTS, FRAME
+    from mbds_xsim.studies.stability.definition import COUNTS, FRAME
 
     if step is not None:
         return (Settings("", step).substeps(FRAME),)

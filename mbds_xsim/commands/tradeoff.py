@@ -29,7 +29,7 @@ from mbds_xsim.commands.shared import (
 if TYPE_CHECKING:
     from mbds_xsim.learn.trained import TrainedModel
     from mbds_xsim.scene import Scene
-    from mbds_xsim.study.rows import Row, Tradeoff
+    from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
 
 __all__ = ["tradeoff"]
 
@@ -84,7 +84,7 @@ def tradeoff(
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.studies.tradeoff.present import present, to_png
-    from mbds_xsim.study.rows import to_json
+    from mbds_xsim.studies.tradeoff.rows import to_json
 
     console = console_for(json)
     choice = Choice.parse(engines=engines)
@@ -136,8 +136,8 @@ def tradeoff(
 
 def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, list[Row]]:
     """Read the engines' part of a study, without its rows, or measure it."""
-    from mbds_xsim.study.rows import read_tradeoff
-    from mbds_xsim.study.tradeoff import tradeoff_with_rows
+    from mbds_xsim.studies.tradeoff.rows import read_tradeoff
+    from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 
     return (read_tradeoff(onto), []) if onto is not None else tradeoff_with_rows(scene, **how)
 

@@ -18,8 +18,8 @@ from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.measure.quick import searched
 from mbds_xsim.scene import Scene
-from mbds_xsim.study.quick import searched
 
 __all__ = ["Estimate", "Measured", "Plan", "estimate", "plan"]
 

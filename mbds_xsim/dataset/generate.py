@@ -20,11 +20,11 @@ from mbds_xsim.dataset.work import Carrier, make
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import core_count, run_tasks
+from mbds_xsim.measure.quick import searched
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
-from mbds_xsim.study.quick import searched
 
 __all__ = ["Generated", "Request", "generate"]
 

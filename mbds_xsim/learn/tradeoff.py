@@ -29,17 +29,17 @@ from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion, gap, particle_error, unexplained_energy
 from mbds_xsim.learn.trained import Known, TrainedModel, carry_on, known_start, particle_motion
 from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.measure.identity import machine
+from mbds_xsim.measure.store import Store
 from mbds_xsim.reference.cache import directory, key_of
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.study.bench import Meter
-from mbds_xsim.study.curves import point_of
-from mbds_xsim.study.identity import machine
-from mbds_xsim.study.point import Truth, horizon_of
-from mbds_xsim.study.rows import Kind, Learned, Row, Tradeoff
-from mbds_xsim.study.store import Store
-from mbds_xsim.study.truths import references
+from mbds_xsim.studies.tradeoff.bench import Meter
+from mbds_xsim.studies.tradeoff.curves import point_of
+from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
+from mbds_xsim.studies.tradeoff.rows import Kind, Learned, Row, Tradeoff
+from mbds_xsim.studies.tradeoff.truths import references
 from mbds_xsim.versions import CHECKS, MODELS
 
 __all__ = ["AT_ONCE", "ModelStarts", "measure_model", "models_of", "with_models"]

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import NATIVE
 from mbds_xsim.studies.tradeoff.words import BUSY
-from mbds_xsim.study.rows import CurveResult, Point, Tradeoff
-from mbds_xsim.study.sweep import NATIVE
 
 __all__ = ["choose_table"]
 

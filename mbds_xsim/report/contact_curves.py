@@ -9,9 +9,9 @@ from typing import Any
 
 from mbds_xsim.engine import Profile
 from mbds_xsim.report.palette import ENGINES, engine_style
-from mbds_xsim.study.contact import ContactStudy
-from mbds_xsim.study.contact_bench import FRICTION
-from mbds_xsim.study.contact_impacts import RESTITUTIONS
+from mbds_xsim.studies.contact.bench import FRICTION
+from mbds_xsim.studies.contact.impacts import RESTITUTIONS
+from mbds_xsim.studies.contact.study import ContactStudy
 from mbds_xsim.write import write_whole
 
 __all__ = ["draw_study"]

@@ -20,10 +20,10 @@ from mbds_xsim.report.contact_summary import (
     speed,
     tiny_length,
 )
-from mbds_xsim.study.contact import ContactStudy
-from mbds_xsim.study.contact_bench import FRICTION, RADIUS, RESTITUTION
-from mbds_xsim.study.contact_friction import PUSHES
-from mbds_xsim.study.contact_impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
+from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
+from mbds_xsim.studies.contact.friction import PUSHES
+from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
+from mbds_xsim.studies.contact.study import ContactStudy
 
 __all__ = ["contact_page", "words_of"]
 

@@ -12,10 +12,10 @@ from rich.text import Text
 
 from mbds_xsim.engine import Profile
 from mbds_xsim.report import quantity
-from mbds_xsim.study.contact import ContactStudy
-from mbds_xsim.study.contact_bench import FRICTION, RADIUS, RESTITUTION, Measured
-from mbds_xsim.study.contact_friction import PUSHES
-from mbds_xsim.study.contact_limits import DROPS, SPINS
+from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION, Measured
+from mbds_xsim.studies.contact.friction import PUSHES
+from mbds_xsim.studies.contact.limits import DROPS, SPINS
+from mbds_xsim.studies.contact.study import ContactStudy
 
 __all__ = [
     "FIRST_ABOVE",

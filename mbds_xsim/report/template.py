@@ -6,9 +6,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mbds_xsim.report import palette, quantity
+from mbds_xsim.report import palette
 from mbds_xsim.safe_text import printable, sentence
-from mbds_xsim.study.stability.definition import text_of
 
 __all__ = ["rendered"]
 
@@ -23,15 +22,7 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "metres": quantity.length,
-        "seconds": quantity.span,
-        "number": quantity.number,
-        "beside": quantity.beside,
-        "with_unit": quantity.with_unit,
-        "value": text_of,
-        "sentence": sentence,
-    }
+    environment.filters["sentence"] = sentence
     colours = {"light": palette.LIGHT, "dark": palette.DARK}
     return environment.get_template(template).render(**colours, **values)
 

@@ -19,8 +19,8 @@ from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Clock, Ground, Scene
 from mbds_xsim.state import Batch
-from mbds_xsim.study.contact_bench import wheel
-from mbds_xsim.study.contact_friction import sliding
+from mbds_xsim.studies.contact.bench import wheel
+from mbds_xsim.studies.contact.friction import sliding
 
 pytest.importorskip("pybullet")
 axes: Any = importlib.import_module("mbds_xsim_adapters._pybullet_friction")

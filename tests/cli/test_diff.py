@@ -12,8 +12,9 @@ import msgspec
 import pytest
 
 from mbds_xsim.studies.diff.read import READERS
-from mbds_xsim.study import match, rows
-from mbds_xsim.study.stability import rows as stability_rows
+from mbds_xsim.studies.match import search as match
+from mbds_xsim.studies.stability import rows as stability_rows
+from mbds_xsim.studies.tradeoff import rows
 
 CommandLine = Callable[..., Any]
 Json = dict[str, Any]

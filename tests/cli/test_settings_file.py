@@ -12,7 +12,7 @@ from mbds_xsim.choice import Choice, Contender
 from mbds_xsim.errors import InputError
 from mbds_xsim.matched import read_matched
 from mbds_xsim.scene import Scene
-from mbds_xsim.study import match
+from mbds_xsim.studies.match import search as match
 
 from .conftest import CommandLine
 

@@ -28,7 +28,7 @@ from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.silence import Silent
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.study.sweep import curves_of
+from mbds_xsim.studies.tradeoff.sweep import curves_of
 from mbds_xsim.validation import validate_with_evidence
 from tests.fuzz.campaign import fuzz
 

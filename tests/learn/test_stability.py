@@ -28,20 +28,14 @@ from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.studies.stability import words
+from mbds_xsim.studies.stability import learned, words
+from mbds_xsim.studies.stability.contenders import Plan
+from mbds_xsim.studies.stability.definition import Study
+from mbds_xsim.studies.stability.learned import LearnedContender, judge_particles, models_in, run_model
 from mbds_xsim.studies.stability.present import present, to_png
-from mbds_xsim.study.stability import learned
-from mbds_xsim.study.stability.definition import Study
-from mbds_xsim.study.stability.learned import (
-    LearnedContender,
-    judge_particles,
-    models_in,
-    run_model,
-)
-from mbds_xsim.study.stability.plan import Plan
-from mbds_xsim.study.stability.rows import Outcome, Sweep
-from mbds_xsim.study.stability.studies import STUDIES
-from mbds_xsim.study.stability.survey import survey
+from mbds_xsim.studies.stability.rows import Outcome, Sweep
+from mbds_xsim.studies.stability.studies import STUDIES
+from mbds_xsim.studies.stability.survey import survey
 from tests.learn.models import untrained
 
 Array = np.ndarray

@@ -27,8 +27,8 @@ from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.studies.tradeoff.present import present, to_png
-from mbds_xsim.study.rows import Row, Tradeoff, read_tradeoff, to_json
-from mbds_xsim.study.tradeoff import tradeoff_with_rows
+from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff, read_tradeoff, to_json
+from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 from tests.learn.models import untrained
 
 FRAMES = 60

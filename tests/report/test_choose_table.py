@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from mbds_xsim.report.choose_table import choose_table
-from mbds_xsim.study.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff, to_json
+from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff, to_json
 
 _SCRIPT = Path(__file__).parents[2] / "benchmarks" / "choose_table.py"
 

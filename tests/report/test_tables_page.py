@@ -18,7 +18,7 @@ from mbds_xsim.report.page import to_html
 from mbds_xsim.result import FindingResult
 from mbds_xsim.studies.audit import present as audit
 from mbds_xsim.studies.match import present as match
-from mbds_xsim.study.match import SCHEMA, Found, Match
+from mbds_xsim.studies.match.search import SCHEMA, Found, Match
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
 

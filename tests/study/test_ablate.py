@@ -20,13 +20,10 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import Turn
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene_file import write_scene
-from mbds_xsim.study.ablate import ablate
-from mbds_xsim.study.ablate_effects import EFFECTS, Effect
-from mbds_xsim.study.ablate_floor import Window
-from mbds_xsim.study.ablate_result import Ablation, Floor, Row
-from mbds_xsim.study.ablate_size import least_size
-from mbds_xsim.study.ablate_variants import variants_of
-from mbds_xsim.study.ablate_verdict import row_of
+from mbds_xsim.studies.ablate.analyse import Window, least_size, row_of
+from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
+from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
+from mbds_xsim.studies.ablate.study import ablate
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from mbds_xsim.choice import Choice
 from mbds_xsim.report.contact_page import contact_page, words_of
 from mbds_xsim.report.contact_summary import LINES, Line, shown
 from mbds_xsim.state import Trajectory
-from mbds_xsim.study import contact as study
-from mbds_xsim.study.contact_bench import FRICTION, PULL, Bench, Measured
-from mbds_xsim.study.contact_energy import per_bounce
-from mbds_xsim.study.contact_friction import friction, sliding
-from mbds_xsim.study.contact_limits import limits
+from mbds_xsim.studies.contact import study
+from mbds_xsim.studies.contact.bench import FRICTION, PULL, Bench, Measured
+from mbds_xsim.studies.contact.energy import per_bounce
+from mbds_xsim.studies.contact.friction import friction, sliding
+from mbds_xsim.studies.contact.limits import limits
 
 
 def _value(found: list[Measured], quantity: str, **at: float) -> float:

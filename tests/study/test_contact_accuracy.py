@@ -14,11 +14,11 @@ from mbds_xsim.campaign import ReferenceOutcome, run_references
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.engine import Adapter, Method
 from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.contact import contact_findings
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.study.contact_accuracy import contact_findings
 
 Array = NDArray[np.float64]
 EULER = Method("Euler", "semi-implicit Euler", 1)

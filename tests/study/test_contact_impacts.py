@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.engine import Adapter
-from mbds_xsim.study.contact_bench import PULL, Bench
-from mbds_xsim.study.contact_impacts import rebounds
+from mbds_xsim.studies.contact.bench import PULL, Bench
+from mbds_xsim.studies.contact.impacts import rebounds
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])

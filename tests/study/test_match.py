@@ -16,15 +16,15 @@ from mbds_xsim.choice import Choice
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.matched import settings_for
+from mbds_xsim.measure import quick as bisect
+from mbds_xsim.measure.quick import COUNTS, Search
+from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Budget, Clock, Scene
-from mbds_xsim.study import bisect
-from mbds_xsim.study import match as study
-from mbds_xsim.study.bisect import COUNTS, Search
-from mbds_xsim.study.match import Found, Match, match
-from mbds_xsim.study.matched_file import matched_toml
-from mbds_xsim.study.sweep import Curve
-from mbds_xsim.study.trial import Trial, run_trial
+from mbds_xsim.studies.match import search as study
+from mbds_xsim.studies.match.file import matched_toml
+from mbds_xsim.studies.match.search import Found, Match, match
+from mbds_xsim.studies.tradeoff.sweep import Curve
 
 
 class _Silent:

@@ -15,12 +15,11 @@ from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.errors import InputError
 from mbds_xsim.matched import Matched, is_stored, settings_for
+from mbds_xsim.measure import quick
+from mbds_xsim.measure.quick import COUNTS, fewest, searched
+from mbds_xsim.measure.trial import Trial
 from mbds_xsim.scene import Body, Clock, Force, Inertia, Joint, Scene
 from mbds_xsim.silence import Silent
-from mbds_xsim.study import quick
-from mbds_xsim.study.bisect import COUNTS
-from mbds_xsim.study.quick import fewest, searched
-from mbds_xsim.study.trial import Trial
 from mbds_xsim.validation import validate_with_evidence
 
 MUJOCO = registry.load_adapter("mujoco")

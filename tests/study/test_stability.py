@@ -15,15 +15,13 @@ from mbds_xsim import reference, registry
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Failure, Trajectory
-from mbds_xsim.study.stability import cell as cells
-from mbds_xsim.study.stability.cell import run_cell
-from mbds_xsim.study.stability.definition import FRAME, Study
-from mbds_xsim.study.stability.plan import Plan
-from mbds_xsim.study.stability.rows import Cell, Sweep
-from mbds_xsim.study.stability.studies import STUDIES, study_named
-from mbds_xsim.study.stability.survey import survey
-from mbds_xsim.study.stability.verdict import judge
-from mbds_xsim.study.stability.words import meaning, who_told
+from mbds_xsim.studies.stability import runs as cells
+from mbds_xsim.studies.stability.contenders import Plan
+from mbds_xsim.studies.stability.definition import FRAME, Study
+from mbds_xsim.studies.stability.rows import Cell, Sweep
+from mbds_xsim.studies.stability.studies import STUDIES, study_named
+from mbds_xsim.studies.stability.survey import survey
+from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, who_told
 from tests.plugins import installed
 
 

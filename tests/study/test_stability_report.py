@@ -20,15 +20,15 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
+from mbds_xsim.studies.stability import runs as measuring
+from mbds_xsim.studies.stability import survey as surveys
+from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.figures import LOOKS
 from mbds_xsim.studies.stability.present import present, to_png
+from mbds_xsim.studies.stability.rows import FAILED, Sweep
+from mbds_xsim.studies.stability.studies import STUDIES
+from mbds_xsim.studies.stability.survey import survey
 from mbds_xsim.studies.stability.words import breaking, command_of, conclusion, limit, told
-from mbds_xsim.study.stability import measuring
-from mbds_xsim.study.stability import survey as surveys
-from mbds_xsim.study.stability.plan import Plan
-from mbds_xsim.study.stability.rows import FAILED, Sweep
-from mbds_xsim.study.stability.studies import STUDIES
-from mbds_xsim.study.stability.survey import survey
 
 _COUNTS = (2, 10, 50)
 _VALUES = (1e2, 1e4)

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mbds_xsim.study.store import Store
+from mbds_xsim.measure.store import Store
 
 
 class _Row(msgspec.Struct):

@@ -17,15 +17,15 @@ from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.engine import Adapter, features_of
 from mbds_xsim.isolate import Task
+from mbds_xsim.measure.store import Store
 from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.study import bench, point, sweep
-from mbds_xsim.study.curves import OWN_LIMIT, curve_results
-from mbds_xsim.study.point import measure
-from mbds_xsim.study.rows import Row, Tradeoff
-from mbds_xsim.study.store import Store
-from mbds_xsim.study.sweep import Curve, curves_of
-from mbds_xsim.study.tradeoff import tradeoff, tradeoff_with_rows
-from mbds_xsim.study.truths import LIMIT_COUNT
+from mbds_xsim.studies.tradeoff import bench, point, sweep
+from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
+from mbds_xsim.studies.tradeoff.point import measure
+from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
+from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
+from mbds_xsim.studies.tradeoff.sweep import Curve, curves_of
+from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT
 from tests.plugins import installed
 
 _HANG = 2.0  # [s] until a hanging task is ended
@@ -149,7 +149,7 @@ def test_steps_go_on_until_the_budget_is_kept_tenfold(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweep, "COUNTS", (1, 2, 4, 8, 16, 32))
-    monkeypatch.setattr("mbds_xsim.study.explore.SPAN", 4)
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.explore.SPAN", 4)
     budget = scene.budget.error_1s * scene.length
 
     study = _study(scene, "mujoco")

@@ -17,7 +17,15 @@ from mbds_xsim.report.files import link, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
 from mbds_xsim.studies.tradeoff import words as summary
 from mbds_xsim.studies.tradeoff.present import present, to_png
-from mbds_xsim.study.rows import SCHEMA, CurveResult, Point, Ratio, Row, Tradeoff, to_json
+from mbds_xsim.studies.tradeoff.rows import (
+    SCHEMA,
+    CurveResult,
+    Point,
+    Ratio,
+    Row,
+    Tradeoff,
+    to_json,
+)
 
 
 def _point(count: int, wall: float | None, error: float, **other: object) -> Point:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim.study.pareto import cost_at, front, order_of
+from mbds_xsim.studies.tradeoff.curves import cost_at, front, order_of
 
 # Few values, so that ties and equal pairs are common.
 _VALUES = st.sampled_from([0.1, 0.2, 0.5, 1.0, 3.0])

@@ -49,8 +49,8 @@ from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, ModelFa
 from mbds_xsim.learn.shift.rollouts import RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import package_version
-from mbds_xsim.study.identity import machine
 
 __all__ = ["Asked", "SampleRollout", "Samples", "Studied", "asked", "samples_of", "study"]
 

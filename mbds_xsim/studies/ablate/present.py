@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
-from mbds_xsim.study import ablate_result
-from mbds_xsim.study.ablate_result import Ablation, Size
+from mbds_xsim.studies.ablate import result as ablate_result
+from mbds_xsim.studies.ablate.result import Ablation, Size
 
 __all__ = ["present"]
 

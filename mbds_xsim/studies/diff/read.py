@@ -15,8 +15,9 @@ from mbds_xsim import result
 from mbds_xsim.errors import InputError
 from mbds_xsim.studies.diff.plain import plain_view
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
-from mbds_xsim.study import match, rows
-from mbds_xsim.study.stability import rows as stability_rows
+from mbds_xsim.studies.match import search as match
+from mbds_xsim.studies.stability import rows as stability_rows
+from mbds_xsim.studies.tradeoff import rows
 
 __all__ = ["READERS", "read_views"]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, Row, Table
-from mbds_xsim.study.match import Found, Match
+from mbds_xsim.studies.match.search import Found, Match
 
 __all__ = ["present"]
 

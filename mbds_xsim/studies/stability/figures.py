@@ -11,8 +11,8 @@ from typing import Any
 
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.stability import words
-from mbds_xsim.study.stability.definition import text_of
-from mbds_xsim.study.stability.rows import Cell, Outcome, Panel, Sweep
+from mbds_xsim.studies.stability.definition import text_of
+from mbds_xsim.studies.stability.rows import Cell, Outcome, Panel, Sweep
 
 __all__ = [
     "LIGHT_LOOKS",

@@ -27,6 +27,7 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.report.themed import INK
 from mbds_xsim.studies.stability import words
+from mbds_xsim.studies.stability.definition import Study, text_of
 from mbds_xsim.studies.stability.figures import (
     LIGHT_LOOKS,
     LOOKS,
@@ -36,8 +37,7 @@ from mbds_xsim.studies.stability.figures import (
     size_of,
     tips,
 )
-from mbds_xsim.study.stability.definition import Study, text_of
-from mbds_xsim.study.stability.rows import Sweep
+from mbds_xsim.studies.stability.rows import Sweep
 
 __all__ = ["cells_of", "listing", "present", "to_png"]
 

@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
-from mbds_xsim.study.stability.definition import text_of
-from mbds_xsim.study.stability.rows import Cell, Panel, Sweep
+from mbds_xsim.studies.stability.definition import text_of
+from mbds_xsim.studies.stability.rows import Cell, Panel, Sweep
 
 __all__ = [
     "breaking",

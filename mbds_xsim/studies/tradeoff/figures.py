@@ -10,8 +10,8 @@ from mbds_xsim.report import palette, quantity
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.models import model_told
-from mbds_xsim.study.rows import CurveResult, Learned, Point, Tradeoff
-from mbds_xsim.study.sweep import NATIVE
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
 __all__ = ["Panel", "colour_of", "draw_panel", "legend_entries", "marker_of", "panels_of", "tips"]
 

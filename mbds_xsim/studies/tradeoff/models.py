@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column, Table, table_of
-from mbds_xsim.study.rows import Learned, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import Learned, Tradeoff
 
 __all__ = [
     "model_told",

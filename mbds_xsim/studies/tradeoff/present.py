@@ -37,7 +37,7 @@ from mbds_xsim.studies.tradeoff.figures import (
     tips,
 )
 from mbds_xsim.studies.tradeoff.models import models_short, models_table, models_told
-from mbds_xsim.study.rows import Point, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import Point, Tradeoff
 
 __all__ = ["present", "to_png"]
 

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column
-from mbds_xsim.study.rows import CurveResult, Point, Ratio, Tradeoff
-from mbds_xsim.study.sweep import NATIVE
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
 __all__ = [
     "BUSY",

@@ -1,0 +1,253 @@
+"""Matched settings for scenes that have none stored: a short search, kept by the scene's physics.
+
+The whole search of an engine is one task: its preset method, then its others, from few steps a
+frame to many, until a start of each interval keeps all budgets with something to spare.
+The study `match` searches longer, compares methods and verifies on starts of another seed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mbds_xsim import registry
+from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_references
+from mbds_xsim.choice import Choice
+from mbds_xsim.engine import Adapter, Settings
+from mbds_xsim.errors import Unsupported
+from mbds_xsim.fingerprint import fingerprint
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.matched import Matched, is_stored
+from mbds_xsim.measure.trial import Trial, run_trial
+from mbds_xsim.reference import cache as disk
+from mbds_xsim.sampling import distinct_starts, draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch
+from mbds_xsim.versions import CHECKS
+
+_VERSION = 1
+"""To be raised when the search changes what is found."""
+_LIMIT = 60.0
+"""Of an engine's search [s]."""
+_GRACE = 120.0
+"""What the last trial may take beyond that [s]."""
+_SPARE = 0.7
+"""Share of each budget that the starts of the search may use: others will use more."""
+_AIM = 0.5
+_WASTED = 0.2
+"""What uses a smaller share is worth a trial of fewer steps."""
+_LEAST = 1e-3
+_NEAR = 2.0
+"""Within this factor of what fails, nothing is gained by a further trial."""
+_LEAP = 6.0
+"""So many times as many steps are tried where a motion was lost."""
+
+
+def searched(
+    scene: Scene,
+    choice: Choice,
+    *,
+    cache: bool = True,
+    workers: int | None = None,
+    progress: ProgressSink,
+) -> Choice:
+    """Give a choice with matched settings for every engine that has none stored for the scene.
+
+    Engines for which none are found in time, or that cannot do the scene, keep their presets.
+
+    Args:
+        scene: What to simulate.
+        choice: Which engines at which settings.
+        cache: Whether settings that were found before may be used, and are kept.
+        workers: Processes at a time; all cores when left out.
+        progress: Where it is told.
+    """
+    if "matched" not in choice.profiles or choice.step is not None or choice.method is not None:
+        return choice
+    keys = {name: _key(scene, registry.load_adapter(name)) for name in _without(scene, choice)}
+    found = {name: entry for name in keys if cache and (entry := _load(keys[name])) is not None}
+    missing = [name for name in keys if name not in found]
+    if missing:
+        batch = draw_batch(scene, range(distinct_starts(scene, len(INTERVALS))))
+        progress.begin(len(missing))
+        reference = run_references(scene, batch, cache=cache, workers=workers)
+
+        def finished(place: int, _: Any) -> None:
+            progress.advance(f"settings of {missing[place]}")
+
+        tasks = [
+            Task(_search, (scene, batch, reference, name), _LIMIT + _GRACE) for name in missing
+        ]
+        answers = run_tasks(tasks, workers=workers, finished=finished)
+        for name, answer in zip(missing, answers, strict=True):
+            if isinstance(answer, Crash) or answer is None:
+                continue
+            found[name] = answer
+            if cache:
+                _store(keys[name], answer)
+    return dataclasses.replace(choice, given={**choice.given, **found})
+
+
+def _without(scene: Scene, choice: Choice) -> list[str]:
+    """List the engines that have no settings for the scene."""
+    return [
+        name
+        for name in choice.engines
+        if name not in choice.given and not is_stored(scene, name) and _able(scene, name)
+    ]
+
+
+def _able(scene: Scene, engine: str) -> bool:
+    return bool(_methods(scene, registry.load_adapter(engine)))
+
+
+def _methods(scene: Scene, adapter: Adapter) -> list[Settings]:
+    """List what is tried: the preset, then the engine's own other methods with its options."""
+    preset = adapter.settings(scene, "matched")
+    names = dict.fromkeys([preset.method, *adapter.methods])
+    found = []
+    for name in names:
+        settings = Settings(name, scene.clock.frame, preset.options)
+        try:
+            adapter.check(scene, settings)
+        except Unsupported:
+            continue
+        if adapter.methods[name].own:
+            found.append(settings)
+    return found
+
+
+def _search(scene: Scene, batch: Batch, reference: ReferenceOutcome, engine: str) -> Matched | None:
+    """Find the fewest steps of the first method that keeps the budgets; None: none does."""
+    deadline = time.monotonic() + _LIMIT
+    adapter = registry.load_adapter(engine)
+    for settings in _methods(scene, adapter):
+
+        def tried(count: int, settings: Settings = settings) -> Trial:
+            finer = dataclasses.replace(settings, step=scene.clock.frame / count)
+            return run_trial(scene, batch, engine, finer, reference, len(batch))
+
+        order = 1 if scene.contacts else adapter.methods[settings.method].order_for(scene)
+        found = fewest(tried, order, deadline)
+        if found is not None:
+            return Matched(settings.method, found, dict(settings.options))
+    return None
+
+
+def fewest(tried: Callable[[int], Trial], order: int, deadline: float) -> int | None:
+    """Find about the fewest steps a frame that pass with something to spare, in few trials.
+
+    The next number of steps is predicted from how far off the last was, as errors of the order
+    fall. Where time is up, what has just passed is better than nothing.
+
+    Args:
+        tried: Tries a number of steps a frame.
+        order: Order of the method.
+        deadline: Of `time.monotonic`, after which no trial starts [s].
+    """
+    count, failed, passed, spare, pace = 1, 0, math.inf, math.inf, 0.0
+    while time.monotonic() + pace * count < deadline:
+        begin = time.monotonic()
+        trial = tried(count)
+        pace = (time.monotonic() - begin) / count
+        passed = min(passed, count) if trial.passed else passed
+        if trial.passed and trial.excess <= _SPARE:
+            spare = count
+            if trial.excess >= _WASTED:
+                break
+        else:
+            failed = count
+        between = [n for n in COUNTS if failed < n < spare]
+        if not between or spare <= _NEAR * failed:
+            break
+        count = min(between, key=lambda n: abs(math.log(n / _predicted(count, trial, order))))
+    found = min(spare, passed) if math.isinf(spare) else spare
+    return None if math.isinf(found) else int(found)
+
+
+def _predicted(count: int, trial: Trial, order: int) -> float:
+    """Predict how many steps use half of the budgets; at most so many times as many as tried."""
+    if not math.isfinite(trial.excess):
+        return _LEAP * count
+    share = max(trial.excess, _LEAST) / _AIM
+    return count * min(share ** (1.0 / order), _LEAP**2)
+
+
+def _key(scene: Scene, adapter: Adapter) -> str:
+    """Name an entry by all that decides it."""
+    versions = [_VERSION, CHECKS, adapter.version(), adapter.revision]
+    decisive = [versions, fingerprint(scene), scene.budget, adapter.name]
+    encoded = msgspec.json.encode([*decisive, adapter.settings(scene, "matched").options])
+    return hashlib.sha256(b"matched" + encoded).hexdigest()
+
+
+def _load(key: str) -> Matched | None:
+    kept = disk.load(key)
+    return None if kept is None else msgspec.json.decode(kept["settings"].tobytes(), type=Matched)
+
+
+def _store(key: str, found: Matched) -> None:
+    disk.store(key, {"settings": np.frombuffer(msgspec.json.encode(found), dtype=np.uint8)})
+
+
+COUNTS = (
+    1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 80, 100, 128, 160, 200, 250, 320,
+    400, 500, 640, 800, 1000, 1200, 1600, 2000,
+)  # fmt: skip
+"""Steps a frame that are tried."""
+
+_STRIDE = 3
+"""Counts that are jumped over on the way up: about a doubling."""
+
+
+@dataclass
+class Search:
+    """Looks for the first of a rising list that passes, where all later ones pass too."""
+
+    counts: Sequence[int] = COUNTS
+    failed: int = -1
+    """Place of the largest count that failed."""
+    passed: int | None = None
+    """Place of the smallest count that passed."""
+    closed: bool = field(default=False)
+    """Whether larger counts are out of the question."""
+
+    @property
+    def next(self) -> int | None:
+        """Count to try next; None when the search is over."""
+        if self.passed is None:
+            if self.closed or self.failed == len(self.counts) - 1:
+                return None
+            up = self.failed + (_STRIDE if self.failed >= 0 else 1)
+            return self.counts[min(up, len(self.counts) - 1)]
+        if self.passed - self.failed <= 1:
+            return None
+        return self.counts[(self.passed + self.failed) // 2]
+
+    @property
+    def found(self) -> int | None:
+        """The answer, once the search is over."""
+        return None if self.passed is None else self.counts[self.passed]
+
+    def tell(self, count: int, passed: bool) -> None:
+        """Say how a trial ended."""
+        place = self.counts.index(count)
+        if passed:
+            self.passed = place
+        else:
+            self.failed = place
+
+    def refuse(self, count: int) -> None:
+        """Say, later, that what passed fails after all: the next larger count is the answer."""
+        place = self.counts.index(count)
+        self.failed = place
+        self.passed = place + 1 if place + 1 < len(self.counts) else None

@@ -1,0 +1,82 @@
+"""Rows of long studies kept on disk, so that one that was interrupted goes on where it stopped.
+
+A file of lines, each a checksum and a row as JSON: a row is appended whole in one write, and a line
+that was cut off or changed, or that another version wrote, is passed over.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+import msgspec
+
+from mbds_xsim.errors import InputError
+from mbds_xsim.reference.cache import directory
+from mbds_xsim.studies.tradeoff.rows import Row
+
+__all__ = ["Store"]
+
+
+class _Keyed(Protocol):
+    @property
+    def key(self) -> str: ...
+
+
+R = TypeVar("R", bound=_Keyed)
+
+
+class Store(Generic[R]):
+    """Rows of one kind by their keys; the latest of a key counts."""
+
+    def __init__(self, path: Path, kind: type[R]) -> None:
+        self.path = path
+        self.rows: dict[str, R] = {row.key: row for row in _read(path, kind)}
+
+    @staticmethod
+    def of(scene: str) -> Store[Row]:
+        """Open the store of a scene's trade-off rows in the user's cache directory."""
+        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in scene)
+        return Store(directory() / "tradeoff" / f"{safe}.jsonl", Row)
+
+    def add(self, row: R) -> None:
+        """Keep a row.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        self.rows[row.key] = row
+        # A line of its own even after one that was cut off.
+        row_text = msgspec.json.encode(row)
+        line = b"\n" + _sum(row_text) + b" " + row_text + b"\n"
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                os.write(handle, line)
+            finally:
+                os.close(handle)
+        except OSError as error:
+            msg = f"cannot keep rows in {self.path}: {error.strerror}; set MBDS_XSIM_CACHE"
+            raise InputError(msg) from error
+
+
+def _read(path: Path, kind: type[R]) -> list[R]:
+    if not path.is_file():
+        return []
+    rows = []
+    for line in path.read_bytes().splitlines():
+        checksum, _, text = line.partition(b" ")
+        if checksum != _sum(text):
+            continue
+        try:
+            rows.append(msgspec.json.decode(text, type=kind))
+        except (msgspec.DecodeError, msgspec.ValidationError):
+            continue
+    return rows
+
+
+def _sum(text: bytes) -> bytes:
+    return hashlib.sha256(text).hexdigest()[:16].encode()

@@ -1,0 +1,256 @@
+"""No more than a scene needs: what each modelled effect is worth beside engines' disagreement."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim import reference
+from mbds_xsim.campaign import ProgressSink, Watch
+from mbds_xsim.checks import agreement
+from mbds_xsim.choice import Choice, Contender
+from mbds_xsim.counted import counted
+from mbds_xsim.engine import ModelSize
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.quick import searched
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.result import EngineResult, Evidence, Validation
+from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.studies.ablate.analyse import (
+    Least,
+    Window,
+    compared,
+    disagreement,
+    floor_of,
+    impossible,
+    least_size,
+    native_size,
+    row_of,
+    window_of,
+)
+from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, Variant, variants_of
+from mbds_xsim.studies.ablate.result import Ablation, Floor, Row, Size
+from mbds_xsim.validation import validate_with_evidence
+
+
+def ablate(
+    scene: Scene,
+    *,
+    choice: Choice | None = None,
+    effects: Sequence[Effect] = EFFECTS,
+    starts: int = 2,
+    seed: int = 0,
+    cache: bool = True,
+    workers: int | None = None,
+    progress: Watch | None = None,
+    command: str = "mbds_xsim.studies.ablate.study.ablate",
+) -> Ablation:
+    """Drop and halve each effect of a scene and hold the change of motion to the floor.
+
+    Args:
+        scene: What to take apart.
+        choice: Engines and settings that give the floor; all at matched settings when left out.
+        effects: What may be dropped; those that the scene does not have are passed over.
+        starts: Starts of each of the intervals low, medium and high.
+        seed: Seed of starts and inputs.
+        cache: Whether stored reference solutions may be used.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        progress: Where progress is told.
+        command: What is told to make the study again.
+
+    Raises:
+        InputError: Something that was given cannot be used, or no engine delivered anything.
+    """
+    begin = time.perf_counter()
+    meter = _Phases(progress)
+    chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
+    validation, evidence = validate_with_evidence(
+        scene,
+        choice=chosen,
+        trajectories=starts,
+        seed=seed,
+        cache=cache,
+        workers=workers,
+        progress=meter,
+    )
+    contenders, _ = chosen.contenders(scene)
+    bench = Bench.of(validation, evidence, contenders)
+    variants = variants_of(scene, effects, evidence.batch, seed)
+    rows = bench.rows(variants, workers, cache, meter)
+    sizes = _sizes(scene, contenders, least_size(scene), workers)
+    return _result(scene, validation, bench, rows, sizes, command, time.perf_counter() - begin)
+
+
+def _sizes(
+    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
+) -> tuple[Size, ...]:
+    tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
+    return tuple(
+        compared(contender.engine, size, least)
+        for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True)
+        if isinstance(size, ModelSize)
+    )
+
+
+def _result(
+    scene: Scene,
+    validation: Validation,
+    bench: Bench,
+    rows: Sequence[Row],
+    sizes: tuple[Size, ...],
+    command: str,
+    wall_s: float,
+) -> Ablation:
+    window, least = bench.window, least_size(scene)
+    return Ablation(
+        scene=scene.name,
+        description=scene.description,
+        judge=bench.judge_name,
+        judged_s=(float(window.spans.min()), float(window.spans.max())),
+        ends=window.ends,
+        duration_s=scene.clock.duration,
+        length_m=scene.length,
+        floor=bench.floor,
+        floor_engines=bench.floor_engines,
+        failed={r.engine: r.reasons[0] for r in validation.engines if r.verdict == "fail"},
+        left_out=validation.left_out,
+        rows=tuple(rows),
+        degrees_of_freedom=least.degrees_of_freedom,
+        joint_coordinates=least.coordinates,
+        loop_conditions=least.conditions,
+        contact_spheres=least.spheres,
+        sizes=sizes,
+        trajectories=validation.trajectories,
+        seed=validation.seed,
+        versions=validation.versions,
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        command=command,
+        wall_s=wall_s,
+    )
+
+
+class _Phases:
+    """Tells the progress of one piece of work after another as one."""
+
+    def __init__(self, progress: Watch | None) -> None:
+        watch: Watch = progress or Silent()
+        self._begin, self._before = watch.begin, 0
+        self.advance, self.doing, self.notice = watch.advance, watch.doing, watch.notice
+
+    def begin(self, total: int) -> None:
+        self._before += total
+        self._begin(self._before)
+
+
+_TIMEOUT = 600.0  # of one ablated scene, all its starts [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What simulates ablated scenes, the full scene's motion in it, and the floor."""
+
+    scene: Scene
+    judge: Contender | None
+    """None: the reference."""
+    judge_name: str
+    full: Trajectory
+    window: Window
+    floor: Floor
+    floor_engines: tuple[str, ...]
+
+    @staticmethod
+    def of(validation: Validation, evidence: Evidence, contenders: Sequence[Contender]) -> Bench:
+        """Choose the judge by what engines delivered on the full scene."""
+        runs = {
+            result.engine: run
+            for result, run in zip(validation.engines, evidence.trajectories, strict=True)
+            if run is not None
+        }
+        passed = [r for r in validation.engines if r.verdict != "fail" and r.engine in runs]
+        voters = [r for r in validation.engines if r.engine in runs] if len(passed) < 2 else passed
+        if not voters:
+            msg = f"{evidence.scene.name}: no engine delivered a motion; nothing can be compared"
+            raise InputError(msg)
+        apart = disagreement(evidence.scene, [runs[r.engine] for r in voters])
+        window = window_of(evidence, apart)
+        judge, full, name = None, evidence.reference, "the reference"
+        if not np.isfinite(evidence.reference.position).all():
+            best = min(voters, key=_inaccuracy)
+            full = runs[best.engine]
+            judge = next(c for c in contenders if c.engine == best.engine)
+            name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
+        return Bench(
+            scene=evidence.scene,
+            judge=judge,
+            judge_name=name,
+            full=full,
+            window=window,
+            floor=floor_of(evidence.scene, window, apart),
+            floor_engines=tuple(r.engine for r in voters),
+        )
+
+    def rows(
+        self, variants: list[Variant], workers: int | None, cache: bool, meter: ProgressSink
+    ) -> list[Row]:
+        """Simulate all variants and judge them."""
+        able = [variant for variant in variants if not variant.reason]
+        meter.begin(len(able))
+        answers = run_tasks(
+            [self._task(variant, cache) for variant in able],
+            workers=workers,
+            finished=lambda place, _: meter.advance(f"without {able[place].effect.name}"),
+        )
+        told = dict(zip(map(id, able), answers, strict=True))
+        return [self._row(variant, told.get(id(variant))) for variant in variants]
+
+    def _task(self, variant: Variant, cache: bool) -> Task:
+        if self.judge is None:
+            return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
+        batch = variant.batch.truncated(max(self.window.frames - 1, 1))
+        return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
+
+    def _row(self, variant: Variant, answer: Trajectory | Crash | None) -> Row:
+        effect, factor = variant.effect, variant.factor
+        if answer is None or isinstance(answer, Crash):
+            reason = variant.reason if answer is None else answer.reason
+            return impossible(effect, factor, reason)
+        change = agreement.particle_error(Mechanism.of(self.scene), answer, self.full)
+        whole = np.full(self.window.judged.shape, np.nan)
+        whole[:, : change.shape[1]] = change
+        return row_of(effect, factor, whole, self.window, self.floor, _lost(answer))
+
+
+def _inaccuracy(result: EngineResult) -> tuple[bool, float]:
+    """Rank engines: by their error where there is a reference, else by their worst check."""
+    if result.error_weighted_m is not None and result.error_weighted_m > 0:
+        return False, result.error_weighted_m
+    judged = [finding for finding in result.findings if finding.budget]
+    return True, max((f.figure / (f.budget or 1.0) for f in judged), default=np.inf)
+
+
+def _solved(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
+    return reference.solve(scene, batch, cache=cache)
+
+
+def _simulated(scene: Scene, batch: Batch, judge: Contender) -> Trajectory:
+    return simulate(scene, batch, judge.engine, judge.settings).trajectory
+
+
+def _lost(run: Trajectory) -> str:
+    """Say which ablated runs ended early."""
+    ends = [failure for failure in run.failures if failure is not None]
+    if not ends:
+        return ""
+    impacts = all(isinstance(end, FirstImpact) for end in ends)
+    what = "known up to the first impact only" if impacts else ends[0].reason
+    return f"{len(ends)} of {len(run.failures)} starts: {what}"

@@ -1,0 +1,141 @@
+"""What becomes of energy in impacts, and how still bodies lie in the end."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.ground import pushes_of, spheres_of
+from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.engine import Profile
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.registry import load_adapter, load_scene
+from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene import Ground, Scene
+from mbds_xsim.state import Trajectory
+from mbds_xsim.studies.contact.bench import (
+    FRICTION,
+    PULL,
+    RADIUS,
+    Bench,
+    Measured,
+    ball,
+    crate,
+    reason,
+)
+
+Array = NDArray[np.float64]
+
+_HEIGHTS = (0.05, 0.06, 0.07)  # of an elastic ball's drops: flights of 0.2 s and more [m]
+_BOUNCING = 3.0  # [s]
+_FRAME = 0.01
+_STOPPED = 1e-3  # of the drop's energy
+_CUBLI = "simplecubli"
+_CUBLIS, _CUBLI_STEPS = 3, 75
+_FAST = 0.5  # slower impacts have too much of gravity in them [m/s]
+
+
+def energy(engine: str, profile: Profile) -> list[Measured]:
+    """Measure an elastic ball's change by bounce, and what a thrown cubli gains."""
+    return [
+        _elastic(Bench(engine, profile, "balldrop")),
+        *_eccentric(Bench(engine, profile, _CUBLI)),
+    ]
+
+
+def _elastic(bench: Bench) -> Measured:
+    start = np.zeros((len(_HEIGHTS), 3))
+    start[:, 2] = _HEIGHTS
+    clock = bench.clock(_FRAME, _BOUNCING)
+    motion = bench.motion(*ball(Ground(FRICTION, 1.0), clock, position=start))
+    gap = motion.position[:, :, 0, 2] - RADIUS
+    climb = motion.velocity[:, :, 0, 2] + PULL * bench.lag
+    change = [per_bounce(g, c, h) for g, c, h in zip(gap, climb, _HEIGHTS, strict=True)]
+    return bench.measured(
+        "elastic ball: energy by bounce", "1", np.array(change), {}, reason(motion)
+    )
+
+
+def per_bounce(gap: Array, climb: Array, height: float) -> float:
+    """Give the mean relative change of energy in a bounce, −1 where none comes back.
+
+    Args:
+        gap: Of the ball's lowest point [m], shape (frame,).
+        climb: Its vertical speed [m/s], shape (frame,).
+        height: It was dropped from [m].
+    """
+    top = np.where(gap > 0.0, gap + climb**2 / (2 * PULL), np.nan)
+    turned = (climb[1:] > 0.0) & (climb[:-1] < 0.0)
+    flight = np.concatenate([[0], np.cumsum(turned)])
+    tops = [_median(top[flight == k]) for k in range(int(flight[-1]) + 1)]
+    whole = [value for value in tops if value > _STOPPED * height]
+    if len(whole) < 2 or not np.isfinite(gap).all():
+        return -1.0 if np.isfinite(gap).all() else np.nan
+    return float((whole[-1] / height) ** (1.0 / (len(whole) - 1)) - 1.0)
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _eccentric(bench: Bench) -> list[Measured]:
+    """Throw cublis: one corner at a time hits, beside the centre of mass."""
+    scene = load_scene(_CUBLI)
+    batch = draw_batch(scene, range(_CUBLIS), noise=False, inputs=False).truncated(_CUBLI_STEPS)
+    motion = bench.motion(scene, batch)
+    settings = bench.settings
+    method = load_adapter(bench.engine).methods[settings.method]
+    record, note = Record(scene, batch, motion, method, settings.step), reason(motion)
+    unexplained, whole = passivity(record), energy_rise(record)
+    assert unexplained is not None
+    assert whole is not None
+    hits = [impacts_of(record, push) for push in pushes_of(record)]
+    ratio = np.concatenate([(h.leaving / h.arriving)[h.arriving > _FAST] for h in hits])
+    alone = "" if len(ratio) else "no corner hits once and alone between two frames in flight"
+    return [
+        bench.measured(
+            "cubli: energy that no law explains", "1", unexplained.figure.max(), {}, note
+        ),
+        bench.measured("cubli: largest rise of energy", "1", whole.figure.max(), {}, note),
+        bench.measured("cubli: restitution of corners", "1", ratio, {}, note or alone),
+    ]
+
+
+_GROUND = Ground(FRICTION, 0.5)
+_HEIGHT = 0.05  # dropped from here, a ball of e = 0.5 is at rest after 0.3 s [m]
+_FROM, _LONG = 1.0, 0.2  # when it is looked at, and for how long [s]
+_STARTS = ("placed", "dropped")
+
+
+def rest(engine: str, profile: Profile) -> list[Measured]:
+    """Measure a ball and a crate after 1 s, placed on the ground and dropped onto it."""
+    start = np.zeros((2, 3))
+    start[1, 2] = _HEIGHT
+    found: list[Measured] = []
+    for what, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
+        bench = Bench(engine, profile, like)
+        scene, batch = make(_GROUND, bench.clock(_FRAME, _FROM + _LONG), position=start)
+        found += _stillness(bench, what, scene, bench.motion(scene, batch))
+    return found
+
+
+def _stillness(bench: Bench, what: str, scene: Scene, motion: Trajectory) -> list[Measured]:
+    """Look at the lowest sphere and at the centre of mass."""
+    mechanism, late = Mechanism.of(scene), motion.time >= _FROM - 1e-9
+    native = mechanism.native_rotation(motion.orientation)
+    states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
+    lowest = spheres_of(mechanism, states).gap[:, late].min(axis=2)
+    speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
+    found = []
+    for row, start in enumerate(_STARTS):
+        gap, note = lowest[row], reason(motion)
+        found += [
+            bench.measured(f"{what} {start}: sinks by", "m", -gap.min(), {}, note),
+            bench.measured(f"{what} {start}: hops by", "m", np.ptp(gap), {}, note),
+            bench.measured(f"{what} {start}: moves at", "m/s", speed[row], {}, note),
+        ]
+    return found

@@ -1,0 +1,235 @@
+"""From raw rows to points, curves, the front and the cost of an accuracy."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
+import numpy as np
+
+from mbds_xsim import registry
+from mbds_xsim.scene import Scene
+from mbds_xsim.studies.tradeoff.explore import Found
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Row
+from mbds_xsim.studies.tradeoff.sweep import Curve
+
+_FLOOR = 1e-9
+"""Errors up to this are the reference's, over the scene's length."""
+OWN_LIMIT = "distance to its own limit"
+"""What is broken where a method has not converged, and there is no reference."""
+
+
+def curve_results(
+    scene: Scene, curves: Sequence[Curve], found: Found, *, own_limit: bool = False
+) -> tuple[CurveResult, ...]:
+    """Put the rows of all curves together.
+
+    Args:
+        scene: What was simulated.
+        curves: How.
+        found: Its rows, of the same order.
+        own_limit: Whether errors are distances to a method's own limit. To be near it says nothing
+            of the truth; to be far from it is to be wrong, so that it has the error's budget.
+    """
+    allowed = scene.budget.error_1s * scene.length if own_limit else math.inf
+    listed = [
+        _curve_result(scene, curve, [_converged(point_of(rows), allowed) for rows in points])
+        for curve, points in zip(curves, found, strict=True)
+    ]
+    return _with_front(listed, _FLOOR * scene.length)
+
+
+def _converged(point: Point, allowed: float) -> Point:
+    """Where the limit itself could not be simulated, nothing is near it."""
+    known = math.inf if point.error_m is None else point.error_m
+    if point.kind != "done" or known <= allowed:
+        return point
+    return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
+
+
+def point_of(rows: Sequence[Row]) -> Point:
+    """Put the starts of one setting together: the median of the time, the worst of the rest."""
+    first = rows[0]
+    bad = next((row for row in rows if row.kind != "done"), None)
+    plain = Point(
+        steps_per_frame=first.steps_per_frame,
+        step_s=first.step_s,
+        kind=bad.kind if bad else "done",
+        reason=_reason(bad, rows) if bad else "",
+        starts=sum(row.kind == "done" for row in rows),
+    )
+    if bad:
+        return plain
+    walls = list(itertools.chain.from_iterable(row.wall_s for row in rows))
+    return msgspec.structs.replace(
+        plain,
+        wall_s=float(np.median([np.median(row.wall_s) for row in rows])),
+        wall_low_s=min(walls),
+        wall_high_s=max(walls),
+        cpu_s=float(np.median([np.median(row.cpu_s) for row in rows])),
+        setup_s=_worst(rows, lambda row: row.setup_s),
+        error_m=_worst(rows, lambda row: row.error_m),
+        error_weighted_m=_worst(rows, lambda row: row.error_weighted_m),
+        gap_m=_worst(rows, lambda row: row.gap_m),
+        energy=_worst(rows, lambda row: row.energy),
+        broken=tuple(dict.fromkeys(check for row in rows for check in row.broken)),
+    )
+
+
+def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
+    """Tell what accuracies cost: the budget, and the powers of ten that any curve reaches."""
+    budget, floor = scene.budget.error_1s * scene.length, _FLOOR * scene.length
+    errors = [max(p.error_m, floor) for c in curves for p in c.points if p.error_m is not None]
+    if not errors:
+        return ()
+    low, high = (math.log10(e) for e in (min(errors), min(max(errors), 10 * budget)))
+    decades = [10.0**k for k in range(math.floor(high), math.ceil(low) - 1, -1)]
+    return (
+        _ratio(curves, budget, is_budget=True),
+        *(_ratio(curves, error, is_budget=False) for error in decades),
+    )
+
+
+def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> Ratio:
+    costs = [
+        cost_at([_pair(point.wall_s, point.error_m) for point in curve.points], error)
+        for curve in curves
+    ]
+    known = [k for k, cost in enumerate(costs) if cost is not None]
+    best = min(known, key=lambda k: costs[k] or math.inf, default=None)
+    return Ratio(error_m=error, budget=is_budget, wall_s=tuple(costs), best=best)
+
+
+def _curve_result(scene: Scene, curve: Curve, points: list[Point]) -> CurveResult:
+    adapter = registry.load_adapter(curve.engine)
+    method = adapter.methods[curve.method]
+    pairs = [
+        (point.step_s, math.nan if point.error_m is None else point.error_m) for point in points
+    ]
+    return CurveResult(
+        engine=curve.engine,
+        version=adapter.version(),
+        method=curve.method,
+        family=method.family,
+        own=method.own,
+        variation=curve.variation,
+        options=dict(curve.options),
+        order=method.order_for(scene),
+        measured_order=order_of(pairs, length=scene.length, floor=_FLOOR * scene.length),
+        points=tuple(points),
+    )
+
+
+def _with_front(curves: list[CurveResult], floor: float) -> tuple[CurveResult, ...]:
+    """Mark the points that no other is better than; below the floor errors are alike."""
+    places = [
+        (k, n, pair)
+        for k, curve in enumerate(curves)
+        for n, point in enumerate(curve.points)
+        if (pair := _pair(point.wall_s, point.error_m)) is not None
+    ]
+    best = {places[k][:2] for k in front([(cost, max(e, floor)) for *_, (cost, e) in places])}
+    return tuple(
+        msgspec.structs.replace(
+            curve,
+            points=tuple(
+                msgspec.structs.replace(point, on_front=(k, n) in best)
+                for n, point in enumerate(curve.points)
+            ),
+        )
+        for k, curve in enumerate(curves)
+    )
+
+
+def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None:
+    if cost is None or error is None or not math.isfinite(error):
+        return None
+    return cost, error
+
+
+def _worst(rows: Iterable[Row], figure: Callable[[Row], float | None]) -> float | None:
+    return max((value for row in rows if (value := figure(row)) is not None), default=None)
+
+
+def _reason(bad: Row, rows: Sequence[Row]) -> str:
+    """Say which start it was where others went through."""
+    return bad.reason if bad is rows[0] else f"start {bad.trajectory}: {bad.reason}"
+
+
+Pair = tuple[float, float]
+
+_LEAST = 3  # points that show an order
+_LEAST_SPAN = 4.0  # of the longest step over the shortest
+_STRAIGHT = 0.08  # RMS residual of log10(error) up to which points lie on a line
+_SATURATED = 0.03  # of the scene's length: larger errors follow no order
+
+
+def front(pairs: Sequence[Pair]) -> set[int]:
+    """Find the (cost, error) pairs that none is better than in one and as good in the other."""
+    found: list[int] = []
+    for place in sorted(range(len(pairs)), key=lambda k: pairs[k]):
+        last = pairs[found[-1]] if found else (math.inf, math.inf)
+        if pairs[place][1] < last[1] or pairs[place] == last:
+            found.append(place)
+    return set(found)
+
+
+def cost_at(curve: Sequence[Pair | None], error: float) -> float | None:
+    """Give the least cost at which a curve has an error or less.
+
+    Between neighbouring points it is interpolated, both axes logarithmic. Beyond its points a
+    curve tells nothing: None where all errors are larger, and where all are smaller, the cost of
+    the cheapest point, since that was measured.
+
+    Args:
+        curve: (cost, error) in the order of the steps; None where a point failed, which breaks
+            the curve.
+        error: What is asked for.
+    """
+    costs = [point[0] for point in curve if point is not None and point[1] <= error]
+    costs += [
+        _crossing(one, other, error)
+        for one, other in itertools.pairwise(curve)
+        if one is not None and other is not None and (one[1] - error) * (other[1] - error) < 0
+    ]
+    return min(costs, default=None)
+
+
+def order_of(pairs: Sequence[Pair], *, length: float, floor: float) -> float | None:
+    """Fit the order of convergence to the asymptotic part of (step, error).
+
+    That is the longest run of neighbouring points, of those the one of the shortest steps, that
+    lie on a line in logarithms, without the errors that have saturated or lie in the accuracy of
+    the reference. None where fewer than three points do.
+
+    Args:
+        pairs: Step and error in the order of the steps.
+        length: Size of the scene, in the error's unit.
+        floor: Errors up to this are not the method's.
+    """
+    usable = [pair if floor < pair[1] < _SATURATED * length else None for pair in pairs]
+    for count in range(len(usable), _LEAST - 1, -1):
+        for begin in range(len(usable) - count, -1, -1):
+            slope = _slope(usable[begin : begin + count])
+            if slope is not None:
+                return slope
+    return None
+
+
+def _slope(pairs: Sequence[Pair | None]) -> float | None:
+    """Slope of a line through the logarithms; None where a point lacks or lies off it."""
+    known = [pair for pair in pairs if pair is not None]
+    if len(known) < len(pairs) or known[0][0] < _LEAST_SPAN * known[-1][0]:
+        return None
+    step, error = np.log10(np.array(known)).T
+    fit = np.polynomial.Polynomial.fit(step, error, 1)
+    if np.sqrt(np.mean((fit(step) - error) ** 2)) > _STRAIGHT:
+        return None
+    return float(fit.convert().coef[1]) if len(fit.convert().coef) > 1 else 0.0
+
+
+def _crossing(one: Pair, other: Pair, error: float) -> float:
+    share = math.log(one[1] / error) / math.log(one[1] / max(other[1], 1e-300))
+    return float(one[0] ** (1.0 - share) * other[0] ** share)

@@ -1,0 +1,175 @@
+"""Speed against accuracy: work–precision diagrams of all engines, methods and steps."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Iterable
+
+import msgspec
+import numpy as np
+
+from mbds_xsim import registry
+from mbds_xsim.choice import Choice, words_of
+from mbds_xsim.errors import InputError
+from mbds_xsim.fingerprint import fingerprint
+from mbds_xsim.isolate import core_count
+from mbds_xsim.measure.identity import machine
+from mbds_xsim.measure.store import Store
+from mbds_xsim.sampling import distinct_starts, draw_batch
+from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene import Scene
+from mbds_xsim.silence import Silent
+from mbds_xsim.state import Batch
+from mbds_xsim.studies.tradeoff.bench import Bench, Meter
+from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
+from mbds_xsim.studies.tradeoff.explore import Found, explore
+from mbds_xsim.studies.tradeoff.rows import SCHEMA, Row, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import Curve, curves_of
+from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT, Truths, first_impact, references
+
+__all__ = ["LIMIT", "STARTS", "tradeoff", "tradeoff_with_rows"]
+
+STARTS = 3
+LIMIT = 30.0
+"""Longest rollout of one start [s]."""
+
+_INTERVAL = "medium"  # low starts are easier, and high ones are chaos before anything can be told
+
+
+def tradeoff(
+    scene: Scene | str,
+    *,
+    engines: str | Iterable[str] = (),
+    starts: int = STARTS,
+    seed: int = 0,
+    limit: float = LIMIT,
+    workers: int | None = None,
+    fresh: bool = False,
+) -> Tradeoff:
+    """Chart a scene's engines and give the figures.
+
+    Args:
+        scene: What to simulate, or the name or file of it.
+        engines: One name or several; all installed ones when empty.
+        starts: Starts of the medium interval.
+        seed: Seed of starts and inputs.
+        limit: Longest rollout of one start [s]; points that would take longer are only listed.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        fresh: Whether points that were measured earlier are measured again.
+
+    Raises:
+        InputError: Something that was given cannot be used.
+    """
+    return tradeoff_with_rows(
+        registry.load_scene(scene) if isinstance(scene, str) else scene,
+        choice=Choice.parse(engines=words_of(engines) or None),
+        starts=starts,
+        seed=seed,
+        limit=limit,
+        workers=workers,
+        fresh=fresh,
+        command="mbds_xsim.tradeoff",
+    )[0]
+
+
+def tradeoff_with_rows(
+    scene: Scene,
+    *,
+    choice: Choice,
+    starts: int = STARTS,
+    seed: int = 0,
+    limit: float = LIMIT,
+    workers: int | None = None,
+    fresh: bool = False,
+    cache: bool = True,
+    meter: Meter | None = None,
+    command: str = "",
+) -> tuple[Tradeoff, list[Row]]:
+    """Chart a scene, and keep the raw rows. See `tradeoff`."""
+    begin = time.perf_counter()
+    curves, left_out = curves_of(scene, choice.engines)
+    left_out |= choice.faulty
+    if not curves:
+        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
+        raise InputError(msg)
+    batch = _draw(scene, starts, seed)
+    bench = Bench(
+        scene=scene,
+        batch=batch,
+        truths=Truths(
+            scene=scene,
+            batch=batch,
+            references=references(scene, batch, cache=cache, workers=workers),
+            usual={(c.engine, c.method): c for c in curves if not c.variation},
+            limit=limit,
+            workers=workers,
+        ),
+        seed=seed,
+        limit=limit,
+        workers=workers,
+        store=Store.of(scene.name),
+        meter=meter or Silent(),
+        fresh=fresh,
+    )
+    found = explore(bench, curves)
+    rows = [row for points in found for rows in points for row in rows]
+    study = _study(bench, curves, found, left_out, command, time.perf_counter() - begin)
+    return msgspec.structs.replace(study, busy=_busy(rows)), rows
+
+
+def _study(
+    bench: Bench,
+    curves: list[Curve],
+    found: Found,
+    left_out: dict[str, str],
+    command: str,
+    wall_s: float,
+) -> Tradeoff:
+    scene = bench.scene
+    results = curve_results(scene, curves, found, own_limit=bench.truths.are_limits)
+    return Tradeoff(
+        schema=SCHEMA,
+        scene=scene.name,
+        description=scene.description,
+        command=command,
+        seed=bench.seed,
+        trajectories=tuple(int(index) for index in bench.batch.index),
+        horizon_s=bench.horizon,
+        reference_ends_s=first_impact(bench.truths.references),
+        own_limit=LIMIT_COUNT if bench.truths.are_limits else None,
+        duration_s=scene.clock.duration,
+        length_m=scene.length,
+        budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
+        contact=bool(scene.contacts),
+        limit_s=bench.limit,
+        curves=results,
+        ratios=ratios_of(scene, results),
+        left_out=left_out,
+        versions=_versions(result.engine for result in results),
+        machine=machine(),
+        workers=core_count() if bench.workers is None else bench.workers,
+        busy=1.0,
+        measured=bench.measured,
+        kept=bench.kept,
+        wall_s=wall_s,
+        fingerprint=fingerprint(scene),
+    )
+
+
+def _draw(scene: Scene, starts: int, seed: int) -> Batch:
+    first = INTERVALS.index(_INTERVAL)
+    count = distinct_starts(scene, starts)
+    indices = range(first, first + count * len(INTERVALS), len(INTERVALS))
+    return draw_batch(scene, indices, seed=seed)
+
+
+def _busy(rows: list[Row]) -> float:
+    shares = [sum(row.wall_s) / sum(row.cpu_s) for row in rows if sum(row.cpu_s) > 0]
+    return float(np.median(shares)) if shares else 1.0
+
+
+def _versions(engines: Iterable[str]) -> dict[str, str]:
+    versions = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
+    versions["python"] = platform.python_version()
+    return versions | {name: registry.load_adapter(name).version() for name in engines}

@@ -1,0 +1,116 @@
+"""What motions are held against: the reference, or where it knows nothing, a method's own limit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mbds_xsim import reference
+from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.scene import Scene
+from mbds_xsim.simulate import simulate
+from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
+from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve
+
+__all__ = ["LIMIT_COUNT", "Truths", "first_impact", "references"]
+
+LIMIT_COUNT = 2 * SPAN
+"""Steps a frame that stand for a vanishing step."""
+
+_TIMEOUT = 3600.0
+_GRACE = 30.0
+_PATIENCE = 5.0
+
+Place = tuple[str, str, int]
+"""Engine, method and row of the batch."""
+
+
+@dataclass
+class Truths:
+    """Truth of each start, or of each start in each method."""
+
+    scene: Scene
+    batch: Batch
+    references: list[Truth]
+    usual: Mapping[tuple[str, str], Curve]
+    """By engine and method, at the engine's usual options."""
+    limit: float
+    """Longest rollout of one start that was asked for [s]."""
+    workers: int | None
+    _limits: dict[Place, Truth] = field(default_factory=dict)
+
+    @property
+    def are_limits(self) -> bool:
+        """Whether the reference ends at once, so that a method only has itself to be held to."""
+        return min(horizon_of(truth.trajectory) for truth in self.references) == 0.0
+
+    def prepare(self, places: Sequence[Place]) -> None:
+        """Simulate the limits that will be asked for and are not there."""
+        if not self.are_limits:
+            return
+        missing = [place for place in dict.fromkeys(places) if place not in self._limits]
+        tasks = [
+            Task(
+                _limit,
+                (self.scene, self.batch[[start]], self.usual[engine, method]),
+                _GRACE + _PATIENCE * self.limit,
+            )
+            for engine, method, start in missing
+        ]
+        for place, answer in zip(missing, run_tasks(tasks, workers=self.workers), strict=True):
+            self._limits[place] = self._unknown() if isinstance(answer, Crash) else answer
+
+    def of(self, place: Place) -> Truth:
+        """Give what one start in one method is held against."""
+        return self._limits[place] if self.are_limits else self.references[place[2]]
+
+    def _unknown(self) -> Truth:
+        """Give what nothing can be held against."""
+        time = self.references[0].trajectory.time
+        empty = Trajectory.empty(time, 1, len(self.scene.bodies))
+        return Truth(empty, np.ones((1, len(time))), judged=False)
+
+
+def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) -> list[Truth]:
+    """Solve the reference of each start.
+
+    Raises:
+        InputError: It failed; without it no error can be told.
+    """
+    tasks = [Task(_reference, (scene, batch[[k]], cache), _TIMEOUT) for k in range(len(batch))]
+    truths = run_tasks(tasks, workers=workers)
+    for truth in truths:
+        reason = truth.reason if isinstance(truth, Crash) else _failed(truth)
+        if reason:
+            msg = f"the reference solution failed, so no error can be told: {reason}"
+            raise InputError(msg)
+    return truths
+
+
+def first_impact(truths: Sequence[Truth]) -> float | None:
+    """Time of the first impact after which a motion has no unique solution [s]."""
+    ends = [truth.trajectory.failures[0] for truth in truths]
+    return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
+
+
+def _reference(scene: Scene, start: Batch, cache: bool) -> Truth:
+    trajectory = reference.solve(scene, start, cache=cache)
+    growth = reference.sensitivity(scene, start, cache=cache)
+    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
+    return Truth(trajectory, growth)
+
+
+def _limit(scene: Scene, start: Batch, curve: Curve) -> Truth:
+    trajectory = simulate(scene, start, curve.engine, curve.settings(scene, LIMIT_COUNT)).trajectory
+    return Truth(trajectory, np.ones((1, len(trajectory.time))), judged=False)
+
+
+def _failed(truth: Truth) -> str:
+    """Why a reference ended, where no impact explains it."""
+    failure = truth.trajectory.failures[0]
+    return failure.reason if failure and not isinstance(failure, FirstImpact) else ""

@@ -1,1 +1,0 @@
-"""Studies: what engines do, measured on purpose-made scenes and written into the docs."""

@@ -1,1 +1,0 @@
-"""Where methods fail: sweeps across the edge of stability, one study a file."""
