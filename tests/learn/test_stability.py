@@ -31,7 +31,12 @@ from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.studies.stability import learned, words
 from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.definition import Study
-from mbds_xsim.studies.stability.learned import LearnedContender, judge_particles, models_in, run_model
+from mbds_xsim.studies.stability.learned import (
+    LearnedContender,
+    judge_particles,
+    models_in,
+    run_model,
+)
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.rows import Outcome, Sweep
 from mbds_xsim.studies.stability.studies import STUDIES
