@@ -287,7 +287,7 @@ def test_the_command_writes_what_it_found(
     short = msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(0.02, 10))
     scene.write_text(write_scene(short), "utf-8")
     page, data = tmp_path / "a.md", tmp_path / "a.json"
-    for module in ("campaign", "study.ablate", "study.ablate_bench"):
+    for module in ("campaign", "studies.ablate.study"):
         monkeypatch.setattr(f"mbds_xsim.{module}.run_tasks", _in_this_process)
     words = [str(scene), "--engines", "mujoco,exudyn", "--trajectories", "1"]
     words += ["--markdown", str(page), "--json", str(data)]

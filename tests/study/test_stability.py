@@ -15,7 +15,7 @@ from mbds_xsim import reference, registry
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Failure, Trajectory
-from mbds_xsim.studies.stability import runs as cells
+from mbds_xsim.studies.stability import verdict as cells
 from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.definition import FRAME, Study
 from mbds_xsim.studies.stability.rows import Cell, Sweep
