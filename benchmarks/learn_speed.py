@@ -25,7 +25,7 @@ from benchmarks.clock import add_device, chosen_device, machine_of, spent
 from mbds_xsim.learn.device import compile_networks, put
 from mbds_xsim.learn.gns import GNS, Interaction
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, load_model
+from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import optimiser
@@ -70,7 +70,7 @@ def joined(nodes: Tensor) -> Tensor:
     return nodes.flatten(0, 1)
 
 
-KINDS: dict[str, type[Model]] = {
+KINDS: dict[str, type[LearnedModel]] = {
     "gns": GNS,
     "scatter": ScatterGNS,
     "sgnn": load_model("sgnn"),
@@ -112,7 +112,7 @@ def measure(name: str, track: str, device: str) -> Line:
     return Line(name, track, graph.node_count, graph.edge_count, weights, seconds)
 
 
-def made(kind: str, graph: Graph, track: str) -> Model:
+def made(kind: str, graph: Graph, track: str) -> LearnedModel:
     torch.manual_seed(0)
     return KINDS[kind](graph, statistics(), KINDS[kind].tracks[track])
 
@@ -138,7 +138,7 @@ def drawn(graph: Graph, horizon: int) -> Sample:
     return Sample(start, Inputs(force, torque), after, torch.zeros_like(after))
 
 
-def adam_of(kind: str, model: Model, track: str) -> torch.optim.Adam:
+def adam_of(kind: str, model: LearnedModel, track: str) -> torch.optim.Adam:
     """Our trainer's optimiser; the yardstick has torch's as it comes."""
     if kind == "scatter":
         return torch.optim.Adam(model.parameters())
@@ -146,7 +146,7 @@ def adam_of(kind: str, model: Model, track: str) -> torch.optim.Adam:
     return optimiser(model, recipe)
 
 
-def step(model: Model, adam: torch.optim.Adam, sample: Sample) -> Callable[[], None]:
+def step(model: LearnedModel, adam: torch.optim.Adam, sample: Sample) -> Callable[[], None]:
     """A step of training: loss, gradient, new parameters."""
 
     def descend() -> None:
@@ -157,7 +157,7 @@ def step(model: Model, adam: torch.optim.Adam, sample: Sample) -> Callable[[], N
     return descend
 
 
-def apart(one: Model, other: Model, sample: Sample) -> float:
+def apart(one: LearnedModel, other: LearnedModel, sample: Sample) -> float:
     """Largest difference of two models' losses and gradients, beside the largest gradient."""
     exact = mapped(sample, Tensor.double)
     found = [gradient(copy.deepcopy(model).double(), exact) for model in (one, other)]
@@ -166,7 +166,7 @@ def apart(one: Model, other: Model, sample: Sample) -> float:
     return max(float((mine - yours).abs().max()) for mine, yours in pairs) / largest
 
 
-def gradient(model: Model, sample: Sample) -> list[Tensor]:
+def gradient(model: LearnedModel, sample: Sample) -> list[Tensor]:
     """Loss and its gradient."""
     loss = model.loss(sample, torch.Generator().manual_seed(0))
     grads = torch.autograd.grad(loss, list(model.parameters()), allow_unused=True)

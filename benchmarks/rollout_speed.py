@@ -20,7 +20,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.clock import add_device, chosen_device, machine_of, spent
 from mbds_xsim.learn.device import put
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, build
+from mbds_xsim.learn.model import LearnedModel, build
 from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import Inputs, Start
@@ -40,7 +40,7 @@ SQUARE, REPEATS = {"cpu": 512, "cuda": 8192}, 20
 UNIT = {"cpu": "of the processor, one thread,", "cuda": "of a GPU"}
 
 
-def starts(name: str, models: list[Model]) -> list[Known]:
+def starts(name: str, models: list[LearnedModel]) -> list[Known]:
     """What each model is given of the same slow motions."""
     scene = load_scene(name)
     batch = draw_batch(scene, range(0, 3 * STARTS, 3), noise=False)
@@ -66,7 +66,7 @@ def moved(known: Known, device: str) -> Known:
     )
 
 
-def least(model: Model, given: Known, device: str) -> float:
+def least(model: LearnedModel, given: Known, device: str) -> float:
     """Seconds a trajectory and frame that the products of matrices take at the best rate."""
     with FlopCounterMode(display=False) as counter:
         carry_on(model, given.repeated(1))
@@ -84,7 +84,7 @@ def measured(name: str, device: str) -> dict[str, tuple[float, list[list[float]]
     for model in models:
         put(model, device)
 
-    def work(model: Model, given: Known) -> Callable[[], object]:
+    def work(model: LearnedModel, given: Known) -> Callable[[], object]:
         return lambda: carry_on(model, given)
 
     def turn() -> list[list[float]]:

@@ -9,7 +9,7 @@ from torch import nn
 
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import core_count
-from mbds_xsim.learn.model import Model, PointModel
+from mbds_xsim.learn.model import LearnedModel, PointModel
 
 __all__ = ["check_device", "compile_networks", "precision", "process_count", "put"]
 
@@ -31,47 +31,38 @@ def process_count(asked: int | None, device: str) -> int:
     return 1 if device == "cuda" else core_count()
 
 
-def put(model: Model, device: str) -> None:
+def put(model: LearnedModel, device: str) -> None:
     """Move a model, and the graph that it asks in every step."""
     model.to(device)
     model.graph = model.graph.to(device)
 
 
-def precision(model: Model, *, mixed: bool) -> AbstractContextManager[object]:
-    """Give the block in which a model's loss is computed.
+def precision(model: LearnedModel, *, mixed: bool) -> AbstractContextManager[object]:
+    """Give the block in which a model's loss is computed, mixed where it is asked for and can be.
 
     Parameters, optimiser and integration stay float32, and so do the sums and norms that torch
     keeps there. bfloat16 has float32's range: no gradient needs scaling.
-
-    Args:
-        model: On its device; one that does not mix is left as it is.
-        mixed: Whether it is asked for.
     """
     if not (mixed and model.mixes):
         return nullcontext()
     return torch.autocast(next(model.parameters()).device.type, dtype=torch.bfloat16)
 
 
-def compile_networks(model: Model, *, backend: str | None = None) -> None:
+def compile_networks(model: LearnedModel, *, backend: str | None = None) -> None:
     """Have a model's networks compiled at their first use; its parameters keep their names.
 
     A run has few shapes (a batch, its parts that are pushed on, a validation), so that the kernels
     of each are recorded once, as a CUDA graph, and replayed. Models of an energy are left as they
-    are: torch does not compile through the second derivatives that their training needs.
-
-    Args:
-        model: On its device.
-        backend: Another than torch's own, without CUDA graphs.
+    are: torch does not compile through the second derivatives that their training needs. Another
+    backend than torch's own is without CUDA graphs.
     """
     if not isinstance(model, PointModel):
         return
+    how = {"mode": "reduce-overhead"} if backend is None else {"backend": backend}
     networks = [model] if _has_forward(model) else [*filter(_has_forward, model.children())]
     for network in networks:
         if any(True for _ in network.parameters()):
-            if backend is None:
-                network.compile(mode="reduce-overhead", dynamic=False)
-            else:
-                network.compile(backend=backend, dynamic=False)
+            network.compile(**how, dynamic=False)
 
 
 def _has_forward(module: nn.Module) -> bool:

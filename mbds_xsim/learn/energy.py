@@ -30,16 +30,13 @@ from mbds_xsim.sampling import noise_components
 
 __all__ = [
     "Drag",
-    "Energy",
     "EnergyNetwork",
     "EnergyShape",
     "Kinetic",
-    "TrueEnergy",
+    "NodeEnergy",
     "mass_matrix",
     "momentum",
     "potential_force",
-    "squares",
-    "velocities",
 ]
 
 
@@ -60,7 +57,7 @@ class Kinetic:
         return self.value.sum(-1)
 
 
-class Energy(Protocol):
+class NodeEnergy(Protocol):
     """What a Lagrangian or Hamiltonian is made of."""
 
     mechanics: Mechanics
@@ -72,45 +69,14 @@ class Energy(Protocol):
         """Potential energy [J], shape (batch,), at free nodes (batch, node, 3)."""
 
 
-class TrueEnergy(nn.Module):
-    """The scene's own energy."""
-
-    def __init__(self, mechanics: Mechanics) -> None:
-        super().__init__()
-        self.mechanics = mechanics
-
-    def kinetic(self, v: Tensor) -> Kinetic:
-        """See `Energy`."""
-        square, half = squares(velocities(self.mechanics, v)), 0.5 * self.mechanics.moved_mass
-        return Kinetic(half * square, half.expand_as(square), torch.zeros_like(square))
-
-    def potential(self, q: Tensor) -> Tensor:
-        """See `Energy`."""
-        mass = self.mechanics.moved_mass[: self.mechanics.free, None]
-        weight = -(mass * q * self.mechanics.gravity).sum((-1, -2))
-        span = torch.linalg.vector_norm(self.mechanics.spring @ self.mechanics.all_nodes(q), dim=-1)
-        stiffness, rest = self.mechanics.spring_law[:, 0], self.mechanics.spring_law[:, 1]
-        return weight + 0.5 * (stiffness * (span - rest) ** 2).sum(-1)
-
-
-def squares(v: Tensor) -> Tensor:
-    """Squared lengths of vectors (…, 3)."""
-    return (v * v).sum(-1)
-
-
-def velocities(mechanics: Mechanics, v: Tensor) -> Tensor:
-    """Of free nodes, and of tips relative to centres of mass, shape (batch, node + rod, 3)."""
-    return mechanics.speed_map @ v
-
-
 def momentum(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     """∂T/∂v, shape (batch, node, 3)."""
-    return mechanics.speed_map.T @ (2.0 * kinetic.first[..., None] * velocities(mechanics, v))
+    return mechanics.speed_map.T @ (2.0 * kinetic.first[..., None] * (mechanics.speed_map @ v))
 
 
 def mass_matrix(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     """∂²T/∂v² in closed form, shape (batch, 3 · node, 3 · node): blocks 2 f′ 1 + 4 f″ v vᵀ."""
-    each, size = velocities(mechanics, v), 3 * v.shape[1]
+    each, size = mechanics.speed_map @ v, 3 * v.shape[1]
     outer = 4.0 * kinetic.second[..., None, None] * each[..., :, None] * each[..., None, :]
     eye = torch.eye(3).to(v)
     own = 2.0 * kinetic.first[..., None, None] * eye + outer
@@ -119,7 +85,7 @@ def mass_matrix(mechanics: Mechanics, kinetic: Kinetic, v: Tensor) -> Tensor:
     return flat.view(len(v), size, size)
 
 
-def potential_force(energy: Energy, q: Tensor) -> Tensor:
+def potential_force(energy: NodeEnergy, q: Tensor) -> Tensor:
     """−∂V/∂q [N], shape (batch, node, 3); differentiable where gradients are on."""
     outer = torch.is_grad_enabled()
     with torch.enable_grad():
@@ -142,7 +108,6 @@ class SquarePlus(nn.Module):
     """(x + √(x² + 4)) / 2: smooth, convex, growing."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply it element by element."""
         return _squareplus(x)
 
 
@@ -241,7 +206,7 @@ class OfDistances(nn.Module):
 
 
 class EnergyNetwork(nn.Module):
-    """Learned kinetic and potential energy (an `Energy`)."""
+    """Learned kinetic and potential energy (a `NodeEnergy`)."""
 
     kind: Tensor
     """Of free nodes, then of rods."""
@@ -261,14 +226,12 @@ class EnergyNetwork(nn.Module):
         self.of_place = Potential(mechanics, shape)
 
     def kinetic(self, v: Tensor) -> Kinetic:
-        """See `Energy`."""
         square, mass = self.square_speed, self.mechanics.moved_mass
-        speed = squares(velocities(self.mechanics, v)) / square
+        speed = (self.mechanics.speed_map @ v).square().sum(-1) / square
         value, first, second = self.of_speed(speed, self.kind)
         return Kinetic(mass * square * value, mass * first, mass / square * second)
 
     def potential(self, q: Tensor) -> Tensor:
-        """See `Energy`."""
         energy: Tensor = self.of_place(self.mechanics.all_nodes(q) / self.length)
         return self.unit * energy
 
@@ -286,9 +249,9 @@ class Drag(nn.Module):
         """Forces on the free nodes [N], shape (batch, node, 3), at their velocities."""
         (energy,) = self.energy
         mechanics = energy.mechanics
-        each = velocities(mechanics, v)
+        each = mechanics.speed_map @ v
         # Of a whip's speed itself the share would grow until the integrator is unstable.
-        speed = torch.log1p(squares(each)[..., None] / energy.square_speed)
+        speed = torch.log1p(each.square().sum(-1)[..., None] / energy.square_speed)
         kinds = self.embed(energy.kind).expand(len(v), -1, -1)
         share = 0.1 * self.of_speed(torch.cat([kinds, speed], -1)) ** 2
         rate = math.sqrt(energy.square_speed) / energy.length

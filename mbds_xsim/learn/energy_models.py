@@ -17,6 +17,7 @@ keeps to neighbours, in p it does not.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -25,12 +26,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from mbds_xsim import rotation
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.energy import (
     Drag,
-    Energy,
     EnergyNetwork,
     EnergyShape,
+    NodeEnergy,
     mass_matrix,
     momentum,
     potential_force,
@@ -42,7 +44,15 @@ from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Inputs, Sample, Start
 
-__all__ = ["HGNN", "LGNN", "EnergyModel", "EnergySettings", "Hamiltonian", "Lagrangian"]
+__all__ = [
+    "HGNN",
+    "LGNN",
+    "EnergyModel",
+    "EnergySettings",
+    "Hamiltonian",
+    "Lagrangian",
+    "NodeDynamics",
+]
 
 
 class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,9 +70,92 @@ class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recipe: Recipe = Recipe(rate=1e-3, batch=100, skip=True)
 
 
+class NodeDynamics(nn.Module, ABC):
+    """Rates of nodes and of what a state has for their velocities, from an energy."""
+
+    def __init__(self, energy: NodeEnergy, drag: nn.Module | None = None) -> None:
+        super().__init__()
+        self.energy, self.drag = energy, drag
+        self.mechanics = energy.mechanics
+
+    def load(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """Forces on the free nodes but for the constraints' [N], shape (batch, node, 3)."""
+        load = potential_force(self.energy, q) + self.mechanics.applied(q, v, force, torque)
+        return load if self.drag is None else load + self.drag(v)
+
+    @abstractmethod
+    def derivative(
+        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Rates of q and x, shapes (batch, node, 3).
+
+        Args:
+            q: Free nodes [m].
+            x: Their velocities [m/s] or momenta [kg·m/s].
+            force: On centres of mass [N], shape (batch, body, 3).
+            torque: About the hinges [N·m], shape (batch, hinge).
+        """
+
+
+class Lagrangian(NodeDynamics):
+    """Of nodes and velocities."""
+
+    def derivative(
+        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        return x, self.acceleration(q, x, force, torque)
+
+    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """Accelerations of the free nodes [m/s²], shape (batch, node, 3)."""
+        load = self.load(q, v, force, torque)
+        mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
+        jacobian = self.mechanics.jacobian(q).dense()
+        bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
+        return constrained(mass, load.flatten(1), jacobian, bias, redundant).view_as(q)
+
+    def total_energy(self, q: Tensor, v: Tensor) -> Tensor:
+        """q̇ · ∂L/∂q̇ − L [J], shape (batch,)."""
+        kinetic = self.energy.kinetic(v)
+        action = (v * momentum(self.mechanics, kinetic, v)).sum((-1, -2))
+        return action - kinetic.total + self.energy.potential(q)
+
+
+class Hamiltonian(NodeDynamics):
+    """Of nodes and momenta."""
+
+    def momentum(self, v: Tensor) -> Tensor:
+        """Momenta p = M v [kg·m/s] of velocities (batch, node, 3)."""
+        return self.mechanics.mass @ v
+
+    def derivative(
+        self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        mechanics = self.mechanics
+        u = mechanics.mass_inverse @ x
+        jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
+        solver = mechanics.factored(jacobian)
+        slope = momentum(mechanics, self.energy.kinetic(u), u)
+        q_rate = mechanics.mass_inverse @ slope
+        second = -solver(jacobian.along(q_rate))
+        q_rate = q_rate + mechanics.mass_inverse @ jacobian.back(second)
+        p_rate = self.load(q, q_rate, force, torque) - rate.back(second)
+        first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
+        return q_rate, p_rate - jacobian.back(first)
+
+    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
+        """M⁻¹ ṗ at p = M v [m/s²]: q̈ where H is the true one; shape (batch, node, 3)."""
+        _, p_rate = self.derivative(q, self.momentum(v), force, torque)
+        return self.mechanics.mass_inverse @ p_rate
+
+    def total_energy(self, q: Tensor, p: Tensor) -> Tensor:
+        """H [J], shape (batch,)."""
+        return self.energy.kinetic(self.mechanics.mass_inverse @ p).total + self.energy.potential(q)
+
+
 class EnergyModel(FlowModel):
     """Motion that follows from a learned energy and the scene's constraints."""
 
+    kind: ClassVar[type[NodeDynamics]]
     dtype: ClassVar[torch.dtype] = torch.float64
     needs_bodies: ClassVar[bool] = True
     tracks: ClassVar[Mapping[str, EnergySettings]] = {
@@ -82,7 +175,6 @@ class EnergyModel(FlowModel):
         ),
     }
 
-    reference: Tensor
     carrier: Tensor
     carried: Tensor
     particle_map: Tensor
@@ -94,17 +186,19 @@ class EnergyModel(FlowModel):
         self.substeps, self.floor = settings.substeps, settings.floor
         self.energy = EnergyNetwork(self.mechanics, settings.shape)
         self.drag = Drag(self.energy, settings.shape) if settings.drag else None
+        self.dynamics = self.kind(self.energy, self.drag)
         points, mechanism = self.mechanics.points, self.mechanics.mechanism
         body, offset = points.carrier
-        seen = Points.of(graph.scene)
+        upright = np.tile([1.0, 0.0, 0.0, 0.0], (mechanism.body_count, 1))
+        particles = Points.of(graph.scene)
         weights = [
             points.of_body(int(k)).weights(place, points.count)
-            for k, place in zip(seen.body, seen.offset, strict=True)
+            for k, place in zip(particles.body, particles.offset, strict=True)
         ]
         for name, values in (
-            ("reference", mechanism.reference_orientation),
             ("carrier", body),
-            ("carried", offset),
+            # In the published frames, whose orientations are given.
+            ("carried", rotation.rotate(mechanism.native_rotation(upright)[body], offset)),
             ("particle_map", np.array(weights)),
             ("spread", statistics.acceleration.spread(graph.moving)),
         ):
@@ -112,19 +206,17 @@ class EnergyModel(FlowModel):
         self.double()
 
     def begin(self, start: Start) -> Tensor:
-        """Give nodes and velocities or momenta, on the constraints; see `Model`."""
+        """Give nodes and velocities or momenta, on the constraints."""
         assert start.body is not None
         body = start.body.double()
         position, orientation = body[..., :3], body[..., 3:7]
         velocity, spin = body[..., 7:10], body[..., 10:]
-        native = _multiply(orientation, self.reference * self.reference.new_tensor([1, -1, -1, -1]))
-        arm = _rotate(native[:, self.carrier], self.carried)
+        arm = _rotate(orientation[:, self.carrier], self.carried)
         moving = velocity[:, self.carrier] + torch.linalg.cross(spin[:, self.carrier], arm)
         q, v = self.mechanics.project(position[:, self.carrier] + arm, moving)
         return torch.stack([q, self.conjugate(v)], dim=1)
 
     def positions(self, state: Tensor) -> Tensor:
-        """See `Model`."""
         return self.particle_map @ self.mechanics.all_nodes(state[:, 0])
 
     def velocities(self, state: Tensor) -> Tensor:
@@ -139,10 +231,10 @@ class EnergyModel(FlowModel):
         """Velocities of the nodes [m/s], shape (batch, node, 3)."""
         return state[:, 1]
 
-    def settle(self, state: Tensor) -> Tensor:
-        """Put a state back onto the constraints (of least mass-weighted change)."""
-        q, v = self.mechanics.project(state[:, 0], self.moving(state))
-        return torch.stack([q, self.conjugate(v)], dim=1)
+    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
+        q, x = state.unbind(1)
+        force, torque = inputs.force.to(q), inputs.torque.to(q)
+        return torch.stack(self.dynamics.derivative(q, x, force, torque), dim=1)
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
         """Mean square error of positions and of velocities times the frame, in units of second
@@ -163,137 +255,31 @@ class EnergyModel(FlowModel):
         return (torch.log1p(error / self.floor) - torch.log1p(error)).mean()
 
 
-def _multiply(p: Tensor, q: Tensor) -> Tensor:
-    """Hamilton product of quaternions wxyz."""
-    real = p[..., :1] * q[..., :1] - (p[..., 1:] * q[..., 1:]).sum(-1, keepdim=True)
-    turned = torch.linalg.cross(p[..., 1:], q[..., 1:].expand_as(p[..., 1:]))
-    return torch.cat([real, p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + turned], -1)
-
-
-def _rotate(q: Tensor, v: Tensor) -> Tensor:
-    v = v.expand_as(q[..., 1:])
-    twice = 2.0 * torch.linalg.cross(q[..., 1:], v)
-    return v + q[..., :1] * twice + torch.linalg.cross(q[..., 1:], twice)
-
-
-class Hamiltonian(nn.Module):
-    """Hamiltonian dynamics of an energy."""
-
-    def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
-        super().__init__()
-        self.energy, self.drag = energy, drag
-        self.mechanics = energy.mechanics
-
-    def momentum(self, v: Tensor) -> Tensor:
-        """Momenta p = M v [kg·m/s] of velocities (batch, node, 3)."""
-        return self.mechanics.mass @ v
-
-    def derivative(
-        self, q: Tensor, p: Tensor, force: Tensor, torque: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Rates of q [m/s] and p [N], shapes (batch, node, 3).
-
-        Args:
-            q: Free nodes [m], shape (batch, node, 3).
-            p: Their momenta [kg·m/s].
-            force: On centres of mass [N], shape (batch, body, 3).
-            torque: About the hinges [N·m], shape (batch, hinge).
-        """
-        mechanics = self.mechanics
-        u = mechanics.mass_inverse @ p
-        jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
-        solver = mechanics.factored(jacobian)
-        slope = momentum(mechanics, self.energy.kinetic(u), u)
-        q_rate = mechanics.mass_inverse @ slope
-        second = -solver(jacobian.along(q_rate))
-        q_rate = q_rate + mechanics.mass_inverse @ jacobian.back(second)
-        load = potential_force(self.energy, q) + mechanics.applied(q, q_rate, force, torque)
-        if self.drag is not None:
-            load = load + self.drag(q_rate)
-        p_rate = load - rate.back(second)
-        first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
-        return q_rate, p_rate - jacobian.back(first)
-
-    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
-        """M⁻¹ ṗ at p = M v [m/s²]: q̈ where H is the true one; shape (batch, node, 3)."""
-        _, p_rate = self.derivative(q, self.momentum(v), force, torque)
-        return self.mechanics.mass_inverse @ p_rate
-
-    def total_energy(self, q: Tensor, p: Tensor) -> Tensor:
-        """H [J], shape (batch,)."""
-        return self.energy.kinetic(self.mechanics.mass_inverse @ p).total + self.energy.potential(q)
-
-
-class HGNN(EnergyModel):
-    """A learned Hamiltonian on a scene's constraints."""
-
-    def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
-        super().__init__(graph, statistics, settings)
-        self.dynamics = Hamiltonian(self.energy, self.drag)
-
-    def conjugate(self, v: Tensor) -> Tensor:
-        """See `EnergyModel`."""
-        return self.dynamics.momentum(v)
-
-    def moving(self, state: Tensor) -> Tensor:
-        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
-        return self.mechanics.mass_inverse @ state[:, 1]
-
-    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
-        """See `FlowModel`."""
-        q, p = state.unbind(1)
-        force, torque = inputs.force.to(q), inputs.torque.to(q)
-        return torch.stack(self.dynamics.derivative(q, p, force, torque), dim=1)
-
-
-class Lagrangian(nn.Module):
-    """Lagrangian dynamics of an energy."""
-
-    def __init__(self, energy: Energy, drag: nn.Module | None = None) -> None:
-        super().__init__()
-        self.energy, self.drag = energy, drag
-        self.mechanics = energy.mechanics
-
-    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
-        """Accelerations of the free nodes [m/s²], shape (batch, node, 3).
-
-        Args:
-            q: Free nodes [m], shape (batch, node, 3).
-            v: Their velocities [m/s].
-            force: On centres of mass [N], shape (batch, body, 3).
-            torque: About the hinges [N·m], shape (batch, hinge).
-        """
-        load = potential_force(self.energy, q) + self.mechanics.applied(q, v, force, torque)
-        if self.drag is not None:
-            load = load + self.drag(v)
-        mass = mass_matrix(self.mechanics, self.energy.kinetic(v), v)
-        jacobian = self.mechanics.jacobian(q).dense()
-        bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
-        solved = constrained(mass, load.flatten(1), jacobian, bias, redundant)
-        return solved.view_as(q)
-
-    def total_energy(self, q: Tensor, v: Tensor) -> Tensor:
-        """q̇ · ∂L/∂q̇ − L [J], shape (batch,)."""
-        kinetic = self.energy.kinetic(v)
-        action = (v * momentum(self.mechanics, kinetic, v)).sum((-1, -2))
-        return action - kinetic.total + self.energy.potential(q)
-
-
 class LGNN(EnergyModel):
     """A learned Lagrangian on a scene's constraints."""
 
+    kind: ClassVar[type[NodeDynamics]] = Lagrangian
     # With one step of the integrator a frame up to 8 of 100 rollouts are lost, HGNN's are not.
     tracks: ClassVar[Mapping[str, EnergySettings]] = {
         **EnergyModel.tracks,
         "lite": msgspec.structs.replace(EnergyModel.tracks["lite"], substeps=2),
     }
 
-    def __init__(self, graph: Graph, statistics: Statistics, settings: EnergySettings) -> None:
-        super().__init__(graph, statistics, settings)
-        self.dynamics = Lagrangian(self.energy, self.drag)
 
-    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
-        """See `FlowModel`."""
-        q, v = state.unbind(1)
-        force, torque = inputs.force.to(q), inputs.torque.to(q)
-        return torch.stack([v, self.dynamics.acceleration(q, v, force, torque)], dim=1)
+class HGNN(EnergyModel):
+    """A learned Hamiltonian on a scene's constraints."""
+
+    kind: ClassVar[type[NodeDynamics]] = Hamiltonian
+
+    def conjugate(self, v: Tensor) -> Tensor:
+        return self.mechanics.mass @ v
+
+    def moving(self, state: Tensor) -> Tensor:
+        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
+        return self.mechanics.mass_inverse @ state[:, 1]
+
+
+def _rotate(q: Tensor, v: Tensor) -> Tensor:
+    v = v.expand_as(q[..., 1:])
+    twice = 2.0 * torch.linalg.cross(q[..., 1:], v)
+    return v + q[..., :1] * twice + torch.linalg.cross(q[..., 1:], twice)

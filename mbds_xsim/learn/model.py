@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, final
 
 import torch
 from torch import Tensor, nn
 
 from mbds_xsim.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Sample, Start
 
 __all__ = [
+    "Change",
     "FlowModel",
-    "Model",
+    "LearnedModel",
     "PointModel",
-    "Rollout",
     "build",
     "go_on",
     "load_model",
@@ -29,17 +29,33 @@ __all__ = [
     "refusal",
     "roll",
     "rollout",
+    "trainable",
 ]
-
 
 Change = Literal["acceleration", "displacement"]
 
+_PLACES = {
+    "gns": "gns:GNS",
+    "sgnn": "sgnn:SGNN",
+    "hgnn": "energy_models:HGNN",
+    "lgnn": "energy_models:LGNN",
+    "hold": "trivial:Hold",
+    "constant_velocity": "trivial:ConstantVelocity",
+    "constant_acceleration": "trivial:ConstantAcceleration",
+}
+_BATCH = 512
+_NODES = 4096
+"""At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
+pages new from the system, which makes rows dearer."""
+_PUSHED = 0.5
+"""Of the windows, those that go on for a frame more; so half of a batch are true ones."""
 
-class Model(nn.Module, ABC):
+
+class LearnedModel(nn.Module, ABC):
     """A model of one scene. What it carries from frame to frame is a tensor, one row a trajectory.
 
-    A subclass is made by `Model(graph, statistics, settings)`; its parameters are drawn from
-    torch's global generator then.
+    A subclass is made of graph, statistics and settings; its parameters are drawn from torch's
+    global generator then.
     """
 
     tracks: ClassVar[Mapping[str, Any]] = {}
@@ -62,12 +78,7 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def advance(self, state: Tensor, inputs: Inputs) -> Tensor:
-        """Give the state a frame later.
-
-        Args:
-            state: Of `begin` or of the frame before.
-            inputs: Over the frame to come, shapes (batch, body, 3) and (batch, hinge).
-        """
+        """Give the state a frame later; inputs are those over the frame to come."""
 
     @abstractmethod
     def positions(self, state: Tensor) -> Tensor:
@@ -75,15 +86,10 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
-        """Give what training minimises, a mean over the batch.
-
-        Args:
-            sample: Windows of the training part.
-            generator: Of the CPU, for noise.
-        """
+        """Give what training minimises, a mean over the batch; the CPU's generator is for noise."""
 
 
-class PointModel(Model):
+class PointModel(LearnedModel):
     """A model that sees the last positions and gives an acceleration or a displacement."""
 
     change: ClassVar[Change]
@@ -104,7 +110,9 @@ class PointModel(Model):
 
     @final
     def advance(self, state: Tensor, inputs: Inputs) -> Tensor:
-        displacement = _DISPLACEMENT[self.change](state, self.predict(state, inputs))
+        displacement = self.predict(state, inputs)
+        if self.change == "acceleration":  # semi-implicit Euler in units of frames
+            displacement = state[:, -1] - state[:, -2] + displacement
         # Where the scene does not move, positions are known and the networks are not asked.
         after = state[:, -1] + displacement * self.graph.moving.to(state)
         return torch.cat([state[:, 1:], after[:, None]], dim=1)
@@ -114,7 +122,7 @@ class PointModel(Model):
         return state[:, -1]
 
 
-class FlowModel(Model):
+class FlowModel(LearnedModel):
     """A model that gives the time derivative of coordinates of its own."""
 
     substeps: int
@@ -146,7 +154,7 @@ def trainable() -> list[str]:
     return [name for name in model_names() if load_model(name).tracks]
 
 
-def load_model(name: str) -> type[Model]:
+def load_model(name: str) -> type[LearnedModel]:
     """Find a model by name.
 
     Raises:
@@ -155,13 +163,13 @@ def load_model(name: str) -> type[Model]:
     if name not in _PLACES:
         raise UnknownName.of("model", name, model_names())
     module, kind = _PLACES[name].split(":")
-    found: type[Model] = getattr(importlib.import_module(module), kind)
-    return found
+    model: type[LearnedModel] = getattr(importlib.import_module(f"mbds_xsim.learn.{module}"), kind)
+    return model
 
 
 def build(
     name: str, graph: Graph, statistics: Statistics, *, track: str = "native", seed: int = 0
-) -> Model:
+) -> LearnedModel:
     """Make an untrained model: the same seed makes the same parameters.
 
     Raises:
@@ -177,65 +185,23 @@ def build(
         return kind(graph, statistics, kind.tracks.get(track)).to(kind.dtype)
 
 
-_PLACES = {
-    "gns": "mbds_xsim.learn.gns:GNS",
-    "sgnn": "mbds_xsim.learn.sgnn:SGNN",
-    "hgnn": "mbds_xsim.learn.energy_models:HGNN",
-    "lgnn": "mbds_xsim.learn.energy_models:LGNN",
-    "hold": "mbds_xsim.learn.trivial:Hold",
-    "constant_velocity": "mbds_xsim.learn.trivial:ConstantVelocity",
-    "constant_acceleration": "mbds_xsim.learn.trivial:ConstantAcceleration",
-}
+def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
+    """Say why a model cannot represent a scene; "" where it can.
 
-
-def _of_acceleration(history: Tensor, acceleration: Tensor) -> Tensor:
-    """Semi-implicit Euler in units of frames."""
-    return history[:, -1] - history[:, -2] + acceleration
-
-
-def _of_displacement(history: Tensor, displacement: Tensor) -> Tensor:
-    del history
-    return displacement
-
-
-_DISPLACEMENT: dict[Change, Callable[[Tensor, Tensor], Tensor]] = {
-    "acceleration": _of_acceleration,
-    "displacement": _of_displacement,
-}
-
-
-_BATCH = 512
-_NODES = 4096
-"""At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
-pages new from the system, which makes rows dearer."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """Predicted positions beside the true ones; frame 0 is the first predicted."""
-
-    position: Tensor
-    """[m], shape (trajectory, frame, particle, 3); not a number from where a prediction failed."""
-    truth: Tensor
-    """[m], of the same shape."""
-
-    @property
-    def failed(self) -> Tensor:
-        """Whether a trajectory became not finite, bool, shape (trajectory,)."""
-        return ~self.position[:, -1].isfinite().all(-1).all(-1)
-
-    @property
-    def squared_error(self) -> Tensor:
-        """Mean over particles of the squared distance [m²], shape (trajectory, frame).
-
-        Not a number where the prediction failed: to be counted, never dropped.
-        """
-        return ((self.position - self.truth) ** 2).sum(-1).mean(-1)
+    Raises:
+        UnknownName: There is no such model.
+        InputError: It has no such track.
+    """
+    try:
+        build(name, graph, Statistics.of_nothing(), track=track)
+    except Unsupported as error:
+        return str(error)
+    return ""
 
 
 def rollout(
-    model: Model, motions: Motions, *, steps: int | None = None, batch: int = _BATCH
-) -> Rollout:
+    model: LearnedModel, motions: Motions, *, steps: int | None = None, batch: int = _BATCH
+) -> Tensor:
     """Predict trajectories from their first `HISTORY` frames on.
 
     Args:
@@ -243,6 +209,10 @@ def rollout(
         motions: What really happened, and its inputs.
         steps: Frames to predict; left out, all.
         batch: Trajectories at a time.
+
+    Returns:
+        Positions behind frame `HISTORY` [m], shape (trajectory, frame, particle, 3); not a number
+        from where a prediction failed: to be counted, never dropped.
 
     Raises:
         InputError: There are not so many frames, or the model needs the bodies' states.
@@ -259,18 +229,13 @@ def rollout(
     with torch.no_grad():
         for k in range(0, len(motions), batch):
             rows = torch.arange(k, min(k + batch, len(motions)), device=motions.position.device)
-            sample = motions.sample(rows, torch.full_like(rows, HISTORY - 1), steps)
+            sample = motions.sample(rows, HISTORY - 1, steps)
             parts.append(roll(model, sample.start, sample.inputs))
-    return Rollout(torch.cat(parts), motions.position[:, HISTORY : HISTORY + steps])
+    return torch.cat(parts)
 
 
-def roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
-    """Predict frame by frame.
-
-    Args:
-        model: Which model.
-        start: What is known.
-        inputs: Over all frames to come, shapes (batch, frame, body, 3) and (batch, frame, hinge).
+def roll(model: LearnedModel, start: Start, inputs: Inputs) -> Tensor:
+    """Predict frame by frame from what is known, under the inputs of all frames to come.
 
     Returns:
         Positions [m], shape (batch, frame, particle, 3). A row that is not finite at a frame stays
@@ -285,7 +250,7 @@ def roll(model: Model, start: Start, inputs: Inputs) -> Tensor:
     )
 
 
-def go_on(model: Model, state: Tensor, inputs: Inputs) -> Tensor:
+def go_on(model: LearnedModel, state: Tensor, inputs: Inputs) -> Tensor:
     """Do as `roll` does from states of the model's own, all rows at once."""
     first = state
     alive = torch.ones(len(state), dtype=torch.bool, device=state.device)
@@ -295,8 +260,8 @@ def go_on(model: Model, state: Tensor, inputs: Inputs) -> Tensor:
         alive = alive & state.flatten(1).isfinite().all(1)
         # Solvers refuse numbers that are none: failed rows are kept at their start, unseen.
         state = torch.where(_like(alive, state), state, first)
-        seen = model.positions(state)
-        frames.append(torch.where(_like(alive, seen), seen, torch.nan))
+        positions = model.positions(state)
+        frames.append(torch.where(_like(alive, positions), positions, torch.nan))
     return torch.stack(frames, dim=1)
 
 
@@ -304,41 +269,14 @@ def _like(flags: Tensor, values: Tensor) -> Tensor:
     return flags.reshape(-1, *[1] * (values.dim() - 1))
 
 
-def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
-    """Say why a model cannot represent a scene; "" where it can.
-
-    Raises:
-        UnknownName: There is no such model.
-        InputError: It has no such track.
-    """
-    try:
-        build(name, graph, _of_nothing(), track=track)
-    except Unsupported as error:
-        return str(error)
-    return ""
-
-
-def _of_nothing() -> Statistics:
-    """Statistics of what does not move."""
-    one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
-    return Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
-
-
-PART = 0.5
-"""Of the windows, those that go on for a frame more; so half of a batch are true ones."""
-
-
 def pushed(model: PointModel, sample: Sample) -> Sample:
     """Let half of a batch go on from the model's own prediction, half of these again, and so on.
 
-    The more frames to come, the farther; the last of them is learned from. No gradient passes
-    through the predictions. Source: Brandstetter, Worrall and Welling, "Message passing neural
-    PDE solvers", ICLR 2022, section 3.1, there one frame of all windows; what more are worth is
-    in docs/train.md.
-
-    Args:
-        model: Whose loss it is for.
-        sample: Windows; with one frame to come they stay as they are.
+    So it learns to correct what it does: what a model gets wrong, such as a rod's length, is in no
+    data, and may grow from frame to frame. The more frames to come, the farther; the last of them
+    is learned from. No gradient passes through the predictions. Source: Brandstetter, Worrall and
+    Welling, "Message passing neural PDE solvers", ICLR 2022, section 3.1, there one frame of all
+    windows; what more are worth is in docs/train.md.
 
     Returns:
         The windows, with one frame to come: what follows the predictions, or the last known frame.
@@ -347,16 +285,16 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
     age = torch.zeros(len(history), dtype=torch.int64, device=history.device)
     with torch.no_grad():
         for frame in range(sample.position.shape[1] - 1):
-            count = round(PART ** (frame + 1) * len(history))
+            count = round(_PUSHED ** (frame + 1) * len(history))
             if not count:  # a small batch
                 break
-            given = Inputs(inputs.force[:count, frame], inputs.torque[:count, frame])
-            history = torch.cat([model.advance(history[:count], given), history[count:]])
+            ahead = model.advance(history[:count], inputs[:count, frame])
+            history = torch.cat([ahead, history[count:]])
             age[:count] += 1
     row = torch.arange(len(age), device=age.device)
     return Sample(
         start=replace(sample.start, history=history),
-        inputs=Inputs(inputs.force[row, age][:, None], inputs.torque[row, age][:, None]),
+        inputs=inputs[row, age][:, None],
         position=sample.position[row, age][:, None],
         velocity=sample.velocity[row, age][:, None],
     )

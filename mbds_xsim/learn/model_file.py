@@ -25,7 +25,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, load_model
+from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
@@ -40,7 +40,13 @@ _LARGEST = 10_000
 
 
 def save_model(
-    path: Path, model: Model, name: str, settings: Any, statistics: Statistics, /, **facts: str
+    path: Path,
+    model: LearnedModel,
+    name: str,
+    settings: Any,
+    statistics: Statistics,
+    /,
+    **facts: str,
 ) -> None:
     """Write a model, and how it was made.
 
@@ -66,7 +72,7 @@ def save_model(
     write_whole(path, content.getvalue())
 
 
-def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str, str]]:
+def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, dict[str, str]]:
     """Read a model, on the CPU, and the facts that were written with it.
 
     Args:
@@ -104,7 +110,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[Model, dict[str,
     return model, whole.facts
 
 
-def _settings(kind: type[Model], whole: _Whole) -> Any:
+def _settings(kind: type[LearnedModel], whole: _Whole) -> Any:
     """Read the hyper-parameters of a kind of model; None where there is nothing to set."""
     if not kind.tracks:
         return None

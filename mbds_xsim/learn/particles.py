@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, rollout
+from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.mechanism import JointKind, Mechanism, PlacedJoint
 from mbds_xsim.reference.cache import read_sealed, sealed
@@ -257,7 +257,7 @@ def read_figures(path: Path) -> Figures | None:
 
 
 def figures_on(
-    model: Model, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
+    model: LearnedModel, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
 ) -> Figures:
     """Test a model; trajectories whose first window is not known are left unknown.
 
@@ -272,7 +272,7 @@ def figures_on(
     rows = torch.nonzero(start)[:, 0]
     known = motions[rows]
     shown = known.to(device)
-    predicted = rollout(model, shown, steps=horizon).position.cpu()
+    predicted = rollout(model, shown, steps=horizon).cpu()
     step = one_step_error(model, shown, frames=horizon, stride=stride)
     return _spread(measure(known, predicted, step), rows.numpy(), len(motions))
 
@@ -300,7 +300,7 @@ def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) 
     )
 
 
-def one_step_error(model: Model, motions: Motions, *, frames: int, stride: int) -> Array:
+def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride: int) -> Array:
     """Predict one frame from true windows, every `stride` frames: not chaotic, so comparable.
 
     Windows are of so many frames after the first one; those that are not known are left out.
@@ -315,7 +315,7 @@ def one_step_error(model: Model, motions: Motions, *, frames: int, stride: int) 
         rows = torch.nonzero(window.isfinite().all(-1).all(-1).all(-1))[:, 0]
         if not len(rows):
             continue
-        sample = motions.sample(rows, torch.full_like(rows, last), 1)
+        sample = motions.sample(rows, last, 1)
         with torch.no_grad():
             state = model.advance(model.begin(sample.start), sample.inputs.at(0))
             after = model.positions(state).double()

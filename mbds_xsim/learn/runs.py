@@ -25,7 +25,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve
 from mbds_xsim.learn.device import put
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
-from mbds_xsim.learn.model import Model, build, load_model
+from mbds_xsim.learn.model import LearnedModel, build, load_model
 from mbds_xsim.learn.model_file import read_facts, save_model
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Statistics
@@ -143,7 +143,9 @@ def finished(run: TrainingRun) -> dict[str, str] | None:
     return None
 
 
-def prepared(run: TrainingRun, *, most: int | None = None) -> tuple[Model, Statistics, Parts]:
+def prepared(
+    run: TrainingRun, *, most: int | None = None
+) -> tuple[LearnedModel, Statistics, Parts]:
     """Make the untrained model of a run, and read its data.
 
     Args:

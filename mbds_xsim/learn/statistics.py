@@ -6,7 +6,7 @@ Means and deviations are of training trajectories, never of others.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.window import Inputs, Motions
 from mbds_xsim.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.sampling_terms import HingeTorque
@@ -23,10 +23,118 @@ from mbds_xsim.sampling_terms import HingeTorque
 __all__ = ["CHANNELS", "Channels", "Moments", "Statistics"]
 
 Array = NDArray[np.float64]
+AxisWeights = tuple[Array, Array, Array, Array]
+"""How a hinge's axis follows from the particles: `along`, `first`, `second` and `fixed`."""
 
+CHANNELS = ("force", "torque")
+"""Of each node: its share of the force on its body by mass [N]; the torque on its body [N·m]."""
 
+_RANK = 1e-6  # of the largest extent of a body's particles
 _ROWS = 64  # trajectories at a time
 _NEGLIGIBLE = 1e-9  # of the scene's length: a deviation that is rounding
+_KINDS = ("position", "displacement", "acceleration")
+
+
+class Channels(nn.Module):
+    """Turns inputs into vectors at the nodes.
+
+    A rollout knows particles only, so the axis of a driven hinge must follow from them. In a body
+    that they span it is a fixed combination of their positions; in a plane one, part of it is
+    along the cross product of two such combinations. Both turn with the body, exactly.
+    """
+
+    along: Tensor
+    first: Tensor
+    second: Tensor
+    fixed: Tensor
+    acts: Tensor
+    share: Tensor
+    owner: Tensor
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__()
+        none = np.zeros(graph.particle_count)
+        idle = (none, none, none, np.zeros(3))
+        driven = {load.joint for load in graph.scene.torques}
+        for term in graph.scene.sampling:
+            driven |= set(term.joints) if isinstance(term, HingeTorque) else set()
+        hinges = graph.mechanism.hinges
+        weights = [_weights(graph, hinge) if hinge.name in driven else idle for hinge in hinges]
+        for k, (name, size) in enumerate(
+            (("along", len(none)), ("first", len(none)), ("second", len(none)), ("fixed", 3))
+        ):
+            values = np.array([each[k] for each in weights]).reshape(-1, size)
+            self.register_buffer(name, torch.from_numpy(values).float(), persistent=False)
+        self.register_buffer("acts", _acts(graph).float(), persistent=False)
+        self.register_buffer("share", _share(graph).float(), persistent=False)
+        self.register_buffer("owner", graph.body.clamp(min=0), persistent=False)
+
+    def forward(self, particles: Tensor, inputs: Inputs) -> Tensor:
+        """Give the vectors at the nodes, shape (…, node, channel, 3).
+
+        Args:
+            particles: Positions in W [m], shape (…, particle, 3).
+            inputs: Of one frame, shapes (…, body, 3) and (…, hinge).
+        """
+        force = inputs.force[..., self.owner, :] * self.share[:, None]
+        torque = self.acts @ (inputs.torque[..., None] * self.axes(particles))
+        return torch.stack([force, torque], dim=-2)
+
+    def axes(self, particles: Tensor) -> Tensor:
+        """Unit vectors of the driven hinges in W, 0 of others, shape (…, hinge, 3)."""
+        normal = torch.linalg.cross(self.first @ particles, self.second @ particles)
+        return nn.functional.normalize(self.along @ particles + normal + self.fixed, dim=-1)
+
+
+def _acts(graph: Graph) -> Tensor:
+    """1 where a hinge's child has a node, −1 where its parent has, shape (node, hinge)."""
+    owner, hinges = graph.body.cpu()[:, None], graph.mechanism.hinges
+    child = torch.tensor([hinge.child for hinge in hinges], dtype=torch.int64)
+    parent = torch.tensor([hinge.parent for hinge in hinges], dtype=torch.int64)
+    return ((owner == child).double() - (owner == parent).double()) * (owner >= 0)
+
+
+def _share(graph: Graph) -> Tensor:
+    """Of its body's mass in a node, 0 in anchors, shape (node,)."""
+    owner, mass = graph.body.cpu(), graph.mass.cpu()
+    whole = torch.from_numpy(graph.mechanism.mass)
+    return torch.where(owner >= 0, mass / whole[owner.clamp(min=0)], 0.0)
+
+
+def _weights(graph: Graph, hinge: PlacedJoint) -> AxisWeights:
+    none = np.zeros(graph.particle_count)
+    if hinge.parent == WORLD_INDEX or graph.scene.dimension < 3:
+        return none, none, none, hinge.axis
+    for body in (hinge.parent, hinge.child):
+        weights = _of_body(graph, body, hinge.axis)
+        if weights is not None:
+            return weights
+    msg = (
+        f"joint {hinge.name!r} is driven, but its axis cannot be seen from the particles of "
+        "either body, which are on one line; give one of them a particle beside it"
+    )
+    raise Unsupported(msg)
+
+
+def _of_body(graph: Graph, body: int, axis: Array) -> AxisWeights | None:
+    """Weights of a body's particles, or None where they do not tell the axis."""
+    mine = np.flatnonzero(graph.body.cpu().numpy() == body)
+    points = graph.reference.cpu().numpy()[mine]
+    arms = points - points.mean(axis=0)
+    extents, directions = np.linalg.svd(arms, full_matrices=False)[1:]
+    rank = int(np.sum(extents > _RANK * graph.length))
+    spanned = directions[:rank]
+    inside = spanned.T @ (spanned @ axis)
+    outside = axis - inside
+    if rank < 2 and np.linalg.norm(outside) > _RANK:
+        return None
+    back = np.linalg.pinv(arms.T, rcond=_RANK)
+    along, first, second = (np.zeros(graph.particle_count) for _ in range(3))
+    along[mine] = back @ inside
+    if rank == 2:
+        normal = np.cross(spanned[0], spanned[1])
+        first[mine], second[mine] = back @ spanned[0] * (outside @ normal), back @ spanned[1]
+    return along, first, second, np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,62 +192,51 @@ class Statistics:
         if motions.split != "train":
             msg = f"statistics: got the part {motions.split!r}, allowed is 'train'"
             raise InputError(msg)
-        floor = _NEGLIGIBLE * motions.graph.length
-        return Statistics(
-            position=_moments(motions, 0, floor),
-            displacement=_moments(motions, 1, floor),
-            acceleration=_moments(motions, 2, floor),
-            channels=_sizes(motions),
-        )
+        first, second, third = (_moments(motions, order) for order in range(3))
+        return Statistics(first, second, third, _sizes(motions))
+
+    @staticmethod
+    def of_nothing() -> Statistics:
+        """Give those of what does not move."""
+        one = Moments(torch.zeros(DIMENSION).double(), torch.ones(DIMENSION).double())
+        return Statistics(one, one, one, torch.ones(len(CHANNELS)).double())
 
     def isotropic(self, gravity: Tensor) -> Statistics:
         """Give statistics that commute with turns about gravity."""
-        moments = {
-            name: getattr(self, name).isotropic(gravity.to(self.channels))
-            for name in ("position", "displacement", "acceleration")
-        }
-        return dataclasses.replace(self, **moments)
+        up = gravity.to(self.channels)
+        return dataclasses.replace(
+            self, **{name: getattr(self, name).isotropic(up) for name in _KINDS}
+        )
 
     def to_state(self) -> dict[str, Tensor]:
         """Give plain tensors to store with a model."""
-        return {
-            "channels": self.channels,
-            **{
-                f"{name}.{key}": getattr(getattr(self, name), key)
-                for name in ("position", "displacement", "acceleration")
-                for key in ("mean", "std")
-            },
+        moments = {
+            f"{name}.{k}": v for name in _KINDS for k, v in vars(getattr(self, name)).items()
         }
+        return {"channels": self.channels, **moments}
 
     @staticmethod
     def from_state(state: dict[str, Tensor]) -> Statistics:
         """Read what `to_state` gave."""
-        position, displacement, acceleration = (
-            Moments(state[f"{name}.mean"], state[f"{name}.std"])
-            for name in ("position", "displacement", "acceleration")
-        )
-        return Statistics(position, displacement, acceleration, state["channels"])
+        first, second, third = (Moments(state[f"{k}.mean"], state[f"{k}.std"]) for k in _KINDS)
+        return Statistics(first, second, third, state["channels"])
 
 
-def _moments(motions: Motions, order: int, floor: float) -> Moments:
+def _moments(motions: Motions, order: int) -> Moments:
     """Moments of differences of an order; two passes, so that large means cost no digits."""
-    count = 0
-    total = torch.zeros(3, dtype=torch.float64)
-    for values in _differences(motions, order):
-        total += values.sum((0, 1, 2)).cpu()
-        count += values[..., 0].numel()
-    mean = total / count
-    square = torch.zeros(3, dtype=torch.float64)
-    for values in _differences(motions, order):
-        square += ((values - mean.to(values.device)) ** 2).sum((0, 1, 2)).cpu()
-    std = torch.sqrt(square / count)
-    return Moments(mean, torch.where(std > floor, std, 1.0))
 
+    def mean(of: Callable[[Tensor], Tensor]) -> Tensor:
+        total, count = torch.zeros(3, dtype=torch.float64), 0
+        for k in range(0, len(motions), _ROWS):
+            part = motions.position[k : k + _ROWS].double()
+            values = part.diff(n=order, dim=1) if order else part
+            total += of(values).sum((0, 1, 2)).cpu()
+            count += values[..., 0].numel()
+        return total / count
 
-def _differences(motions: Motions, order: int) -> Iterator[Tensor]:
-    for k in range(0, len(motions), _ROWS):
-        part = motions.position[k : k + _ROWS].double()
-        yield part.diff(n=order, dim=1) if order else part
+    middle = mean(lambda values: values)
+    std = torch.sqrt(mean(lambda values: (values - middle.to(values.device)) ** 2))
+    return Moments(middle, torch.where(std > _NEGLIGIBLE * motions.graph.length, std, 1.0))
 
 
 def _sizes(motions: Motions) -> Tensor:
@@ -147,136 +244,9 @@ def _sizes(motions: Motions) -> Tensor:
     square = torch.zeros(len(CHANNELS), dtype=torch.float64)
     acting = torch.zeros(len(CHANNELS), dtype=torch.float64)
     for k in range(0, len(motions), _ROWS):
-        part = slice(k, k + _ROWS)
-        inputs = Inputs(motions.inputs.force[part].float(), motions.inputs.torque[part].float())
-        vectors = channels(motions.position[part, :-1].float(), inputs).double()
+        part = motions[k : k + _ROWS]
+        inputs = Inputs(part.inputs.force.float(), part.inputs.torque.float())
+        vectors = channels(part.position[:, :-1].float(), inputs).double()
         square += (vectors**2).sum((0, 1, 2, 4)).cpu()
         acting += (vectors != 0).any(-1).sum((0, 1, 2)).cpu()
     return torch.where(acting > 0, torch.sqrt(square / acting.clamp(min=1)), 1.0)
-
-
-CHANNELS = ("force", "torque")
-"""Of each node: its share of the force on its body by mass [N]; the torque on its body [N·m]."""
-
-_RANK = 1e-6  # of the largest extent of a body's particles
-
-
-class Channels(nn.Module):
-    """Turns inputs into vectors at the nodes.
-
-    A rollout knows particles only, so the axis of a driven hinge must follow from them. In a body
-    that they span it is a fixed combination of their positions; in a plane one, part of it is
-    along the cross product of two such combinations. Both turn with the body, exactly.
-    """
-
-    along: Tensor
-    first: Tensor
-    second: Tensor
-    fixed: Tensor
-    acts: Tensor
-    share: Tensor
-    owner: Tensor
-
-    def __init__(self, graph: Graph) -> None:
-        super().__init__()
-        hinges = graph.mechanism.hinges
-        driven = set(_driven(graph))
-        rows = [
-            _weights(graph, hinge) if hinge.name in driven else _nothing(graph) for hinge in hinges
-        ]
-        count = graph.particle_count
-        for k, name in enumerate(("along", "first", "second")):
-            weights = np.array([row[k] for row in rows]).reshape(-1, count)
-            self.register_buffer(name, torch.from_numpy(weights).float(), persistent=False)
-        fixed = np.array([row[3] for row in rows]).reshape(-1, 3)
-        self.register_buffer("fixed", torch.from_numpy(fixed).float(), persistent=False)
-        self.register_buffer("acts", _acts(graph).float(), persistent=False)
-        self.register_buffer("share", _share(graph).float(), persistent=False)
-        self.register_buffer("owner", graph.body.clamp(min=0), persistent=False)
-
-    def forward(self, particles: Tensor, inputs: Inputs) -> Tensor:
-        """Give the vectors at the nodes, shape (…, node, channel, 3).
-
-        Args:
-            particles: Positions in W [m], shape (…, particle, 3).
-            inputs: Of one frame, shapes (…, body, 3) and (…, hinge).
-        """
-        force = inputs.force[..., self.owner, :] * self.share[:, None]
-        torque = self.acts @ (inputs.torque[..., None] * self.axes(particles))
-        return torch.stack([force, torque], dim=-2)
-
-    def axes(self, particles: Tensor) -> Tensor:
-        """Unit vectors of the driven hinges in W, 0 of others, shape (…, hinge, 3)."""
-        normal = torch.linalg.cross(self.first @ particles, self.second @ particles)
-        return nn.functional.normalize(self.along @ particles + normal + self.fixed, dim=-1)
-
-
-def _driven(graph: Graph) -> Iterator[str]:
-    """Names of the hinges that the scene drives."""
-    for load in graph.scene.torques:
-        yield load.joint
-    for term in graph.scene.sampling:
-        if isinstance(term, HingeTorque):
-            yield from term.joints
-
-
-def _acts(graph: Graph) -> Tensor:
-    """1 where a hinge's child has a node, −1 where its parent has, shape (node, hinge)."""
-    hinges = graph.mechanism.hinges
-    owner = graph.body.cpu()[:, None]
-    child = torch.tensor([hinge.child for hinge in hinges], dtype=torch.int64)
-    parent = torch.tensor([hinge.parent for hinge in hinges], dtype=torch.int64)
-    sign = (owner == child).double() - (owner == parent).double()
-    return sign * (owner >= 0)
-
-
-def _share(graph: Graph) -> Tensor:
-    """Of its body's mass in a node, 0 in anchors, shape (node,)."""
-    owner, mass = graph.body.cpu(), graph.mass.cpu()
-    whole = torch.from_numpy(graph.mechanism.mass)
-    return torch.where(owner >= 0, mass / whole[owner.clamp(min=0)], 0.0)
-
-
-Row = tuple[Array, Array, Array, Array]
-
-
-def _nothing(graph: Graph) -> Row:
-    none = np.zeros(graph.particle_count)
-    return none, none, none, np.zeros(3)
-
-
-def _weights(graph: Graph, hinge: PlacedJoint) -> Row:
-    """How a hinge's axis follows from the particles: `along`, `first`, `second` and `fixed`."""
-    none = np.zeros(graph.particle_count)
-    if hinge.parent == WORLD_INDEX or graph.scene.dimension < 3:
-        return none, none, none, hinge.axis
-    for body in (hinge.parent, hinge.child):
-        found = _of_body(graph, body, hinge.axis)
-        if found is not None:
-            return *found, np.zeros(3)
-    msg = (
-        f"joint {hinge.name!r} is driven, but its axis cannot be seen from the particles of "
-        "either body, which are on one line; give one of them a particle beside it"
-    )
-    raise Unsupported(msg)
-
-
-def _of_body(graph: Graph, body: int, axis: Array) -> tuple[Array, Array, Array] | None:
-    """Weights of a body's particles, or None where they do not tell the axis."""
-    mine = np.flatnonzero(graph.body.cpu().numpy() == body)
-    points = graph.reference.cpu().numpy()[mine]
-    arms = points - points.mean(axis=0)
-    extents, directions = np.linalg.svd(arms, full_matrices=False)[1:]
-    rank = int(np.sum(extents > _RANK * graph.length))
-    spanned = directions[:rank]
-    inside = spanned.T @ (spanned @ axis)
-    outside = axis - inside
-    if rank < 2 and np.linalg.norm(outside) > _RANK:
-        return None
-    back = np.linalg.pinv(arms.T, rcond=_RANK)
-    along, first, second = (np.zeros(graph.particle_count) for _ in range(3))
-    along[mine] = back @ inside
-    if rank == 2:
-        normal = np.cross(spanned[0], spanned[1])
-        first[mine], second[mine] = back @ spanned[0] * (outside @ normal), back @ spanned[1]
-    return along, first, second

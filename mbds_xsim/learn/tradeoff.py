@@ -24,7 +24,7 @@ from mbds_xsim.checks import agreement
 from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion, gap, particle_error, unexplained_energy
 from mbds_xsim.learn.trained import Known, TrainedModel, carry_on, known_start, particle_motion
@@ -190,7 +190,7 @@ def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[
     ]
 
 
-def _timed(model: Model, known: Known) -> tuple[Seconds, Seconds, torch.Tensor]:
+def _timed(model: LearnedModel, known: Known) -> tuple[Seconds, Seconds, torch.Tensor]:
     """Wall and processor times per simulated second of one trajectory, and the last prediction."""
     carry_on(model, known.truncated(_WARM_UP))
     rows, frames = known.inputs.force.shape[:2]

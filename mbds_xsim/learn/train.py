@@ -22,7 +22,7 @@ from torch import Tensor
 from mbds_xsim import bounds
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.device import compile_networks, precision
-from mbds_xsim.learn.model import Model, roll
+from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
@@ -108,7 +108,7 @@ class CurvePoint(msgspec.Struct, frozen=True):
 class Training:
     """A run, while it goes on and after; its model has the best parameters at the end."""
 
-    model: Model
+    model: LearnedModel
     curve: list[CurvePoint] = field(default_factory=list)
     ended: _End = ""
     """Why; "diverged" where losses stopped being numbers, from which step the curve tells."""
@@ -138,7 +138,7 @@ Tell = Callable[[Training], None]
 
 
 def train(
-    model: Model,
+    model: LearnedModel,
     training: Motions,
     validation: Motions,
     recipe: Recipe,
@@ -184,13 +184,13 @@ def train(
     return run.training
 
 
-def optimiser(model: Model, recipe: Recipe) -> torch.optim.Adam:
+def optimiser(model: LearnedModel, recipe: Recipe) -> torch.optim.Adam:
     """Give a recipe's Adam; by its loops over parameters a small model would lose a tenth."""
     parameters = model.parameters()
     return torch.optim.Adam(parameters, lr=recipe.rate, betas=recipe.betas, fused=True)
 
 
-def validation_error(model: Model, sample: Sample) -> float:
+def validation_error(model: LearnedModel, sample: Sample) -> float:
     """Mean over trajectories, frames and particles of the squared distance [m²].
 
     Infinite where a prediction failed.
@@ -209,7 +209,7 @@ class _Loop:
 
     def __init__(
         self,
-        model: Model,
+        model: LearnedModel,
         recipe: Recipe,
         profile: Profile,
         seed: int,

@@ -20,7 +20,7 @@ import torch
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, load_model, roll
+from mbds_xsim.learn.model import LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
 from mbds_xsim.learn.window import HISTORY, Inputs, Start
@@ -116,7 +116,7 @@ class TrainedModel:
             return "each"
         return "leave-one-out" if self.training.startswith("not-") else "all"
 
-    def load(self, scene: Scene) -> Model:
+    def load(self, scene: Scene) -> LearnedModel:
         """Read it, for data of a scene.
 
         Raises:
@@ -220,7 +220,7 @@ class Known:
         return Known(self.start, Inputs(force, torque))
 
 
-def known_start(model: Model, truth: Trajectory, inputs: Batch) -> Known:
+def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
     """Give a model the first `HISTORY` frames of the reference.
 
     Args:
@@ -253,7 +253,7 @@ def known_start(model: Model, truth: Trajectory, inputs: Batch) -> Known:
     )
 
 
-def carry_on(model: Model, known: Known) -> torch.Tensor:
+def carry_on(model: LearnedModel, known: Known) -> torch.Tensor:
     """Predict all frames to come [m], shape (trajectory, frame, particle, 3)."""
     with torch.no_grad():
         return roll(model, known.start, known.inputs)

@@ -15,11 +15,17 @@ from mbds_xsim.learn.window import Inputs, Sample
 __all__ = ["ConstantAcceleration", "ConstantVelocity", "Hold"]
 
 
-class _Trivial(PointModel):
-    """Has no parameters; its loss is its mean squared error [m²]."""
+class Hold(PointModel):
+    """Everything stays where it is. The loss is the mean squared error [m²]."""
+
+    change: ClassVar[Change] = "displacement"
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: None) -> None:
         super().__init__(graph, statistics, settings)
+
+    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+        del inputs
+        return torch.zeros_like(history[:, -1])
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
         del generator
@@ -27,30 +33,14 @@ class _Trivial(PointModel):
         return ((after - sample.position[:, 0]) ** 2).sum(-1).mean()
 
 
-class Hold(_Trivial):
-    """Everything stays where it is."""
-
-    change: ClassVar[Change] = "displacement"
-
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
-        del inputs
-        return torch.zeros_like(history[:, -1])
-
-
-class ConstantVelocity(_Trivial):
+class ConstantVelocity(Hold):
     """Every particle goes on as it last did."""
 
     change: ClassVar[Change] = "acceleration"
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
-        del inputs
-        return torch.zeros_like(history[:, -1])
 
-
-class ConstantAcceleration(_Trivial):
+class ConstantAcceleration(ConstantVelocity):
     """Every particle goes on accelerating as it last did."""
-
-    change: ClassVar[Change] = "acceleration"
 
     def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
         del inputs

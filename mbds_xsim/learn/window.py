@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,11 +42,11 @@ class Inputs:
 
     def at(self, frame: int) -> Inputs:
         """Take one frame of inputs of shape (batch, frame, …)."""
-        return Inputs(self.force[:, frame], self.torque[:, frame])
+        return self[:, frame]
 
-    def __getitem__(self, rows: slice | Tensor) -> Inputs:
-        """Take some rows of a batch."""
-        return Inputs(self.force[rows], self.torque[rows])
+    def __getitem__(self, key: Any) -> Inputs:
+        """Take a part, as of an array."""
+        return Inputs(self.force[key], self.torque[key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,16 +138,18 @@ class Motions:
         graph = Graph.of(data.scene)
 
         def read(name: str) -> Tensor:
-            return torch.from_numpy(np.stack([data[name][int(row)] for row in chosen]))
+            return torch.from_numpy(data[name][chosen])
 
+        force = torch.zeros(1, 1, 1, 1).expand(len(chosen), frames - 1, graph.body_count, 3)
+        force = read(_KNOWN_FORCE) if _KNOWN_FORCE in data else force
         return Motions(
             graph=graph,
             split=split,
             index=data.index[chosen],
             position=graph.embed(read("position").to(dtype)),
             velocity=graph.embed(read("velocity").to(dtype), rest=0.0),
-            inputs=_inputs(data, chosen, dtype),
-            body=_bodies(data, chosen) if bodies else None,
+            inputs=Inputs(force.to(dtype), read(_TORQUE).to(dtype)),
+            body=torch.cat([read(name) for name in _BODIES], dim=-1) if bodies else None,
         ).to(device)
 
     @staticmethod
@@ -174,33 +177,28 @@ class Motions:
             body=torch.cat(bodies) if len(bodies) == len(parts) else None,
         )
 
+    def _changed(self, change: Callable[[Tensor], Tensor], **others: Any) -> Motions:
+        """Do the same to all tensors."""
+        return replace(
+            self,
+            position=change(self.position),
+            velocity=change(self.velocity),
+            inputs=Inputs(change(self.inputs.force), change(self.inputs.torque)),
+            body=None if self.body is None else change(self.body),
+            **others,
+        )
+
     def to(self, device: torch.device | str) -> Motions:
         """Move everything to a device."""
-        return Motions(
-            graph=self.graph.to(device),
-            split=self.split,
-            index=self.index,
-            position=self.position.to(device),
-            velocity=self.velocity.to(device),
-            inputs=Inputs(self.inputs.force.to(device), self.inputs.torque.to(device)),
-            body=None if self.body is None else self.body.to(device),
-        )
+        return self._changed(lambda values: values.to(device), graph=self.graph.to(device))
 
     def __len__(self) -> int:
         return len(self.position)
 
     def __getitem__(self, rows: slice | Tensor) -> Motions:
         """Take some of the trajectories."""
-        chosen = torch.arange(len(self))[rows]
-        return Motions(
-            graph=self.graph,
-            split=self.split,
-            index=self.index[chosen.numpy()],
-            position=self.position[rows],
-            velocity=self.velocity[rows],
-            inputs=self.inputs[rows],
-            body=None if self.body is None else self.body[rows],
-        )
+        index = self.index[torch.arange(len(self))[rows].numpy()]
+        return self._changed(lambda values: values[rows], index=index)
 
     @property
     def frame_count(self) -> int:
@@ -212,11 +210,9 @@ class Motions:
         return len(self) * max(0, self.frame_count - HISTORY - horizon + 1)
 
     def take(self, numbers: Tensor, horizon: int = 1) -> Sample:
-        """Gather windows by number, counted trajectory by trajectory.
+        """Gather windows by number, counted trajectory by trajectory, with so many frames to come.
 
-        Args:
-            numbers: From 0 to `window_count(horizon)` − 1, int64, shape (batch,).
-            horizon: Frames to come.
+        Numbers are from 0 to `window_count(horizon)` − 1, int64, shape (batch,).
         """
         each = self.frame_count - HISTORY - horizon + 1
         row = torch.div(numbers, each, rounding_mode="floor")
@@ -227,35 +223,18 @@ class Motions:
         numbers = torch.randint(self.window_count(horizon), (count,), generator=generator)
         return self.take(numbers.to(self.position.device), horizon)
 
-    def sample(self, row: Tensor, last: Tensor, horizon: int) -> Sample:
-        """Gather windows by trajectory and by the last frame that is known, both (batch,)."""
-        row, last = row[:, None], last[:, None]
-        past = last + torch.arange(1 - HISTORY, 1, device=last.device)
-        steps = last + torch.arange(horizon, device=last.device)
+    def sample(self, row: Tensor, last: Tensor | int, horizon: int) -> Sample:
+        """Gather windows by trajectory and by the last frame that is known, (batch,) or one."""
+        row, last = row[:, None], (torch.zeros_like(row) + last)[:, None]
+        past = last + torch.arange(1 - HISTORY, 1, device=row.device)
+        steps = last + torch.arange(horizon, device=row.device)
         return Sample(
             start=Start(
                 history=self.position[row, past],
                 velocity=self.velocity[row, last][:, 0],
                 body=None if self.body is None else self.body[row, last][:, 0],
             ),
-            inputs=Inputs(self.inputs.force[row, steps], self.inputs.torque[row, steps]),
+            inputs=self.inputs[row, steps],
             position=self.position[row, steps + 1],
             velocity=self.velocity[row, steps + 1],
         )
-
-
-def _inputs(data: Dataset, rows: NDArray[np.int64], dtype: torch.dtype) -> Inputs:
-    bodies, steps = len(data.scene.bodies), int(data.attributes["steps"])
-    force = torch.zeros(1, 1, 1, 1).expand(len(rows), steps, bodies, 3)
-    if _KNOWN_FORCE in data:
-        force = _stacked(data, _KNOWN_FORCE, rows)
-    torque = _stacked(data, _TORQUE, rows)
-    return Inputs(force.to(dtype), torque.to(dtype))
-
-
-def _bodies(data: Dataset, rows: NDArray[np.int64]) -> Tensor:
-    return torch.cat([_stacked(data, name, rows) for name in _BODIES], dim=-1)
-
-
-def _stacked(data: Dataset, name: str, rows: NDArray[np.int64]) -> Tensor:
-    return torch.from_numpy(data[name][rows])

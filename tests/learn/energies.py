@@ -5,15 +5,37 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape
+from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 
 torch.set_num_threads(1)
+
+
+class TrueEnergy(nn.Module):
+    """The scene's own energy."""
+
+    def __init__(self, mechanics: Mechanics) -> None:
+        super().__init__()
+        self.mechanics = mechanics
+
+    def kinetic(self, v: Tensor) -> Kinetic:
+        square, half = (
+            (self.mechanics.speed_map @ v).square().sum(-1),
+            0.5 * self.mechanics.moved_mass,
+        )
+        return Kinetic(half * square, half.expand_as(square), torch.zeros_like(square))
+
+    def potential(self, q: Tensor) -> Tensor:
+        mass = self.mechanics.moved_mass[: self.mechanics.free, None]
+        weight = -(mass * q * self.mechanics.gravity).sum((-1, -2))
+        span = torch.linalg.vector_norm(self.mechanics.spring @ self.mechanics.all_nodes(q), dim=-1)
+        stiffness, rest = self.mechanics.spring_law[:, 0], self.mechanics.spring_law[:, 1]
+        return weight + 0.5 * (stiffness * (span - rest) ** 2).sum(-1)
 
 
 def random_energy(scene: Scene | str, width: int = 5, seed: int = 3) -> EnergyNetwork:

@@ -13,7 +13,7 @@ import torch
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.model_file import save_model
-from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
+from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.registry import load_scene
 
 FACTS = {
@@ -31,9 +31,7 @@ REDUCE = b"R"
 
 def model_file(path: Path, name: str = "gns") -> dict[str, Any]:
     """Write a sound file of an untrained model; gives what it holds."""
-    moments = Moments(torch.zeros(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64))
-    channels = torch.ones(len(CHANNELS), dtype=torch.float64)
-    statistics = Statistics(moments, moments, moments, channels)
+    statistics = Statistics.of_nothing()
     model = build(name, Graph.of(load_scene("2pendulum")), statistics, track="lite")
     save_model(path, model, name, model.tracks["lite"], statistics, **FACTS)
     found: dict[str, Any] = torch.load(path, weights_only=True)

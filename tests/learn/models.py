@@ -1,4 +1,4 @@
-"""Models that are not trained, as files."""
+"""Models that are not trained, as files; and how far models are off."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import torch
 
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.model_file import save_model
-from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.registry import load_scene
 
-__all__ = ["untrained"]
+__all__ = ["squared_error", "untrained"]
 
 
 def untrained(folder: Path, scene: str, training: str = "mujoco", seed: int = 0) -> Path:
     """Write a small GNS where training would put it, with what training took."""
-    unit = Moments(torch.zeros(3).double(), torch.ones(3).double())
-    statistics = Statistics(unit, unit, unit, torch.ones(len(CHANNELS)).double())
+    statistics = Statistics.of_nothing()
     settings = GNSSettings(width=8, steps=1)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -28,3 +29,10 @@ def untrained(folder: Path, scene: str, training: str = "mujoco", seed: int = 0)
     path = folder / scene / "native" / "gns" / f"{training}-s{seed}.pt"
     save_model(path, model, "gns", settings, statistics, **facts)
     return path
+
+
+def squared_error(model: LearnedModel, motions: Motions, steps: int | None = None) -> torch.Tensor:
+    """Mean over particles of the squared distance [m²], shape (trajectory, frame)."""
+    predicted = rollout(model, motions, steps=steps)
+    truth = motions.position[:, HISTORY : HISTORY + predicted.shape[1]]
+    return ((predicted - truth) ** 2).sum(-1).mean(-1)

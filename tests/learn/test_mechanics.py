@@ -15,7 +15,7 @@ from mbds_xsim import rotation
 from mbds_xsim.constraints import degrees_of_freedom
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
-from mbds_xsim.learn.energy import TrueEnergy, potential_force
+from mbds_xsim.learn.energy import potential_force
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.mechanism import Mechanism
@@ -24,7 +24,7 @@ from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 
-from .energies import march, no_inputs
+from .energies import TrueEnergy, march, no_inputs
 from .mechanisms import scene_of
 
 Array = NDArray[np.float64]

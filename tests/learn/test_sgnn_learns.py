@@ -11,12 +11,13 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, rollout
+from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity
 from mbds_xsim.learn.window import Inputs, Motions
 from mbds_xsim.scene import Body, Particle, Scene
+from tests.learn.models import squared_error
 
 torch.set_num_threads(1)
 CORNERS = ((0.1, 0.1, 0.1), (0.1, -0.1, -0.1), (-0.1, 0.1, -0.1), (-0.1, -0.1, 0.1))
@@ -64,9 +65,9 @@ def trained(train: Motions, settings: SGNNSettings) -> SGNN:
     return model
 
 
-def error(model: Model, test: Motions) -> float:
+def error(model: LearnedModel, test: Motions) -> float:
     """Mean squared error [m²] after so many frames."""
-    return float(rollout(model, test, steps=AHEAD).squared_error[:, -1].mean())
+    return float(squared_error(model, test, steps=AHEAD)[:, -1].mean())
 
 
 SETTINGS = {

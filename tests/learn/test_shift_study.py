@@ -27,7 +27,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import Model, refusal
+from mbds_xsim.learn.model import LearnedModel, refusal
 from mbds_xsim.learn.model_file import save_model
 from mbds_xsim.learn.particles import Figures, figures_on
 from mbds_xsim.learn.shift import rollouts, study
@@ -262,7 +262,7 @@ def test_memory_holds_one_domain_and_no_figures(
     test = load_paired(folder / "data", SCENE)
     seen: list[weakref.ref[Motions]] = []
 
-    def watched(model: Model, motions: Motions, **plan: Any) -> Figures:
+    def watched(model: LearnedModel, motions: Motions, **plan: Any) -> Figures:
         alive = {id(found) for ref in seen if (found := ref()) is not None}
         assert alive <= {id(motions)}
         seen.append(weakref.ref(motions))

@@ -12,7 +12,7 @@ from torch import Tensor
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
-from mbds_xsim.learn.model import build, load_model, rollout
+from mbds_xsim.learn.model import build, load_model
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import (
@@ -25,6 +25,7 @@ from mbds_xsim.learn.train import (
     train,
 )
 from mbds_xsim.learn.window import Motions, Sample
+from tests.learn.models import squared_error
 
 Data = Callable[..., Dataset]
 RECIPE = Recipe(rate=3e-3, batch=16, schedule=Plateau(patience=0, factor=0.5))
@@ -55,10 +56,10 @@ def test_it_beats_the_trivial_models(data: Data) -> None:
     profile = msgspec.structs.replace(SHORT, steps=400, every=100, windows=64, horizon=10)
     recipe = Recipe(rate=3e-3, batch=64, schedule=Plateau())
     train(model, training, Motions.of(file, "validation"), recipe, profile)
-    learned = rollout(model, test, steps=10).squared_error[:, -1].mean()
+    learned = squared_error(model, test, steps=10)[:, -1].mean()
     for name in ("hold", "constant_velocity", "constant_acceleration"):
         trivial = build(name, test.graph, Statistics.of(training))
-        error = rollout(trivial, test, steps=10).squared_error[:, -1].mean()
+        error = squared_error(trivial, test, steps=10)[:, -1].mean()
         assert learned < 0.5 * error
 
 

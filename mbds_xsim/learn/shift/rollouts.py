@@ -28,7 +28,7 @@ from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.device import process_count, put
-from mbds_xsim.learn.model import Model
+from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.particles import Figures, figures_on, measure, read_figures
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.trained import TrainedModel
@@ -139,7 +139,7 @@ def _test(scene: Scene, paths: Paths, domains: Sequence[Domain], plan: RolloutPl
     torch.set_num_threads(1)
 
     @functools.cache
-    def load(trained: TrainedModel) -> Model:
+    def load(trained: TrainedModel) -> LearnedModel:
         model = trained.load(scene)
         put(model, plan.device)
         return model

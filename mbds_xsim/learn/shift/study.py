@@ -316,6 +316,6 @@ def _predicted(
     """Start with the last known frame."""
     model = trained.load(evaluation.test.scene)
     motions = domain.motions(model.dtype)[rows]
-    rolled = rollout(model, motions, steps=horizon).position
+    rolled = rollout(model, motions, steps=horizon)
     whole = torch.cat([motions.position[:, HISTORY - 1 : HISTORY], rolled], dim=1)
     return np.asarray(whole.double().numpy())
