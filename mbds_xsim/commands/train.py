@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbds_xsim.dataset.work import Carrier
+    from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost
-    from mbds_xsim.learn.train import Profile
     from mbds_xsim.learn.trainings import TrainingPlan, TrainingRequest
 
 __all__ = ["train"]

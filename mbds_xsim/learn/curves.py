@@ -55,11 +55,7 @@ def write_curve(curve: LearningCurve) -> bytes:
 
 
 def read_curve(path: Path) -> LearningCurve:
-    """Read what `write_curve` wrote.
-
-    Raises:
-        InputError: It is no such file.
-    """
+    """Read what `write_curve` wrote, or raise InputError."""
     try:
         found = msgspec.json.decode(path.read_bytes(), type=_FileCurve)
     except (OSError, msgspec.MsgspecError) as error:

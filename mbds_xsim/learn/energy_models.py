@@ -5,8 +5,8 @@ the frames that all models learn from: the next frame that their integrator reac
 never an engine's accelerations.
 
 LGNN, L = T(q̇) − V(q) (Bhattoo et al., NeurIPS 2022): M q̈ = −∂V/∂q + F + drag − Aᵀ λ with
-A q̈ = −Ȧ q̇, A from the scene's joints. T depends on velocities alone, so that Coriolis terms vanish
-and M = ∂²T/∂q̇² has a closed form.
+A q̈ = −Ȧ q̇, A from the scene's joints. T depends on velocities alone, so that Coriolis terms
+vanish and M = ∂²T/∂q̇² has a closed form.
 
 HGNN, H = T(p) + V(q) (Bishnoi et al., ICLR 2023): the canonical equations are projected on the
 constraints φ = 0 and A u = 0 with Dirac's bracket, ż = J (∇H + Φᵀ Λ), Φ the Jacobian of both by
@@ -87,13 +87,9 @@ class NodeDynamics(nn.Module, ABC):
     def derivative(
         self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Rates of q and x, shapes (batch, node, 3).
+        """Rates of nodes q [m] and of their velocities or momenta x, each (batch, node, 3).
 
-        Args:
-            q: Free nodes [m].
-            x: Their velocities [m/s] or momenta [kg·m/s].
-            force: On centres of mass [N], shape (batch, body, 3).
-            torque: About the hinges [N·m], shape (batch, hinge).
+        Under forces on centres of mass [N], (batch, body, 3), and torques about the hinges [N·m].
         """
 
 

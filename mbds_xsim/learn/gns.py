@@ -197,15 +197,9 @@ class Interaction(nn.Module):
 
 
 def random_walk(history: Tensor, std: float, generator: torch.Generator) -> Tensor:
-    """Noise of a history: a random walk of the velocities, summed to positions.
+    """Noise of a history: a random walk of the velocities, summed to positions; the first has none.
 
-    Args:
-        history: Positions, shape (batch, frame, particle, axis).
-        std: Of the last velocity's noise.
-        generator: Draws on its own device.
-
-    Returns:
-        Of the history's shape; the first position has none.
+    `std` is that of the last velocity's noise; the generator draws on its own device.
     """
     shape = (history.shape[0], history.shape[1] - 1, *history.shape[2:])
     drawn = torch.randn(shape, generator=generator, device=generator.device)

@@ -124,15 +124,10 @@ class Graph:
         return torch.cat([particles, anchors.expand(*particles.shape[:-2], *anchors.shape)], -2)
 
     def embed(self, published: Tensor, *, rest: Tensor | float | None = None) -> Tensor:
-        """Put back the components that a data file leaves out.
+        """Put back the components that a data file leaves out, to (…, particle, 3).
 
-        Args:
-            published: Positions or velocities of the particles, shape (…, particle, axis).
-            rest: What they are where the scene does not move, (particle, 3) or a number; left
-                out, the positions of the reference pose.
-
-        Returns:
-            Shape (…, particle, 3).
+        `rest` is what they are where the scene does not move, (particle, 3) or a number; left out,
+        the positions of the reference pose.
         """
         if rest is None:
             rest = self.reference[: self.particle_count]

@@ -10,9 +10,10 @@ knows: they are a third as many, at as many steps.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,10 +26,9 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 
-__all__ = ["Share", "TrainingGroup", "groups", "mixed", "shares_of", "turns"]
+__all__ = ["Share", "TrainingGroup", "check_share", "groups", "mixed", "shares_of", "turns"]
 
 Numbers = NDArray[np.int64]
-
 
 _ALIKE = {
     "scene": "scene",
@@ -36,7 +36,7 @@ _ALIKE = {
     "noise": "noise",
     "count": "number of trajectories drawn",
 }
-_NEEDED = ("train", "validation")
+_SEVERAL = ("all", "leave-one-out")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +69,8 @@ class TrainingGroup:
     @property
     def drawn(self) -> dict[str, int]:
         """What the split depends on: the seed, and the number of trajectories drawn."""
-        told = next(iter(self.data.values())).attributes
-        return {"seed": int(told["seed"]), "trajectories": int(told["count"])}
+        about = next(iter(self.data.values())).attributes
+        return {"seed": int(about["seed"]), "trajectories": int(about["count"])}
 
     def __getstate__(self) -> dict[str, object]:
         """Leave open files behind when it goes to another process."""
@@ -85,24 +85,22 @@ class TrainingGroup:
 def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
     """Find data sets, and put together those of one scene and one variant.
 
-    Raises:
-        InputError: There are none, one has nothing to train on, two are of one engine, or two of
-            one group do not have the same starts.
+    InputError says what is missing, or which files do not belong together.
     """
     files = dict.fromkeys(file.resolve() for path in paths for file in joined_files(path))
-    found: dict[tuple[str, str], dict[str, Dataset]] = {}
+    by_group: dict[tuple[str, str], dict[str, Dataset]] = {}
     for file in files:
         data = load_dataset(file)
-        told = data.attributes
-        engines = found.setdefault((told["scene_name"], told["profile"]), {})
-        if told["engine"] in engines:
+        about = data.attributes
+        engines = by_group.setdefault((about["scene_name"], about["profile"]), {})
+        if about["engine"] in engines:
             msg = (
-                f"{engines[told['engine']].path} and {file} are both {told['scene_name']} of "
-                f"{told['engine']} {told['profile']}; give one of them"
+                f"{engines[about['engine']].path} and {file} are both {about['scene_name']} of "
+                f"{about['engine']} {about['profile']}; give one of them"
             )
             raise InputError(msg)
-        engines[told["engine"]] = data
-    made = [_group(*key, dict(sorted(engines.items()))) for key, engines in sorted(found.items())]
+        engines[about["engine"]] = data
+    made = [_group(*key, dict(sorted(each.items()))) for key, each in sorted(by_group.items())]
     for group in made:
         _check(group)
     return made
@@ -129,7 +127,7 @@ def _check(group: TrainingGroup) -> None:
                 )
                 raise InputError(msg)
     frames = int(data.attributes["steps"]) + 1
-    for split in _NEEDED:
+    for split in ("train", "validation"):
         if not len(group.numbers(split)) or frames <= HISTORY:
             where = ", ".join(str(file.path) for file in group.data.values())
             msg = (
@@ -140,9 +138,6 @@ def _check(group: TrainingGroup) -> None:
             raise InputError(msg)
 
 
-_SEVERAL = ("all", "leave-one-out")
-
-
 @dataclass(frozen=True)
 class Share:
     """The part of a group that a training has."""
@@ -151,61 +146,51 @@ class Share:
     interval: str = ""
     """Of the starts: low, medium or high; all when left out."""
 
-    def numbers(self, group: TrainingGroup, split: str) -> NDArray[np.int64]:
+    def numbers(self, group: TrainingGroup, split: str) -> Numbers:
         """Numbers of the trajectories of a part, ascending."""
-        found = group.numbers(split)
+        numbers = group.numbers(split)
         if not self.interval:
-            return found
-        return found[found % len(INTERVALS) == INTERVALS.index(self.interval)]
+            return numbers
+        return numbers[numbers % len(INTERVALS) == INTERVALS.index(self.interval)]
 
 
 def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
     """Give what each training has, by its name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`.
 
-    Args:
-        group: The engines that there are.
-        on: Comma-separated: `each`, `leave-one-out`, `all`, `by-interval`, or names of those of
-            single engines.
-
-    Raises:
-        InputError: A word is none of these, or there are too few engines.
+    `on` is `each`, `leave-one-out`, `all`, `by-interval`, or names of those of single engines, by
+    commas; InputError says what else it might be.
     """
-    found: dict[str, Share] = {}
-    for word in (word.strip() for word in on.split(",")):
-        found |= dict(_of_word(group, word))
-    return found
-
-
-def _of_word(group: TrainingGroup, word: str) -> Iterator[tuple[str, Share]]:
     engines = tuple(group.files)
+    single = {engine: Share((engine,)) for engine in engines}
     parts = {f"{e}-{interval}": Share((e,), interval) for e in engines for interval in INTERVALS}
     ways = {
-        "each": {engine: Share((engine,)) for engine in engines},
-        "leave-one-out": {
-            f"not-{out}": Share(tuple(e for e in engines if e != out)) for out in engines
-        },
+        "each": single,
+        "leave-one-out": {f"not-{e}": Share(tuple(o for o in engines if o != e)) for e in engines},
         "all": {"all": Share(engines)},
         "by-interval": parts,
-        **{engine: {engine: Share((engine,))} for engine in engines},
+        **{engine: {engine: share} for engine, share in single.items()},
     }
-    known = list(ways)
+    known = ", ".join(ways)
     ways |= {name: {name: share} for name, share in parts.items()}
-    if word not in ways:
-        msg = (
-            f"--on: got {word!r}, allowed for {group.name} is {', '.join(known)}, or an engine's "
-            f"starts of an interval, as {next(iter(parts))}"
-        )
-        raise InputError(msg)
-    if word in _SEVERAL and len(engines) < 2:
-        msg = (
-            f"--on: {word} needs data of at least 2 engines, {group.name} has {engines[0]} only; "
-            "give more data, or --on each"
-        )
-        raise InputError(msg)
-    yield from ways[word].items()
+    shares: dict[str, Share] = {}
+    for word in (word.strip() for word in on.split(",")):
+        if word not in ways:
+            msg = (
+                f"--on: got {word!r}, allowed for {group.name} is {known}, or an engine's starts "
+                f"of an interval, as {next(iter(parts))}"
+            )
+            raise InputError(msg)
+        if word in _SEVERAL and len(engines) < 2:
+            msg = (
+                f"--on: {word} needs data of at least 2 engines, {group.name} has {engines[0]} "
+                "only; give more data, or --on each"
+            )
+            raise InputError(msg)
+        shares |= ways[word]
+    return shares
 
 
-def turns(numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def turns(numbers: Numbers, count: int) -> Numbers:
     """Which of so many engines each trajectory is taken from.
 
     The interval of speed is the number modulo 3, so whole triples are taken in turn: with three
@@ -215,11 +200,7 @@ def turns(numbers: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def check_share(group: TrainingGroup, share: Share, split: str) -> None:
-    """Refuse a training without any trajectory of a part.
-
-    Raises:
-        InputError: None is of its interval of speed.
-    """
+    """Refuse a training, by InputError, without any trajectory of a part."""
     if not len(share.numbers(group, split)):
         msg = (
             f"{group.name}: no trajectory of {split} is of the interval {share.interval!r}; "
@@ -229,25 +210,12 @@ def check_share(group: TrainingGroup, share: Share, split: str) -> None:
 
 
 def mixed(
-    group: TrainingGroup,
-    share: Share,
-    split: str,
-    *,
-    bodies: bool = False,
-    device: torch.device | str = "cpu",
-    dtype: torch.dtype = torch.float32,
-    most: int | None = None,
+    group: TrainingGroup, share: Share, split: str, *, most: int | None = None, **how: Any
 ) -> Motions:
     """Read a part of a training's data, in ascending order of the trajectories' numbers.
 
-    Args:
-        group: Only trajectories that every engine of it has are taken.
-        share: Of the training.
-        split: "train" or "validation".
-        bodies: Whether to read the bodies' states too.
-        device: Where to put them.
-        dtype: Of positions, velocities and inputs.
-        most: The first so many trajectories; all when left out.
+    Only trajectories that every engine of the group has are taken, at most so many; of the rest see
+    `Motions.of`.
     """
     check_share(group, share, split)
     numbers = share.numbers(group, split)[:most]
@@ -257,9 +225,8 @@ def mixed(
         data = group.data[engine]
         rows = np.flatnonzero(np.isin(data.index, numbers[turn == k]))
         if len(rows):
-            parts.append(
-                Motions.of(data, split, rows=rows, bodies=bodies, device=device, dtype=dtype)
-            )
+            part = Motions.of(data, split, rows=rows, **how)
+            parts.append(part)
     if len(parts) == 1:
         return parts[0]  # no copy of what may fill the memory; files are in ascending order
     whole = Motions.joined(parts)

@@ -11,13 +11,13 @@ element, products of directions: work with rows², not with rows² · nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
@@ -26,7 +26,7 @@ from mbds_xsim.learn.mechanics_points import PointRows, Points, points_of, rows_
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 
-__all__ = ["Jacobian", "Mechanics", "Terms", "constrained", "refuse_contact"]
+__all__ = ["Jacobian", "Mechanics", "Terms", "constrained"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -35,7 +35,7 @@ Indices = NDArray[np.int64]
 def constrained(
     mass: Tensor, load: Tensor, jacobian: Tensor, bias: Tensor, redundant: int = 0
 ) -> Tensor:
-    """Accelerations under constraints, by the Schur complement of the mass matrix.
+    """Accelerations (batch, n) under constraints, by the Schur complement of the mass matrix.
 
     Args:
         mass: Positive definite, shape (batch, n, n).
@@ -43,9 +43,6 @@ def constrained(
         jacobian: A, shape (batch, row, n).
         bias: Ȧ q̇, shape (batch, row).
         redundant: How many rows A has beyond its rank.
-
-    Returns:
-        Shape (batch, n).
     """
     solved: Tensor = _Constrained.apply(mass, load, jacobian, bias, redundant)  # type: ignore[no-untyped-call]
     return solved
@@ -117,8 +114,7 @@ def _saddle(
 class Mechanics(nn.Module):
     """Nodes, constraints, mass matrix and known forces of one scene.
 
-    Raises:
-        Unsupported: The scene has contact, which these coordinates' smooth equations cannot hold.
+    Of one with contact there are none (Unsupported): these coordinates' equations are smooth.
     """
 
     fixed: Tensor
@@ -144,29 +140,36 @@ class Mechanics(nn.Module):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()
-        refuse_contact(scene)
+        if scene.contacts:
+            msg = (
+                f"scene {scene.name!r}: got {len(scene.contacts)} contact spheres, allowed are "
+                "none: HGNN and LGNN hold smooth forces and two-sided constraints; take gns or sgnn"
+            )
+            raise Unsupported(msg)
         self.mechanism = Mechanism.of(scene)
-        self.points = points_of(self.mechanism)
-        self.free = self.points.free
-        rows = rows_of(self.mechanism, self.points)
+        self.points = points = points_of(self.mechanism)
+        self.free, springs = points.free, self.mechanism.springs
+        rows = rows_of(self.mechanism, points)
         self.redundant = rows.redundant
-        moved_mass, speed_map = _terms(self.points)
+        moved_mass, speed_map = _terms(points)
         mass = speed_map.T @ (moved_mass[:, None] * speed_map)
         mass_inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
-        self.terms = Terms(rows, self.points.fixed, mass_inverse)
+        self.terms = Terms(rows, points.fixed, mass_inverse)
         coupling, block = _blocks(speed_map)
+        hinges = self.mechanism.hinges
+        axes = [points.of_body(j.child).vector(j.axis, points.count) for j in hinges]
         for name, values in (
-            ("fixed", self.points.fixed),
+            ("fixed", points.fixed),
             ("mass", mass),
             ("mass_inverse", mass_inverse),
             ("first", rows.first),
             ("second", rows.second),
             ("goal", rows.goal),
-            ("spring", _springs(self.mechanism, self.points)),
-            ("spring_law", _spring_laws(self.mechanism)),
-            ("com", np.array([body.com for body in self.points.bodies])),
-            ("hinge_axis", _hinge_axes(self.mechanism, self.points)),
-            ("turning", _turning(self.mechanism, self.points)),
+            ("spring", _table([points.span(s.bodies, s.in_body) for s in springs], points.count)),
+            ("spring_law", _table([(s.stiffness, s.length, s.damping) for s in springs], 3)),
+            ("com", np.array([body.com for body in points.bodies])),
+            ("hinge_axis", _table(axes, points.count)),
+            ("turning", _table(list(_turning(self.mechanism, points)), 4)),
             ("gravity", np.array(scene.gravity)),
             ("moved_mass", moved_mass),
             ("speed_map", speed_map),
@@ -205,11 +208,8 @@ class Mechanics(nn.Module):
     def applied(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
         """Known forces on the nodes, without gravity and springs [N], shape (batch, node, 3).
 
-        Args:
-            q: Nodes [m].
-            v: Their velocities [m/s].
-            force: On centres of mass [N], shape (batch, body, 3).
-            torque: About the hinges of `Mechanism.hinges` [N·m], shape (batch, hinge).
+        Of forces on centres of mass [N], (batch, body, 3), and torques about `Mechanism.hinges`
+        [N·m].
         """
         load = torch.zeros_like(self.all_nodes(q)).index_add(1, self.com, force)
         if len(self.hinge_axis):
@@ -260,16 +260,6 @@ def _factor(matrix: Tensor) -> Tensor:
     return torch.where((info > 0)[:, None, None], torch.nan, factor)
 
 
-def refuse_contact(scene: Scene) -> None:
-    """Raise Unsupported for a scene whose motion is not smooth."""
-    if scene.contacts:
-        msg = (
-            f"scene {scene.name!r}: got {len(scene.contacts)} contact spheres, allowed are none: "
-            "HGNN and LGNN hold smooth forces and two-sided constraints; take gns or sgnn"
-        )
-        raise Unsupported(msg)
-
-
 def _terms(points: Points) -> tuple[Array, Array]:
     """Masses and velocities of the terms of the kinetic energy: nodes, then rods."""
     rods = np.arange(len(points.rods))
@@ -289,33 +279,18 @@ def _blocks(speed_map: Array) -> tuple[Array, Indices]:
     return coupling[i, j], (3 * speed_map.shape[1] * row + column).reshape(-1)
 
 
-def _springs(mechanism: Mechanism, points: Points) -> Array:
-    spans = [points.span(spring.bodies, spring.in_body) for spring in mechanism.springs]
-    return np.array(spans).reshape(-1, points.count)
+def _table(rows: Sequence[ArrayLike], width: int) -> Array:
+    """Rows as an array, which there may be none of."""
+    return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _spring_laws(mechanism: Mechanism) -> Array:
-    """Stiffness, rest length and damping, shape (spring, 3)."""
-    laws = [(spring.stiffness, spring.length, spring.damping) for spring in mechanism.springs]
-    return np.array(laws).reshape(-1, 3)
-
-
-def _hinge_axes(mechanism: Mechanism, points: Points) -> Array:
-    axes = [points.of_body(j.child).vector(j.axis, points.count) for j in mechanism.hinges]
-    return np.array(axes).reshape(-1, points.count)
-
-
-def _turning(mechanism: Mechanism, points: Points) -> Array:
-    """Where torques act: hinge, tip, centre of mass, ±1 / (2 d²); shape (pair, 4)."""
-    pairs = [
-        (k, tip, points.of_body(end).com, sign / (2.0 * distance**2))
-        for k, hinge in enumerate(mechanism.hinges)
-        for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0))
-        for tip, distance in zip(
-            points.of_body(end).tips, points.of_body(end).distances, strict=True
-        )
-    ]
-    return np.array(pairs, dtype=float).reshape(-1, 4)
+def _turning(mechanism: Mechanism, points: Points) -> Iterator[tuple[float, ...]]:
+    """Where torques act: hinge, tip, centre of mass, ±1 / (2 d²)."""
+    for k, hinge in enumerate(mechanism.hinges):
+        for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
+            body = points.of_body(end)
+            for tip, distance in zip(body.tips, body.distances, strict=True):
+                yield k, tip, body.com, sign / (2.0 * distance**2)
 
 
 class Terms(nn.Module):

@@ -129,11 +129,7 @@ class _Frame:
 
 
 def points_of(mechanism: Mechanism) -> Points:
-    """Choose the points of a mechanism.
-
-    Raises:
-        Unsupported: A body without thickness, whose mass matrix is singular.
-    """
+    """Choose the points of a mechanism; Unsupported with a body without thickness."""
     axes = _rods(mechanism)
     frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
     first = np.cumsum([0, *(len(frame.offsets) for frame in frames)])
@@ -173,11 +169,7 @@ def _rods(mechanism: Mechanism) -> Array:
 
 
 def kinds_of(points: Points) -> tuple[Indices, int]:
-    """Sort the nodes up to the world's origin by mass and by whether they are fixed.
-
-    Returns:
-        Kind of each, shape (node,), and the number of kinds.
-    """
+    """Number the nodes by mass and by whether they are fixed, (node,); and count these kinds."""
     mass = points.mass[: points.count - 3]
     moves = np.arange(len(mass)) < points.free
     kind = distinct(np.stack([mass, moves], axis=1))

@@ -99,9 +99,8 @@ class PointModel(LearnedModel):
     def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
         """Give the change to the next frame [m], shape (batch, particle, 3).
 
-        Args:
-            history: Positions, oldest first [m], shape (batch, 6, particle, 3).
-            inputs: Over the frame to come.
+        From positions, oldest first [m], (batch, 6, particle, 3), and inputs over the frame to
+        come.
         """
 
     @final
@@ -155,11 +154,7 @@ def trainable() -> list[str]:
 
 
 def load_model(name: str) -> type[LearnedModel]:
-    """Find a model by name.
-
-    Raises:
-        UnknownName: There is none of that name.
-    """
+    """Find a model by name; UnknownName says which there are."""
     if name not in _PLACES:
         raise UnknownName.of("model", name, model_names())
     module, kind = _PLACES[name].split(":")
@@ -172,9 +167,7 @@ def build(
 ) -> LearnedModel:
     """Make an untrained model: the same seed makes the same parameters.
 
-    Raises:
-        UnknownName: There is no such model.
-        InputError: It has no such track.
+    UnknownName where there is no such model, InputError where it has no such track.
     """
     kind = load_model(name)
     if kind.tracks and track not in kind.tracks:
@@ -186,12 +179,7 @@ def build(
 
 
 def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
-    """Say why a model cannot represent a scene; "" where it can.
-
-    Raises:
-        UnknownName: There is no such model.
-        InputError: It has no such track.
-    """
+    """Say why a model cannot represent a scene; "" where it can."""
     try:
         build(name, graph, Statistics.of_nothing(), track=track)
     except Unsupported as error:
@@ -202,13 +190,7 @@ def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
 def rollout(
     model: LearnedModel, motions: Motions, *, steps: int | None = None, batch: int = _BATCH
 ) -> Tensor:
-    """Predict trajectories from their first `HISTORY` frames on.
-
-    Args:
-        model: On the device of the motions.
-        motions: What really happened, and its inputs.
-        steps: Frames to predict; left out, all.
-        batch: Trajectories at a time.
+    """Predict trajectories from their first `HISTORY` frames on, so many frames or all of them.
 
     Returns:
         Positions behind frame `HISTORY` [m], shape (trajectory, frame, particle, 3); not a number

@@ -48,16 +48,7 @@ def save_model(
     /,
     **facts: str,
 ) -> None:
-    """Write a model, and how it was made.
-
-    Args:
-        path: File to write.
-        model: Trained or not.
-        name: By which it is registered.
-        settings: Its hyper-parameters, as it was made with.
-        statistics: Those of the training part that it was made with.
-        facts: What else is to be known of it: data, seed, profile.
-    """
+    """Write a model as it is registered and made, and how: data, seed, profile."""
     content = io.BytesIO()
     whole = {
         "format": _FORMAT,
@@ -80,8 +71,7 @@ def read_model(path: Path, scene: Scene | None = None) -> tuple[LearnedModel, di
         scene: To be predicted, in place of the one that it was trained on.
 
     Raises:
-        InputError: It is no file of a model, was made by other code, or its parameters do not fit
-            the scene.
+        InputError: It is no file of a model, was made by other code, or does not fit the scene.
         Unsupported: The model cannot represent the scene.
         UnknownName: The model is not registered here.
     """
@@ -157,11 +147,7 @@ def _other_code(path: Path, error: Exception) -> InputError:
 
 
 def read_facts(path: Path) -> dict[str, str]:
-    """Read only the facts of a model's file.
-
-    Raises:
-        InputError: It is no file of a model.
-    """
+    """Read only the facts of a model's file, or raise InputError."""
     return _read(path).facts
 
 
@@ -202,13 +188,7 @@ _NAMED = {
 def read_stored(path: Path, what: str, remedy: str) -> dict[str, Any]:
     """Read a file of `torch.save`; its arrays still lie in the file: copy them by `array`.
 
-    Args:
-        path: File to read.
-        what: It should be: "trained model".
-        remedy: What else is to be done.
-
-    Raises:
-        InputError: It cannot be read, is damaged, or is no such file.
+    InputError says what it should be ("trained model"), and how that is remedied.
     """
     try:
         _check_archive(path)
@@ -226,11 +206,7 @@ def read_stored(path: Path, what: str, remedy: str) -> dict[str, Any]:
 
 
 def array(value: object) -> Tensor:
-    """Copy an array out of a file.
-
-    Raises:
-        ValueError: It is none, or has more numbers than the file has for it.
-    """
+    """Copy an array out of a file; ValueError where its numbers are not all in the file."""
     if type(value) is not Tensor or value.layout is not torch.strided or value.device.type != "cpu":
         msg = f"got {type(value).__name__}, allowed is an array"
         raise ValueError(msg)
@@ -241,11 +217,7 @@ def array(value: object) -> Tensor:
 
 
 def arrays(value: object) -> dict[str, Tensor]:
-    """Copy arrays by name out of a file.
-
-    Raises:
-        ValueError: They are none.
-    """
+    """Copy arrays by name out of a file; ValueError where they are none."""
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
         msg = f"got {type(value).__name__}, allowed are arrays by name"
         raise ValueError(msg)

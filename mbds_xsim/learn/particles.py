@@ -259,14 +259,14 @@ def read_figures(path: Path) -> Figures | None:
 def figures_on(
     model: LearnedModel, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
 ) -> Figures:
-    """Test a model; trajectories whose first window is not known are left unknown.
+    """Test a model, on its device; trajectories whose first window is not known are left unknown.
 
     Args:
-        model: Of the motions' type of numbers, on the device.
-        motions: The truth, on the CPU.
+        model: Of the motions' type of numbers.
+        motions: The truth, on the CPU, where predictions are measured too.
         horizon: Frames of a rollout.
         stride: Frames from a window of the teacher-forced predictions to the next.
-        device: Where to predict; what is predicted is measured on the CPU.
+        device: Of the model.
     """
     start = motions.position[:, :HISTORY].isfinite().flatten(1).all(1)
     rows = torch.nonzero(start)[:, 0]
@@ -278,12 +278,10 @@ def figures_on(
 
 
 def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> Figures:
-    """Hold predictions against what happened.
+    """Hold predictions against what happened, where frames that are not known are not numbers.
 
-    Args:
-        motions: The truth; frames that are not known are not numbers.
-        predicted: Positions from frame `HISTORY` on [m], shape (trajectory, frame, particle, 3).
-        one_step: Error of predictions by one frame, where there are any.
+    Predicted are positions from frame `HISTORY` on [m], shape (trajectory, frame, particle, 3);
+    beside them may stand the error of predictions by one frame.
     """
     frames, graph = predicted.shape[1], motions.graph
     truth = motions.position[:, HISTORY - 1 : HISTORY + frames].double()
@@ -303,11 +301,8 @@ def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) 
 def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride: int) -> Array:
     """Predict one frame from true windows, every `stride` frames: not chaotic, so comparable.
 
-    Windows are of so many frames after the first one; those that are not known are left out.
-
-    Returns:
-        Mean over windows and particles of the squared distance [m²], shape (trajectory,);
-        infinite where a prediction is not finite.
+    Mean over known windows and particles of the squared distance [m²], shape (trajectory,);
+    infinite where a prediction is not finite.
     """
     total, count = torch.zeros(len(motions)).double(), torch.zeros(len(motions))
     for last in range(HISTORY - 1, HISTORY - 1 + frames, stride):

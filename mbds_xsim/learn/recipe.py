@@ -1,4 +1,4 @@
-"""How a model is trained: optimiser, schedule of its rate, batch."""
+"""How a model is trained: optimiser, schedule of its rate, batch; and for how long."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 from mbds_xsim import bounds
 
-__all__ = ["Cosine", "Decay", "Plateau", "Recipe"]
+__all__ = ["PROFILES", "SETTLED", "WITHOUT_END", "Cosine", "Decay", "Plateau", "Profile", "Recipe"]
 
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
@@ -51,7 +51,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     batch: int = 64
     """Windows a step."""
     horizon: int = 1
-    """Frames to come in a window. GNS and SGNN learn from one of them, see `pushforward`."""
+    """Frames to come in a window. GNS and SGNN learn from one of them, see `model.pushed`."""
     schedule: Plateau | Decay | Cosine | None = None
     clip: float | None = None
     """Largest norm of a gradient; longer ones are shortened to it."""
@@ -63,3 +63,50 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         bounds.positive("rate", self.rate)
         bounds.at_least_one("batch", self.batch)
         bounds.at_least_one("horizon", self.horizon)
+
+
+class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How long to train, and how to watch it."""
+
+    steps: int
+    """Of the optimiser, at most."""
+    every: int
+    """Steps from a validation to the next, and from a checkpoint to the next."""
+    windows: int = 128
+    """Trajectories of the validation part that are predicted each time, always the same."""
+    horizon: int = 10
+    """Frames of such a prediction."""
+    until_level: bool = True
+    """Whether to stop once the last fifth of the steps has improved validation too little."""
+    improvement: float = 0.02
+    """What is too little, as a part of the error."""
+    least: int = 20
+    """Validations before the first such stop: a fifth of fewer is at the mercy of one of them."""
+    mixed_precision: bool = False
+    """On a GPU: networks of float32 models compute in bfloat16 where that is safe."""
+    compiled: bool = False
+    """On a GPU: networks of float32 models are compiled and replayed as CUDA graphs."""
+
+    def __post_init__(self) -> None:
+        for key in ("steps", "every", "windows", "horizon", "least"):
+            bounds.at_least_one(key, getattr(self, key))
+
+    def of_exactly(self, steps: int) -> Profile:
+        """Give the profile of a run that takes all of so many steps, level or not."""
+        # Fewer validations than the least could not tell whether it was level.
+        every = max(1, min(self.every, steps // self.least))
+        return msgspec.structs.replace(self, steps=steps, every=every, until_level=False)
+
+
+PROFILES = {
+    "smoke": Profile(steps=600, every=100, windows=32, until_level=False),
+    "lite": Profile(steps=30_000, every=150),
+    "paper": Profile(steps=1_000_000, every=5_000, windows=512),
+}
+
+WITHOUT_END = Plateau(patience=3, factor=0.5)
+"""In place of a cosine where a run ends when it is level: it has no last step to end at."""
+
+SETTLED = 1 / 32
+"""Part of the recipe's rate to which plateaus must have lowered it before a run counts as level:
+at a higher rate validation wavers by more than it improves."""

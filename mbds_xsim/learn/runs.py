@@ -11,10 +11,10 @@ import json
 import math
 import platform
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import torch
@@ -27,9 +27,9 @@ from mbds_xsim.learn.device import put
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
 from mbds_xsim.learn.model import LearnedModel, build, load_model
 from mbds_xsim.learn.model_file import read_facts, save_model
-from mbds_xsim.learn.recipe import Recipe
+from mbds_xsim.learn.recipe import Profile, Recipe
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import Profile, Training, check_identity, read_identity, train
+from mbds_xsim.learn.train import Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.write import write_whole
 
@@ -42,11 +42,15 @@ __all__ = [
     "finished",
     "measure",
     "prepared",
-    "recipe_of",
 ]
 
 
 Parts = tuple[Motions, Motions]
+
+_FEW = 32  # trajectories to try it on
+_WARM = 3  # steps: the first ones make what later ones reuse
+_STEPS = 20
+_LONGEST = 5.0  # [s] of trying
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +93,23 @@ class TrainingRun:
         return self.out / f"{self.name}.checkpoint"
 
     @property
+    def settings(self) -> Any:
+        """Hyper-parameters of the model in the track."""
+        return load_model(self.model).tracks[self.track]
+
+    @property
+    def recipe(self) -> Recipe:
+        """The optimiser's settings of the track."""
+        recipe: Recipe = self.settings.recipe
+        return recipe
+
+    @property
     def identity(self) -> dict[str, str]:
         """What decides on the result, on one machine: a file of another identity is another run."""
-        settings = load_model(self.model).tracks[self.track]
+        data = {e: self.group.data[e].attributes[CONTENT] for e in self.share.engines}
+        starts = hashlib.sha256()  # they depend on what all engines of the group have
+        for split in ("train", "validation"):
+            starts.update(self.share.numbers(self.group, split).astype("<i8").tobytes() + b"|")
         interval = self.share.interval
         return {
             "scene": self.group.scene_name,
@@ -101,25 +119,21 @@ class TrainingRun:
             "train_engines": ",".join(self.share.engines),
             "seed": str(self.seed),
             "track": self.track,
-            "settings": msgspec.json.encode(settings).decode(),
+            "settings": msgspec.json.encode(self.settings).decode(),
             "profile": msgspec.json.encode(self.profile).decode(),
-            "data": json.dumps({e: _content(self.group, e) for e in self.share.engines}),
-            "starts": _starts(self),
+            "data": json.dumps(data),
+            "starts": starts.hexdigest(),
             "drawn": json.dumps(self.group.drawn),
             **({"interval": interval} if interval else {}),
         }
 
 
 def check_data(run: TrainingRun) -> None:
-    """Refuse a run that its data are too few or too short for, before any is started.
-
-    Raises:
-        InputError: A part has no trajectory for it, or no window fits in.
-    """
+    """Refuse a run, by InputError, that its data are too few or too short for."""
     for split in ("train", "validation"):
         check_share(run.group, run.share, split)
     data = next(iter(run.group.data.values()))
-    frames, needed = int(data.attributes["steps"]) + 1, HISTORY + recipe_of(run).horizon
+    frames, needed = int(data.attributes["steps"]) + 1, HISTORY + run.recipe.horizon
     if frames < needed:
         msg = (
             f"{data.path}: got trajectories of {frames} frames, {run.model} in the track "
@@ -131,8 +145,7 @@ def check_data(run: TrainingRun) -> None:
 def finished(run: TrainingRun) -> dict[str, str] | None:
     """Give the facts of a run that has been carried out, or None where it is still to be.
 
-    Raises:
-        InputError: There are files of another run in its place.
+    InputError where there are files of another run in its place.
     """
     if run.path.exists():
         facts = read_facts(run.path)
@@ -146,24 +159,11 @@ def finished(run: TrainingRun) -> dict[str, str] | None:
 def prepared(
     run: TrainingRun, *, most: int | None = None
 ) -> tuple[LearnedModel, Statistics, Parts]:
-    """Make the untrained model of a run, and read its data.
-
-    Args:
-        run: Which one.
-        most: Only so many trajectories of each part.
-    """
+    """Make the untrained model of a run, and read its data, of each part at most so many."""
     kind = load_model(run.model)
+    how = {"bodies": kind.needs_bodies, "device": run.device, "dtype": kind.dtype}
     training, validation = (
-        mixed(
-            run.group,
-            run.share,
-            split,
-            bodies=kind.needs_bodies,
-            device=run.device,
-            dtype=kind.dtype,
-            most=most,
-        )
-        for split in ("train", "validation")
+        mixed(run.group, run.share, split, most=most, **how) for split in ("train", "validation")
     )
     statistics = Statistics.of(training)
     graph = training.graph.to("cpu")
@@ -172,18 +172,8 @@ def prepared(
     return model, statistics, (training, validation)
 
 
-def recipe_of(run: TrainingRun) -> Recipe:
-    """Give the optimiser's settings of a run's track."""
-    recipe: Recipe = load_model(run.model).tracks[run.track].recipe
-    return recipe
-
-
 def carry_out(run: TrainingRun) -> dict[str, str]:
-    """Train, or go on, and write the files; called in a process of its own.
-
-    Returns:
-        The facts of the model's file.
-    """
+    """Train, or go on, and write the files, in a process of its own; give the file's facts."""
     torch.set_num_threads(1)
     known = finished(run)
     if known is not None:
@@ -199,7 +189,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
         training = train(
             model,
             *parts,
-            recipe_of(run),
+            run.recipe,
             run.profile,
             seed=run.seed,
             checkpoint=run.checkpoint,
@@ -208,8 +198,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
         )
     _write_curve(run, training)
     facts = {**run.identity, **facts_of(run, training, parts)}
-    settings = load_model(run.model).tracks[run.track]
-    save_model(run.path, model, run.model, settings, statistics, **facts)
+    save_model(run.path, model, run.model, run.settings, statistics, **facts)
     run.checkpoint.unlink(missing_ok=True)
     return facts
 
@@ -222,16 +211,21 @@ def _write_curve(run: TrainingRun, training: Training) -> None:
 def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, str]:
     """What is to be known of a run besides its identity, as text."""
     steps = training.curve[-1].step
-    told = {
+    # Within the data, wherever these are, as in `6pendulum/mujoco-native.h5`.
+    files = {e: "/".join(run.group.files[e].parts[-2:]) for e in run.share.engines}
+    enough = len(training.curve) >= run.profile.least and training.ended != "diverged"
+    # Whether the last fifth of the steps improved validation too little to go on.
+    level = enough and training.last_improvement < run.profile.improvement
+    facts = {
         "profile_name": run.profile_name,
         "engines": ",".join(run.group.files),
-        "files": json.dumps({e: _place(run.group.files[e]) for e in run.share.engines}),
+        "files": json.dumps(files),
         "train_trajectories": len(parts[0]),
         "validation_trajectories": len(parts[1]),
         "steps": steps,
         "skipped_steps": training.skipped,
         "ended": training.ended,
-        "level": "yes" if _is_level(training, run.profile) else "no",
+        "level": "yes" if level else "no",
         "last_improvement": training.last_improvement,
         "best_error": training.best.error,
         "best_step": training.best.step,
@@ -243,37 +237,7 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
         "torch": torch.__version__,
         "mbds_xsim": version("mbds-xsim"),
     }
-    return {key: str(value) for key, value in told.items()}
-
-
-def _is_level(training: Training, profile: Profile) -> bool:
-    """Whether the last fifth of the steps improved validation too little to go on."""
-    enough = len(training.curve) >= profile.least and training.ended != "diverged"
-    return enough and training.last_improvement < profile.improvement
-
-
-def _place(path: Path) -> str:
-    """A file within the data, wherever these are, as in `6pendulum/mujoco-native.h5`."""
-    return f"{path.parent.name}/{path.name}"
-
-
-def _content(group: TrainingGroup, engine: str) -> str:
-    found: str = group.data[engine].attributes[CONTENT]
-    return found
-
-
-def _starts(run: TrainingRun) -> str:
-    """Checksum of the trajectories' numbers: they depend on what all engines of the group have."""
-    whole = hashlib.sha256()
-    for split in ("train", "validation"):
-        whole.update(run.share.numbers(run.group, split).astype("<i8").tobytes() + b"|")
-    return whole.hexdigest()
-
-
-_FEW = 32  # trajectories to try it on
-_WARM = 3  # steps: the first ones make what later ones reuse
-_STEPS = 20
-_LONGEST = 5.0  # [s] of trying
+    return {key: str(value) for key, value in facts.items()}
 
 
 @dataclass(frozen=True)
@@ -298,7 +262,11 @@ def measure(run: TrainingRun) -> Cost:
     def seconds(steps: int, judged: Motions, windows: int) -> float:
         """Time of so many steps with a validation of so many windows."""
         few = msgspec.structs.replace(profile, steps=steps, every=steps, windows=windows)
-        return _timed(lambda: train(model, training, judged, recipe_of(run), few))
+        begin = time.perf_counter()
+        train(model, training, judged, run.recipe, few)
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        return time.perf_counter() - begin
 
     one = seconds(_WARM, validation, 1) / _WARM
     steps = max(1, min(_STEPS, round(_LONGEST / one)))
@@ -316,11 +284,3 @@ def measure(run: TrainingRun) -> Cost:
         validation_s=validation_s,
         hours=(run.profile.steps * step_s + validations * validation_s) / 3600.0,
     )
-
-
-def _timed(work: Callable[[], Training]) -> float:
-    begin = time.perf_counter()
-    work()
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
-    return time.perf_counter() - begin

@@ -112,11 +112,10 @@ class SGNN(PointModel):
         return miss.abs().mean() if self.settings.loss == "l1" else miss.square().mean()
 
     def noisy(self, sample: Sample, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Disturb the positions; what follows moves along with the last of them.
+        """Disturb the positions, and give the next one, moved along with the last of them.
 
-        Returns:
-            The history, and the position after it; the displacement to it is the true one, so
-            that the velocity's error is to be corrected, the position's kept.
+        The displacement to it is the true one, so that the velocity's error is to be corrected, the
+        position's kept.
         """
         history = sample.start.history
         noise = torch.randn(history.shape, generator=generator).to(history)
@@ -193,12 +192,9 @@ def nearest_rigid(shape: Tensor, predicted: Tensor, object_of: Tensor) -> Tensor
     (1976) 922.
 
     Args:
-        shape: particles with the right distances, any pose, shape (…, particle, 3).
-        predicted: shape (…, particle, 3).
-        object_of: the object of each particle, from 0 without gaps, shape (particle,).
-
-    Returns:
-        Shape (…, particle, 3).
+        shape: Particles with the right distances, any pose, shape (…, particle, 3).
+        predicted: Of the same shape.
+        object_of: The object of each particle, from 0 without gaps, shape (particle,).
     """
     kind = torch.arange(int(object_of.max()) + 1, device=object_of.device)
     if len(kind) == len(object_of):

@@ -19,15 +19,16 @@ from torch.nn import functional
 __all__ = [
     "Edges",
     "Hierarchy",
-    "Interaction",
     "Network",
+    "Passing",
     "Scalars",
     "SubequivariantMap",
     "mlp",
     "pool",
 ]
 
-
+LEAST_NORM = 1e-6
+"""Under which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
 OBJECT_SCALE = 0.001
 """Of the sum of its particles' scalars, as SGNN feeds it to an object."""
 READ = 2
@@ -36,112 +37,71 @@ PARTICLE = 3
 """Vectors of a particle: position and velocity in its object, velocity in W."""
 
 
-class Network(nn.Module):
-    """Normalised motion of the next frame from normalised motion, external vectors and scalars.
+class Edges(nn.Module):
+    """Directed edges between so many nodes; there may be none."""
 
-    It commutes with every rotation and reflection that leaves `down` as it is, with translation
-    (positions enter as differences), and with renumbering particles and objects.
+    senders: Tensor
+    """Node each edge comes from, shape (edge,)."""
+    receivers: Tensor
+    """Node each edge goes to, shape (edge,)."""
+    mean: Tensor
+    """Row i averages over the edges into node i, and is zero where there are none, (node, edge). A
+    product with it is faster than a scatter at these sizes, runs in the same order every time, and
+    is defined without edges."""
 
-    Args:
-        hierarchy: particles, objects and their edges.
-        externals: external vectors of a particle, such as a force on it.
-        scalars: scalars of a particle.
-        down: unit vector along gravity, zero without gravity, shape (3,).
-        hidden: width and scalars of a node.
-        layers: linear layers of each network.
-        steps: message-passing steps of each stage; they share their weights.
+    def __init__(self, senders: Tensor, receivers: Tensor, node_count: int) -> None:
+        super().__init__()
+        _keep(self, senders=senders, receivers=receivers, mean=averaging(receivers, node_count))
+
+
+class Hierarchy(nn.Module):
+    """Particles, the objects they belong to, and the edges of both.
+
+    Of edges from senders to receivers, `inner` ones within an object; `body` names each particle's
+    object by any integer.
     """
 
-    down: Tensor
+    object_of: Tensor
+    """The object of each particle, counted from 0, shape (particle,)."""
+    members: Tensor
+    """Averages over an object's particles, shape (object, particle)."""
+    sizes: Tensor
+    """Particles of each object, shape (object, 1)."""
+    pooling: Tensor
+    """Averages over a pair's edges in `inter`, shape (pair, inter edge)."""
 
-    def __init__(
-        self,
-        hierarchy: Hierarchy,
-        *,
-        externals: int,
-        scalars: int,
-        down: Tensor,
-        hidden: int,
-        layers: int,
-        steps: int,
-    ) -> None:
+    def __init__(self, senders: Tensor, receivers: Tensor, inner: Tensor, body: Tensor) -> None:
         super().__init__()
-        size = {"hidden": hidden, "layers": layers}
-        self.hierarchy = hierarchy
-        self.register_buffer("down", down, persistent=False)
-        self.embedding = nn.Linear(scalars, hidden)
-        self.to_particle = nn.Linear(2 * hidden, hidden)
-        self.between = Interaction(PARTICLE, edge_channels=1, **size, steps=steps)
-        self.readout = SubequivariantMap(2 * PARTICLE + 1, [hidden, hidden], outputs=READ, **size)
-        self.object_gravity = mlp(hidden, 1, hidden=hidden, layers=2)
-        self.over_objects = Interaction(
-            2 + externals, edge_channels=READ, edge_scalars=hidden, **size, steps=steps
-        )
-        self.to_inner = nn.Linear(2 * hidden, hidden)
-        self.inner_gravity = mlp(hidden, 1, hidden=hidden, layers=2)
-        self.within = Interaction(
-            READ + PARTICLE + 1 + externals, edge_channels=1, **size, steps=steps
-        )
-
-    def forward(
-        self, position: Tensor, velocity: Tensor, externals: Tensor, scalars: Tensor
-    ) -> Tensor:
-        """Predict the next velocity, shape (batch, particle, 3).
-
-        Args:
-            position: shape (batch, particle, 3).
-            velocity: shape (batch, particle, 3).
-            externals: shape (batch, particle, external, 3).
-            scalars: shape (batch, particle, scalar).
-        """
-        of_object, members = self.hierarchy.object_of, self.hierarchy.members
-        state = torch.stack([position, velocity], dim=-2)
-        centre = pool(members, state)
-        local = torch.cat([state - centre[:, of_object], velocity.unsqueeze(-2)], dim=-2)
-        own = self.embedding(scalars)
-        shared = OBJECT_SCALE * self.hierarchy.sizes * (members @ own)
-        told = self.to_particle(torch.cat([shared[:, of_object], own], dim=-1))
-        gravity = self.gravity(self.object_gravity, shared)
-        carried, known = self.over_objects(
-            torch.cat([centre[..., 1:, :], gravity, pool(members, externals)], dim=-2),
-            shared,
-            self.hierarchy.pairs,
-            *self.contacts(position, local, told),
-        )
-        told = self.to_inner(torch.cat([known[:, of_object], own], dim=-1))
-        gravity = self.gravity(self.inner_gravity, told)
-        moved, _ = self.within(
-            torch.cat([carried[:, of_object, :READ], local, gravity, externals], dim=-2),
-            told,
-            self.hierarchy.inner,
-            apart(position, self.hierarchy.inner),
-        )
-        return moved[..., 0, :]
-
-    def contacts(self, position: Tensor, local: Tensor, told: Tensor) -> tuple[Tensor, Tensor]:
-        """Read the edges between objects, averaged over each pair of objects."""
-        edges, pooling = self.hierarchy.inter, self.hierarchy.pooling
-        if not len(pooling):  # one object, or objects that nothing joins: there is nothing to read
-            shape = len(position), 0
-            return position.new_zeros(*shape, READ, 3), position.new_zeros(*shape, told.shape[-1])
-        along = apart(position, edges)
-        vectors, scalars = self.between(local, told, edges, along)
-        read, said = self.readout(ends(vectors, edges, along), *end_scalars(scalars, edges))
-        return pool(pooling, read), pooling @ said
-
-    def gravity(self, strength: nn.Module, scalars: Tensor) -> Tensor:
-        """Gravity's direction times a learned strength, shape (batch, node, 1, 3)."""
-        size: Tensor = strength(scalars)
-        return size.unsqueeze(-1) * self.down
+        names, objects = torch.unique(body, return_inverse=True)
+        self.inner = Edges(senders[inner], receivers[inner], len(body))
+        self.inter = Edges(senders[~inner], receivers[~inner], len(body))
+        ends = torch.stack([objects[self.inter.senders], objects[self.inter.receivers]], dim=1)
+        # An edge between two objects for every ordered pair with an edge in `inter`.
+        pairs, pair_of = torch.unique(ends, dim=0, return_inverse=True)
+        self.pairs = Edges(pairs[:, 0], pairs[:, 1], len(names))
+        members = averaging(objects, len(names))
+        sizes = torch.bincount(objects).to(members)[:, None]
+        pooling = averaging(pair_of, len(pairs))
+        _keep(self, object_of=objects, members=members, sizes=sizes, pooling=pooling)
 
 
-def apart(position: Tensor, edges: Edges) -> Tensor:
-    """From an edge's sender to its receiver, shape (batch, edge, 1, 3)."""
-    return (position[:, edges.receivers] - position[:, edges.senders]).unsqueeze(-2)
+def pool(weights: Tensor, vectors: Tensor) -> Tensor:
+    """Combine rows of vectors (…, row, channel, 3) with weights (group, row)."""
+    combined = weights @ vectors.flatten(-2)
+    return combined.reshape(*combined.shape[:-1], *vectors.shape[-2:])
 
 
-LEAST_NORM = 1e-6
-"""Under which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
+def averaging(groups: Tensor, group_count: int) -> Tensor:
+    """Matrix that averages rows by group, shape (group, row); an empty group averages to zero."""
+    belongs = groups == torch.arange(group_count)[:, None]
+    sizes = belongs.sum(dim=1, keepdim=True).clamp(min=1)
+    return belongs.to(torch.get_default_dtype()) / sizes
+
+
+def _keep(module: nn.Module, **values: Tensor) -> None:
+    """Keep tensors that follow the module's device but are no part of what it learned."""
+    for name, value in values.items():
+        module.register_buffer(name, value, persistent=False)
 
 
 class Scalars(NamedTuple):
@@ -164,12 +124,8 @@ class Scalars(NamedTuple):
 class SubequivariantMap(nn.Module):
     """Vectors and scalars to vectors and scalars, equivariant to rotations of all the vectors.
 
-    Args:
-        channels: how many vectors go in.
-        scalars: how many scalars go in, block by block.
-        outputs: how many vectors come out.
-        hidden: width, and how many scalars come out.
-        layers: linear layers of the network.
+    So many vectors (`channels`) and blocks of scalars go in, so many vectors (`outputs`) and
+    `hidden` scalars come out.
     """
 
     def __init__(
@@ -200,30 +156,21 @@ class SubequivariantMap(nn.Module):
         # In two products: what is passed on comes out in one piece, and what would mix a vector
         # that is left out is not computed.
         end = self.outputs * self.channels
-        weight, bias = (self.mixing_rows(each[:end], given) for each in (last.weight, last.bias))
+        weight, bias = (self._mixing(each[:end], given) for each in (last.weight, last.bias))
         mixing = functional.linear(deep, weight, bias)
         mixing = mixing.reshape(*mixing.shape[:-1], self.outputs, given)
         return mixing @ vectors, functional.linear(deep, last.weight[end:], last.bias[end:])
 
-    def mixing_rows(self, rows: Tensor, given: int) -> Tensor:
-        """Keep those of the last layer's mixing rows that read the first vectors, the given ones.
-
-        Rows are in the order output, vector.
-        """
+    def _mixing(self, rows: Tensor, given: int) -> Tensor:
+        """Keep those of the last layer's rows (output, vector) that read the given vectors."""
         by_vector = rows.reshape(self.outputs, self.channels, *rows.shape[1:])
         return by_vector[:, :given].flatten(0, 1)
 
 
-class Interaction(nn.Module):
+class Passing(nn.Module):
     """Message passing whose steps share one set of weights, without a residual.
 
-    Args:
-        channels: vectors of a node.
-        edge_channels: vectors of an edge.
-        edge_scalars: scalars of an edge; 0 for none.
-        hidden: scalars of a node, and width.
-        layers: linear layers of each network.
-        steps: how often the one layer is applied.
+    `channels` vectors and `hidden` scalars of a node, those of an edge beside them.
     """
 
     def __init__(
@@ -237,18 +184,10 @@ class Interaction(nn.Module):
         steps: int,
     ) -> None:
         super().__init__()
-        self.steps = steps
-        of_edge = [edge_scalars] if edge_scalars else []
-        self.message = SubequivariantMap(
-            2 * channels + edge_channels,
-            [hidden, hidden, *of_edge],
-            outputs=channels,
-            hidden=hidden,
-            layers=layers,
-        )
-        self.update = SubequivariantMap(
-            2 * channels, [hidden, hidden], outputs=channels, hidden=hidden, layers=layers
-        )
+        self.steps, size = steps, {"outputs": channels, "hidden": hidden, "layers": layers}
+        scalars = [hidden, hidden, *([edge_scalars] if edge_scalars else [])]
+        self.message = SubequivariantMap(2 * channels + edge_channels, scalars, **size)
+        self.update = SubequivariantMap(2 * channels, [hidden, hidden], **size)
 
     def forward(
         self,
@@ -265,13 +204,10 @@ class Interaction(nn.Module):
             return vectors, scalars
         of_edge = [] if edge_scalars is None else [Scalars(edge_scalars)]
         for _ in range(self.steps):
-            sent, told = self.message(
-                ends(vectors, edges, edge_vectors), *end_scalars(scalars, edges), *of_edge
-            )
-            heard = pool(edges.mean, sent)
-            vectors, scalars = self.update(
-                torch.cat([vectors, heard], dim=-2), Scalars(scalars), Scalars(edges.mean @ told)
-            )
+            at_ends = end_scalars(scalars, edges)
+            sent, said = self.message(ends(vectors, edges, edge_vectors), *at_ends, *of_edge)
+            received = torch.cat([vectors, pool(edges.mean, sent)], dim=-2)
+            vectors, scalars = self.update(received, Scalars(scalars), Scalars(edges.mean @ said))
         return vectors, scalars
 
 
@@ -286,10 +222,15 @@ def end_scalars(scalars: Tensor, edges: Edges) -> tuple[Scalars, Scalars]:
     return Scalars(scalars, edges.receivers), Scalars(scalars, edges.senders)
 
 
+def apart(position: Tensor, edges: Edges) -> Tensor:
+    """From an edge's sender to its receiver, shape (batch, edge, 1, 3)."""
+    return (position[:, edges.receivers] - position[:, edges.senders]).unsqueeze(-2)
+
+
 def invariants(vectors: Tensor) -> Tensor:
     """All inner products of the vectors (…, channel, 3), scaled to a unit norm, (…, channel²)."""
-    found: Tensor = _Invariants.apply(vectors)  # type: ignore[no-untyped-call]
-    return found
+    products: Tensor = _Invariants.apply(vectors)  # type: ignore[no-untyped-call]
+    return products
 
 
 class _Invariants(torch.autograd.Function):
@@ -325,79 +266,87 @@ def mlp(inputs: int, outputs: int, *, hidden: int, layers: int) -> nn.Sequential
     return nn.Sequential(*parts)
 
 
-class Edges(nn.Module):
-    """Directed edges between `node_count` nodes; there may be none.
+class Network(nn.Module):
+    """Normalised motion of the next frame: between objects, over objects, within objects.
 
-    Attributes:
-        senders: node each edge comes from, shape (edge,).
-        receivers: node each edge goes to, shape (edge,).
-        mean: row i averages over the edges into node i, and is zero where there are none, shape
-            (node, edge). A product with it is faster than a scatter at these sizes, runs in the
-            same order every time, and is defined without edges.
+    It commutes with every rotation and reflection that leaves `down` as it is (a unit vector along
+    gravity, zero without), with translation (positions enter as differences), and with renumbering
+    particles and objects. Particles have external vectors, such as a force on them, and scalars.
     """
 
-    senders: Tensor
-    receivers: Tensor
-    mean: Tensor
+    down: Tensor
 
-    def __init__(self, senders: Tensor, receivers: Tensor, node_count: int) -> None:
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        *,
+        externals: int,
+        scalars: int,
+        down: Tensor,
+        hidden: int,
+        layers: int,
+        steps: int,
+    ) -> None:
         super().__init__()
-        fixed(self, "senders", senders)
-        fixed(self, "receivers", receivers)
-        fixed(self, "mean", averaging(receivers, node_count))
+        size = {"hidden": hidden, "layers": layers}
+        self.hierarchy = hierarchy
+        self.register_buffer("down", down, persistent=False)
+        self.embedding = nn.Linear(scalars, hidden)
+        self.to_particle = nn.Linear(2 * hidden, hidden)
+        self.between = Passing(PARTICLE, edge_channels=1, **size, steps=steps)
+        self.readout = SubequivariantMap(2 * PARTICLE + 1, [hidden, hidden], outputs=READ, **size)
+        self.object_gravity = mlp(hidden, 1, hidden=hidden, layers=2)
+        self.over_objects = Passing(
+            2 + externals, edge_channels=READ, edge_scalars=hidden, **size, steps=steps
+        )
+        self.to_inner = nn.Linear(2 * hidden, hidden)
+        self.inner_gravity = mlp(hidden, 1, hidden=hidden, layers=2)
+        self.within = Passing(READ + PARTICLE + 1 + externals, edge_channels=1, **size, steps=steps)
 
+    def forward(
+        self, position: Tensor, velocity: Tensor, externals: Tensor, scalars: Tensor
+    ) -> Tensor:
+        """Predict the next velocity, shape (batch, particle, 3).
 
-class Hierarchy(nn.Module):
-    """Particles, the objects they belong to, and the edges of both.
+        Position and velocity are of the same shape, externals (batch, particle, external, 3),
+        scalars (batch, particle, scalar).
+        """
+        of_object, members = self.hierarchy.object_of, self.hierarchy.members
+        state = torch.stack([position, velocity], dim=-2)
+        centre = pool(members, state)
+        local = torch.cat([state - centre[:, of_object], velocity.unsqueeze(-2)], dim=-2)
+        own = self.embedding(scalars)
+        shared = OBJECT_SCALE * self.hierarchy.sizes * (members @ own)
+        known = self.to_particle(torch.cat([shared[:, of_object], own], dim=-1))
+        gravity = self.gravity(self.object_gravity, shared)
+        carried, of_objects = self.over_objects(
+            torch.cat([centre[..., 1:, :], gravity, pool(members, externals)], dim=-2),
+            shared,
+            self.hierarchy.pairs,
+            *self.contacts(position, local, known),
+        )
+        known = self.to_inner(torch.cat([of_objects[:, of_object], own], dim=-1))
+        gravity = self.gravity(self.inner_gravity, known)
+        moved, _ = self.within(
+            torch.cat([carried[:, of_object, :READ], local, gravity, externals], dim=-2),
+            known,
+            self.hierarchy.inner,
+            apart(position, self.hierarchy.inner),
+        )
+        return moved[..., 0, :]
 
-    Args:
-        senders: particle each edge comes from, shape (edge,).
-        receivers: particle each edge goes to, shape (edge,).
-        inner: whether an edge joins two particles of one object, shape (edge,).
-        body: an object's name for each particle, any integers, shape (particle,).
+    def contacts(self, position: Tensor, local: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+        """Read the edges between objects, averaged over each pair of objects."""
+        edges, pooling = self.hierarchy.inter, self.hierarchy.pooling
+        if not len(pooling):  # one object, or objects that nothing joins: there is nothing to read
+            shape = len(position), 0
+            return position.new_zeros(*shape, READ, 3), position.new_zeros(*shape, known.shape[-1])
+        along = apart(position, edges)
+        vectors, scalars = self.between(local, known, edges, along)
+        read, said = self.readout(ends(vectors, edges, along), *end_scalars(scalars, edges))
+        return pool(pooling, read), pooling @ said
 
-    Attributes:
-        inner: edges within an object.
-        inter: edges between two objects.
-        pairs: an edge between two objects for every ordered pair with an edge in `inter`.
-        object_of: the object of each particle, counted from 0, shape (particle,).
-        members: averages over an object's particles, shape (object, particle).
-        sizes: particles of each object, shape (object, 1).
-        pooling: averages over a pair's edges in `inter`, shape (pair, inter edge).
-    """
-
-    object_of: Tensor
-    members: Tensor
-    sizes: Tensor
-    pooling: Tensor
-
-    def __init__(self, senders: Tensor, receivers: Tensor, inner: Tensor, body: Tensor) -> None:
-        super().__init__()
-        names, objects = torch.unique(body, return_inverse=True)
-        self.inner = Edges(senders[inner], receivers[inner], len(body))
-        self.inter = Edges(senders[~inner], receivers[~inner], len(body))
-        ends = torch.stack([objects[self.inter.senders], objects[self.inter.receivers]], dim=1)
-        pairs, pair_of = torch.unique(ends, dim=0, return_inverse=True)
-        self.pairs = Edges(pairs[:, 0], pairs[:, 1], len(names))
-        fixed(self, "object_of", objects)
-        fixed(self, "members", averaging(objects, len(names)))
-        fixed(self, "sizes", torch.bincount(objects).to(self.members)[:, None])
-        fixed(self, "pooling", averaging(pair_of, len(pairs)))
-
-
-def pool(weights: Tensor, vectors: Tensor) -> Tensor:
-    """Combine rows of vectors (…, row, channel, 3) with weights (group, row)."""
-    combined = weights @ vectors.flatten(-2)
-    return combined.reshape(*combined.shape[:-1], *vectors.shape[-2:])
-
-
-def averaging(groups: Tensor, group_count: int) -> Tensor:
-    """Matrix that averages rows by group, shape (group, row); an empty group averages to zero."""
-    belongs = groups == torch.arange(group_count)[:, None]
-    sizes = belongs.sum(dim=1, keepdim=True).clamp(min=1)
-    return belongs.to(torch.get_default_dtype()) / sizes
-
-
-def fixed(module: nn.Module, name: str, value: Tensor) -> None:
-    """Keep a tensor that follows the module's device but is no part of what it learned."""
-    module.register_buffer(name, value, persistent=False)
+    def gravity(self, strength: nn.Module, scalars: Tensor) -> Tensor:
+        """Gravity's direction times a learned strength, shape (batch, node, 1, 3)."""
+        size: Tensor = strength(scalars)
+        return size.unsqueeze(-1) * self.down

@@ -72,9 +72,7 @@ class Channels(nn.Module):
     def forward(self, particles: Tensor, inputs: Inputs) -> Tensor:
         """Give the vectors at the nodes, shape (…, node, channel, 3).
 
-        Args:
-            particles: Positions in W [m], shape (…, particle, 3).
-            inputs: Of one frame, shapes (…, body, 3) and (…, hinge).
+        Of positions in W [m], (…, particle, 3), and inputs of one frame.
         """
         force = inputs.force[..., self.owner, :] * self.share[:, None]
         torque = self.acts @ (inputs.torque[..., None] * self.axes(particles))
@@ -146,21 +144,13 @@ class Moments:
     """1 where it does not vary."""
 
     def spread(self, moving: Tensor) -> float:
-        """Root mean square of the deviations along some axes, of those that vary at all.
-
-        Args:
-            moving: Along which a scene moves, bool, shape (3,).
-        """
+        """Root mean square of the deviations along moving axes, of those that vary at all."""
         varying = moving.to(self.std.device) & (self.std != 1.0)
         chosen = self.std[varying if varying.any() else moving.to(self.std.device)]
         return float(chosen.square().mean().sqrt())
 
     def isotropic(self, up: Tensor) -> Moments:
-        """One deviation for all axes, and only the mean along gravity: what turns with the frame.
-
-        Args:
-            up: Direction of gravity, any length, shape (3,); all zeros where there is none.
-        """
+        """One deviation for all axes, and the mean along gravity alone: what turns with it."""
         axis = torch.nn.functional.normalize(up, dim=0)
         varying = self.std != 1.0
         mean = (self.mean @ axis) * axis
@@ -184,11 +174,7 @@ class Statistics:
 
     @staticmethod
     def of(motions: Motions) -> Statistics:
-        """Compute them.
-
-        Raises:
-            InputError: The trajectories are not those for training.
-        """
+        """Compute them; InputError where the trajectories are not those for training."""
         if motions.split != "train":
             msg = f"statistics: got the part {motions.split!r}, allowed is 'train'"
             raise InputError(msg)

@@ -74,8 +74,7 @@ class ModelStarts:
     def of(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) -> ModelStarts:
         """Take the starts of a study, with their reference.
 
-        Raises:
-            InputError: The study is of another scene, or the reference ends too early.
+        InputError where the study is of another scene, or the reference ends too early.
         """
         if study.fingerprint != fingerprint(scene):
             msg = f"the stored trade-off of {study.scene} is not of {scene.name} as it is now"
@@ -103,7 +102,7 @@ def with_models(
     meter: Meter | None = None,
     command: str = "",
 ) -> tuple[Tradeoff, list[Row]]:
-    """Measure models on the starts of a study, and put them into it.
+    """Measure models on the starts of a study, and put them into it; their rows come beside it.
 
     Args:
         study: Of engines, measured or stored.
@@ -114,9 +113,6 @@ def with_models(
         cache: Whether reference solutions are kept.
         meter: Told of every model that is done.
         command: Of the whole, in place of the study's.
-
-    Returns:
-        The study with the models, and their rows.
 
     Raises:
         InputError: The study is of another scene, or none of the models is of this one, or no
@@ -138,11 +134,7 @@ def with_models(
 def models_of(
     scene: Scene, models: Sequence[TrainedModel]
 ) -> tuple[list[TrainedModel], dict[str, str]]:
-    """Find the models of a scene, and say which were trained on others.
-
-    Raises:
-        InputError: None was trained on it.
-    """
+    """Find the models of a scene (InputError: none), and say which were trained on others."""
     able = [model for model in models if _is_of(model, scene)]
     others = Counter(model.scene.name for model in models if model not in able)
     left_out = {
@@ -159,16 +151,7 @@ def models_of(
 def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[Row]) -> list[Row]:
     """Predict the starts in this process, one by one, then a batch of them.
 
-    Args:
-        trained: Which model.
-        trial: The starts.
-        expected: Of each start alone, then of each in the batch, without figures.
-
-    Returns:
-        These rows with their figures.
-
-    Raises:
-        InputError: The model cannot be read.
+    Figures are put into the rows expected: of each start alone, then of each in the batch.
     """
     torch.set_num_threads(1)
     begin = time.perf_counter()

@@ -19,78 +19,26 @@ import msgspec
 import torch
 from torch import Tensor
 
-from mbds_xsim import bounds
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.device import compile_networks, precision
 from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored
-from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
+from mbds_xsim.learn.recipe import SETTLED, WITHOUT_END, Cosine, Decay, Plateau, Profile, Recipe
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
 
 __all__ = [
-    "PROFILES",
-    "WITHOUT_END",
     "CurvePoint",
-    "Profile",
     "Training",
     "check_identity",
+    "optimiser",
     "read_identity",
     "train",
     "validation_error",
 ]
 
-
 _ANEW = "remove it to start anew"
 _End = Literal["", "steps", "level", "diverged"]
-
-
-class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How long to train, and how to watch it."""
-
-    steps: int
-    """Of the optimiser, at most."""
-    every: int
-    """Steps from a validation to the next, and from a checkpoint to the next."""
-    windows: int = 128
-    """Trajectories of the validation part that are predicted each time, always the same."""
-    horizon: int = 10
-    """Frames of such a prediction."""
-    until_level: bool = True
-    """Whether to stop once the last fifth of the steps has improved validation too little."""
-    improvement: float = 0.02
-    """What is too little, as a part of the error."""
-    least: int = 20
-    """Validations before the first such stop: a fifth of fewer is at the mercy of one of them."""
-    mixed_precision: bool = False
-    """On a GPU: networks of float32 models compute in bfloat16 where that is safe."""
-    compiled: bool = False
-    """On a GPU: networks of float32 models are compiled and replayed as CUDA graphs."""
-
-    def __post_init__(self) -> None:
-        for key in ("steps", "every", "windows", "horizon", "least"):
-            bounds.at_least_one(key, getattr(self, key))
-
-    def of_exactly(self, steps: int) -> Profile:
-        """Give the profile of a run that takes all of so many steps, level or not."""
-        # Fewer validations than the least could not tell whether it was level.
-        every = max(1, min(self.every, steps // self.least))
-        return msgspec.structs.replace(self, steps=steps, every=every, until_level=False)
-
-
-PROFILES = {
-    "smoke": Profile(steps=600, every=100, windows=32, until_level=False),
-    "lite": Profile(steps=30_000, every=150),
-    "paper": Profile(steps=1_000_000, every=5_000, windows=512),
-}
-
-
-WITHOUT_END = Plateau(patience=3, factor=0.5)
-"""In place of a cosine where a run ends when it is level: it has no last step to end at."""
-
-SETTLED = 1 / 32
-"""Part of the recipe's rate to which plateaus must have lowered it before a run counts as level:
-at a higher rate validation wavers by more than it improves."""
 
 
 class CurvePoint(msgspec.Struct, frozen=True):
@@ -134,9 +82,6 @@ class Training:
         return 1.0 - self.best.error / least if least > 0 else 0.0
 
 
-Tell = Callable[[Training], None]
-
-
 def train(
     model: LearnedModel,
     training: Motions,
@@ -146,7 +91,7 @@ def train(
     *,
     seed: int = 0,
     checkpoint: Path | None = None,
-    tell: Tell | None = None,
+    tell: Callable[[Training], None] | None = None,
     identity: Mapping[str, str] | None = None,
 ) -> Training:
     """Train a model in place.
@@ -169,19 +114,23 @@ def train(
         if motions.split != needed:
             msg = f"train: got the part {motions.split!r}, allowed here is {needed!r}"
             raise InputError(msg)
-    run = _Loop(model, recipe, profile, seed, identity or {})
+    own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
+    loop = _Loop(model, recipe, profile, seed, {**own, **(identity or {})})
     if checkpoint is not None and checkpoint.exists():
-        run.restore(checkpoint)
-    judged = _judged(validation, profile)
-    while not run.training.ended:
-        run.learn(training)
-        run.judge(judged)
+        loop.restore(checkpoint)
+    # The first trajectories from their first frames on, as tests predict them.
+    rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
+    horizon = min(profile.horizon, validation.frame_count - HISTORY)
+    judged = validation.sample(rows, HISTORY - 1, horizon)
+    while not loop.training.ended:
+        loop.learn(training)
+        loop.judge(judged)
         if checkpoint is not None:
-            run.save(checkpoint)
+            loop.save(checkpoint)
         if tell is not None:
-            tell(run.training)
-    model.load_state_dict(run.best_state)
-    return run.training
+            tell(loop.training)
+    model.load_state_dict(loop.best_state)
+    return loop.training
 
 
 def optimiser(model: LearnedModel, recipe: Recipe) -> torch.optim.Adam:
@@ -213,14 +162,13 @@ class _Loop:
         recipe: Recipe,
         profile: Profile,
         seed: int,
-        identity: Mapping[str, str],
+        identity: dict[str, str],
     ) -> None:
         self.training = Training(model)
-        self.recipe, self.profile = recipe, profile
-        self.schedule = _schedule(recipe, profile)
-        own = {"seed": str(seed), "recipe": repr(recipe), "profile": repr(profile)}
-        self.identity = {**own, **identity}
-        self.clock = _Clock()
+        self.recipe, self.profile, self.identity = recipe, profile, identity
+        aimless = profile.until_level and isinstance(recipe.schedule, Cosine)
+        self.schedule = WITHOUT_END if aimless else recipe.schedule
+        self.clock = time.monotonic(), time.process_time()
         if profile.compiled and next(model.parameters()).is_cuda:
             compile_networks(model)
         self.step, self.rate = 0, recipe.rate
@@ -268,9 +216,10 @@ class _Loop:
         error = validation_error(model, sample) if math.isfinite(loss) else math.inf
         if error < min((point.error for point in curve), default=math.inf):
             self.best_state = copy.deepcopy(model.state_dict())
-        point = CurvePoint(self.step, loss, error, self.rate)
-        curve.append(point)
-        self.clock.read_into(self.training)
+        curve.append(CurvePoint(self.step, loss, error, self.rate))
+        before, self.clock = self.clock, (time.monotonic(), time.process_time())
+        self.training.wall_s += self.clock[0] - before[0]
+        self.training.cpu_s += self.clock[1] - before[1]
         if isinstance(self.schedule, Plateau):
             self._set_rate(_on_plateau(self.recipe.rate, self.schedule, curve))
         self.training.ended = self._end(loss)
@@ -294,30 +243,30 @@ class _Loop:
 
     def save(self, path: Path) -> None:
         """Write everything, or nothing."""
-        content = io.BytesIO()
-        state = {
-            "identity": self.identity,
-            "step": self.step,
-            "rate": self.rate,
-            "model": self.training.model.state_dict(),
-            "best": self.best_state,
-            "adam": self.adam.state_dict(),
-            "generator": self.generator.get_state(),
-            "curve": msgspec.to_builtins(self.training.curve),
-            "ended": self.training.ended,
-            "skipped": self.training.skipped,
-            "wall_s": self.training.wall_s,
-            "cpu_s": self.training.cpu_s,
-        }
-        torch.save(state, content)
+        training, content = self.training, io.BytesIO()
+        state = _Checkpoint(
+            identity=self.identity,
+            step=self.step,
+            rate=self.rate,
+            model=training.model.state_dict(),
+            best=self.best_state,
+            adam=self.adam.state_dict(),
+            generator=self.generator.get_state(),
+            curve=msgspec.to_builtins(training.curve),
+            ended=training.ended,
+            skipped=training.skipped,
+            wall_s=training.wall_s,
+            cpu_s=training.cpu_s,
+        )
+        torch.save(msgspec.structs.asdict(state), content)
         write_whole(path, content.getvalue())
 
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint."""
-        state = _read(path)
+        state, model = _read(path), self.training.model
         check_identity(path, "a checkpoint", state.identity, self.identity)
         try:
-            self.training.model.load_state_dict(arrays(state.model))
+            model.load_state_dict(arrays(state.model))
         except (RuntimeError, ValueError) as error:
             msg = f"{path}: a checkpoint of another model; name another file"
             raise InputError(msg) from error
@@ -330,14 +279,12 @@ class _Loop:
             raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
         self.step = state.step
         self._set_rate(state.rate)
-        self.training.curve = state.curve
-        self.training.ended = state.ended
-        self.training.skipped = state.skipped
-        self.training.wall_s, self.training.cpu_s = state.wall_s, state.cpu_s
+        kept = (state.curve, state.ended, state.skipped, state.wall_s, state.cpu_s)
+        self.training = Training(model, *kept)
 
 
-class _State(msgspec.Struct, frozen=True):
-    """What a checkpoint holds; arrays as they lie in the file."""
+class _Checkpoint(msgspec.Struct, frozen=True):
+    """What a file holds; arrays as they lie in it."""
 
     identity: dict[str, str]
     step: int
@@ -353,22 +300,6 @@ class _State(msgspec.Struct, frozen=True):
     cpu_s: float
 
 
-class _Clock:
-    """Adds up the time spent."""
-
-    def __init__(self) -> None:
-        self._last = self._now()
-
-    def read_into(self, training: Training) -> None:
-        now = self._now()
-        training.wall_s += now[0] - self._last[0]
-        training.cpu_s += now[1] - self._last[1]
-        self._last = now
-
-    def _now(self) -> tuple[float, float]:
-        return time.monotonic(), time.process_time()
-
-
 def check_identity(path: Path, what: str, found: Mapping[str, str], own: Mapping[str, str]) -> None:
     """Raise InputError where a file is of another run, saying what differs."""
     differing = [key for key in own if found.get(key) != own[key]]
@@ -381,32 +312,16 @@ def check_identity(path: Path, what: str, found: Mapping[str, str], own: Mapping
 
 
 def read_identity(path: Path) -> dict[str, str]:
-    """Read what the run of a checkpoint is known by.
-
-    Raises:
-        InputError: It is no checkpoint.
-    """
+    """Read what the run of a checkpoint is known by, or raise InputError."""
     return _read(path).identity
 
 
-def _read(path: Path) -> _State:
+def _read(path: Path) -> _Checkpoint:
     whole = read_stored(path, "checkpoint", _ANEW)
     try:
-        return msgspec.convert(whole, _State)
+        return msgspec.convert(whole, _Checkpoint)
     except Exception as error:  # an array in the place of a dictionary is an `AttributeError`
         raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
-
-
-def _judged(validation: Motions, profile: Profile) -> Sample:
-    """The first trajectories from their first `HISTORY` frames on, as tests predict them."""
-    rows = torch.arange(min(profile.windows, len(validation)), device=validation.position.device)
-    horizon = min(profile.horizon, validation.frame_count - HISTORY)
-    return validation.sample(rows, torch.full_like(rows, HISTORY - 1), horizon)
-
-
-def _schedule(recipe: Recipe, profile: Profile) -> Plateau | Decay | Cosine | None:
-    aimless = profile.until_level and isinstance(recipe.schedule, Cosine)
-    return WITHOUT_END if aimless else recipe.schedule
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[CurvePoint]) -> float:

@@ -117,11 +117,7 @@ class TrainedModel:
         return "leave-one-out" if self.training.startswith("not-") else "all"
 
     def load(self, scene: Scene) -> LearnedModel:
-        """Read it, for data of a scene.
-
-        Raises:
-            InputError: It is of another scene.
-        """
+        """Read it, for data of a scene; InputError where it is of another."""
         if self.path is None:
             # Trivial models look at no statistics.
             nothing: Any = None
@@ -134,11 +130,7 @@ class TrainedModel:
 
 
 def trained_model(path: Path) -> TrainedModel:
-    """Read what a file says.
-
-    Raises:
-        InputError: It is no file of a model, or does not say what it was trained on.
-    """
+    """Read what a file says; InputError where it is no model's, or does not say enough."""
     model, facts = read_model(path)
     missing = [key for key in _FACTS if not facts.get(key)]
     if missing:
@@ -182,8 +174,7 @@ def trained_model(path: Path) -> TrainedModel:
 def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
     """Find the models of files, of patterns of files, and of all files *.pt below folders.
 
-    Raises:
-        InputError: There is none, or a file is no trained model.
+    InputError where there is none, or a file is no trained model.
     """
     models: list[TrainedModel] = []
     for place in places:
@@ -225,11 +216,9 @@ def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
 
     Args:
         model: On the CPU.
-        truth: Solution of some starts, of one frame more than there are inputs.
+        truth: Solution of some starts, of one frame more than there are inputs; long enough, or
+            InputError.
         inputs: What acts and is known: without the random forces.
-
-    Raises:
-        InputError: The reference ends before, or nothing is left to predict.
     """
     graph, last = model.graph, HISTORY - 1
     if inputs.steps < HISTORY:
@@ -264,11 +253,7 @@ def particle_motion(
 ) -> ParticleMotion:
     """Give the particles of one motion: the reference's, or predictions behind its first frames.
 
-    Args:
-        graph: Of the scene.
-        start: A batch of one, with the inputs that act.
-        truth: Its solution.
-        predicted: What `carry_on` gave [m], shape (1, frame, particle, 3).
+    Predictions are as `carry_on` gave them [m], shape (1, frame, particle, 3).
     """
     position, _ = Points.of(graph.scene).motion(truth)
     frames = graph.embed(torch.from_numpy(position))[0]

@@ -21,8 +21,8 @@ from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import TrainingGroup, shares_of
 from mbds_xsim.learn.model import load_model, refusal, trainable
+from mbds_xsim.learn.recipe import PROFILES, Profile
 from mbds_xsim.learn.runs import Cost, TrainingRun, carry_out, check_data, finished, measure
-from mbds_xsim.learn.train import PROFILES, Profile
 from mbds_xsim.learn.window import names_read
 
 __all__ = [
@@ -112,22 +112,14 @@ class TrainingOutcome:
 
 
 def profile_named(name: str) -> Profile:
-    """Give a profile.
-
-    Raises:
-        UnknownName: There is none of that name.
-    """
+    """Give a profile; UnknownName says which there are."""
     if name not in PROFILES:
         raise UnknownName.of("profile", name, list(PROFILES))
     return PROFILES[name]
 
 
 def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
-    """List the runs.
-
-    Args:
-        request: What is to be trained.
-        only: Whether nothing will be written, so that nothing can be in its place.
+    """List the runs; `only`, where nothing will be written, so that nothing can be in its place.
 
     Raises:
         InputError: A model, track or training is not there, data are too few or too short for it
@@ -211,11 +203,7 @@ def _runs(
 
 
 def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[Cost]:
-    """Measure one run of each model on each group, as many at a time as will train.
-
-    Raises:
-        InputError: A model cannot be tried.
-    """
+    """Measure one run of each model on each group, as many at a time as will train."""
     first = {(run.group.name, run.model): run for run in reversed(plan.runs)}
     runs = [first[key] for key in reversed(first)]
     answers = carrier([Task(measure, (run,), _MEASURING) for run in runs], workers=workers)
@@ -234,11 +222,7 @@ def carry(
     progress: TrainingSink,
     costs: Iterable[Cost] = (),
 ) -> TrainingOutcome:
-    """Carry out the runs that are still to be, the longest first; interrupted ones go on.
-
-    Raises:
-        InputError: Nothing can be written.
-    """
+    """Carry out the runs that are still to be, the longest first; interrupted ones go on."""
     outcome = TrainingOutcome()
     hours = {(cost.group, cost.model): cost.hours for cost in costs}
     runs = sorted(plan.runs, key=lambda run: -hours.get((run.group.name, run.model), 0.0))

@@ -114,11 +114,11 @@ class Motions:
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Motions:
-        """Read the trajectories of a part.
+        """Read the trajectories of a part: "train", "validation" or "test".
 
         Args:
             data: The file of one engine.
-            split: Its part: "train", "validation" or "test".
+            split: The part.
             rows: Only these trajectories, by row.
             bodies: Whether to read the bodies' states too.
             device: Where to put them.
@@ -154,11 +154,7 @@ class Motions:
 
     @staticmethod
     def joined(parts: Sequence[Motions]) -> Motions:
-        """Put trajectories of several engines behind each other; scene and part must be one.
-
-        Raises:
-            InputError: They are of different scenes or parts.
-        """
+        """Put trajectories of several engines behind each other; scene and part must be one."""
         first = parts[0]
         if any(p.graph.scene != first.graph.scene or p.split != first.split for p in parts):
             msg = "motions of different scenes or parts cannot be joined; load them apart"

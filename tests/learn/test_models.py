@@ -11,9 +11,9 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import build, load_model, model_names, rollout
 from mbds_xsim.learn.model_file import read_model, save_model
-from mbds_xsim.learn.recipe import Recipe
+from mbds_xsim.learn.recipe import Profile, Recipe
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import Profile, train
+from mbds_xsim.learn.train import train
 from mbds_xsim.learn.window import Motions
 from tests.golden import check_golden, shadow
 

@@ -20,8 +20,8 @@ from mbds_xsim.learn.sgnn_network import (
     READ,
     Edges,
     Hierarchy,
-    Interaction,
     Network,
+    Passing,
     Scalars,
     SubequivariantMap,
     invariants,
@@ -319,7 +319,7 @@ def test_what_is_left_out_counts_as_zero() -> None:
 def test_without_edges_a_node_hears_zeros() -> None:
     """It must go on as a node of a larger graph does that no edge leads to."""
     torch.manual_seed(5)
-    layer = Interaction(2, edge_channels=1, edge_scalars=4, hidden=8, layers=2, steps=3).double()
+    layer = Passing(2, edge_channels=1, edge_scalars=4, hidden=8, layers=2, steps=3).double()
     vectors, scalars = torch.randn(1, 3, 2, 3).double(), torch.randn(1, 3, 8).double()
     none = Edges(torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.int64), 3)
     one = Edges(torch.tensor([0]), torch.tensor([1]), 3)

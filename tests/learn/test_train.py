@@ -13,17 +13,18 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build, load_model
-from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
-from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import (
+from mbds_xsim.learn.recipe import (
     PROFILES,
     SETTLED,
     WITHOUT_END,
-    CurvePoint,
+    Cosine,
+    Decay,
+    Plateau,
     Profile,
-    Training,
-    train,
+    Recipe,
 )
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.train import CurvePoint, Training, train
 from mbds_xsim.learn.window import Motions, Sample
 from tests.learn.models import squared_error
 

@@ -39,10 +39,10 @@ from mbds_xsim.learn.curves import (
 )
 from mbds_xsim.learn.groups import Share, TrainingGroup, groups, mixed, shares_of, turns
 from mbds_xsim.learn.model_file import read_facts, read_model
-from mbds_xsim.learn.recipe import Recipe
+from mbds_xsim.learn.recipe import PROFILES, Profile, Recipe
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.train import PROFILES, CurvePoint, Profile, Training
+from mbds_xsim.learn.train import CurvePoint, Training
 from mbds_xsim.learn.trainings import TrainingRequest, carry, planned, watched
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.registry import load_scene
@@ -228,7 +228,7 @@ def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
     with pytest.raises(InputError, match=r"no trajectory of validation is of the interval 'low'"):
         planned(request)
     long = Recipe(horizon=8)
-    monkeypatch.setattr(runs, "recipe_of", lambda _: long)
+    monkeypatch.setattr(runs.TrainingRun, "recipe", long)
     line = r"mujoco-native.h5: got trajectories of 13 frames, gns in the track lite needs at least"
     with pytest.raises(InputError, match=f"{line} 14; generate longer ones"):
         planned(ask(on="mujoco"))
@@ -370,12 +370,10 @@ def test_an_interrupted_campaign_goes_on_to_the_same_bits(
 def test_divergence_is_a_result_and_a_failure(
     ask: Ask, made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recipe = runs.recipe_of
+    def wild(run: runs.TrainingRun) -> Recipe:
+        return msgspec.structs.replace(run.settings.recipe, rate=1e14)
 
-    def wild(run: runs.TrainingRun) -> object:
-        return msgspec.structs.replace(recipe(run), rate=1e14)
-
-    monkeypatch.setattr(runs, "recipe_of", wild)
+    monkeypatch.setattr(runs.TrainingRun, "recipe", property(wild))
     monkeypatch.setitem(PROFILES, "smoke", TINY)
     outcome = _carry(dataclasses.replace(ask("gns"), profile=TINY.of_exactly(12)))
     (facts,) = outcome.trained.values()

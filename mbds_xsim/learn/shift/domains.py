@@ -152,8 +152,7 @@ def load_paired(
         variants: Only files of these settings; left out, all.
 
     Raises:
-        InputError: There is no data, or it is not what was written, or files do not belong
-            together: another scene, seed, length or start, or no test trajectory that all have.
+        InputError: Data are missing, not what was written, or do not belong together.
     """
     place = folder / scene
     files = [load_dataset(path) for path in sorted(place.glob("*.h5")) if _is_joined(path)]
@@ -234,11 +233,7 @@ class ReferenceFrames:
 def solve_domain(
     test: Paired, horizon: int, *, cache: bool = True, workers: int | None = None
 ) -> tuple[Solved | None, str]:
-    """Solve the reference for all test starts.
-
-    Returns:
-        The domain; None where it is known nowhere behind the first window, and the reason.
-    """
+    """Solve the reference for all test starts; None, with the reason, where it is known nowhere."""
     batch = test.batch.truncated(HISTORY - 1 + horizon)
     path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
     arrays = read_sealed(path) if cache else None
@@ -259,11 +254,7 @@ def solve_domain(
 
 
 def read_reference(path: Path) -> ReferenceFrames:
-    """Read what `solve_domain` has kept.
-
-    Raises:
-        InputError: It cannot be read any more.
-    """
+    """Read what `solve_domain` has kept, or raise InputError."""
     arrays = read_sealed(path)
     if arrays is None:
         msg = f"{path}: cannot be read; run again"

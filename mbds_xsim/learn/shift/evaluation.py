@@ -93,8 +93,7 @@ class Evaluation:
     def errors(self, model: str, training: str, test: str) -> Array:
         """Errors at `frames`, none of them dropped: lost ones count as exploded [m²].
 
-        Returns:
-            Shape (seed, trajectory, frame); NaN where the truth is not known.
+        Shape (seed, trajectory, frame); NaN where the truth is not known.
         """
         errors = [self.figures[run, test].error for run in self.runs(model, training)]
         return self.counted(np.stack(errors))
@@ -161,10 +160,9 @@ def _cell(
 
 
 def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Time until the root mean square error first exceeds `LOST` of the length.
+    """Time until the root mean square error first exceeds `LOST` of the length [s], (trajectory,).
 
-    Returns:
-        [s], shape (trajectory,), the known horizon where it never does; and whether it never does.
+    The known horizon where it never does; and whether it never does.
     """
     lost = error > (LOST * length) ** 2
     known = (~np.isnan(error)).sum(axis=1)

@@ -151,11 +151,8 @@ def gaps_of(evaluation: Evaluation, draws: Draws, noise: Array, chaos: Array) ->
 def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     """Say why a gap tells nothing of a shift; "" where it does.
 
-    Args:
-        own: Error of the training on its own domain [m²]; NaN where that is not tested.
-        floor: Distance of its engine from the target's [m²], alike.
-        low: End of the interval of the difference [m²].
-        high: The other.
+    Given the error of the training on its own domain, the distance of its engine from the target's,
+    both NaN where that is not tested, and the interval of the difference [m²].
     """
     if np.isnan(own) or np.isnan(floor):
         return UNKNOWN
@@ -285,9 +282,7 @@ def paper_rows(scene: str) -> list[dict[str, str]]:
 def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
     """Give the same of all speeds together [m², if the paper's unit is the metre].
 
-    Args:
-        scene: Which.
-        flagged: Whether to give those, too, that a note says cannot be right as printed.
+    With `flagged` also those that a note says cannot be right as printed.
     """
     rows = [r for r in paper_rows(scene) if not r["speed"] and (flagged or not r["note"])]
     return {(row["model"].lower(), int(row["t"])): float(row["mean_si"]) for row in rows}

@@ -40,11 +40,7 @@ class Selection:
 
     @staticmethod
     def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
-        """Read it from a user's words.
-
-        Raises:
-            InputError: A word is none of those known.
-        """
+        """Read it from a user's words; InputError says which there are."""
         return Selection(
             _words("--settings", settings, _VARIANTS), _words("--on", on, _WAYS), seeds
         )
@@ -64,8 +60,7 @@ WHOLE = Selection()
 def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[TrainedModel]:
     """Find the files `<scene>/<variant>/<model>/<training>-s<seed>.pt` below a folder.
 
-    Raises:
-        InputError: There is none, or one does not say what it was trained on, or two say the same.
+    InputError where there is none, one does not say what it was trained on, or two say the same.
     """
     paths = sorted((folder / scene).glob("*/*/*-s*.pt"))
     if not paths:
@@ -96,11 +91,7 @@ def trivial_models() -> list[TrainedModel]:
 
 
 def check_budget(models: Sequence[TrainedModel]) -> None:
-    """Refuse models of one kind that do not differ in their engines and variant alone.
-
-    Raises:
-        InputError: They had other steps, hyper-parameters or trajectories.
-    """
+    """Refuse models of one kind that do not differ in their engines and variant alone."""
     firsts: dict[tuple[str, ...], tuple[str, TrainedModel]] = {}
     for model in models:
         for key, value in model.budget:
@@ -116,11 +107,7 @@ def check_budget(models: Sequence[TrainedModel]) -> None:
 
 
 def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
-    """Refuse a model that was trained on other data of a domain, or on what it is tested on.
-
-    Raises:
-        InputError: The checksums differ, or the split of its data is another.
-    """
+    """Refuse a model that was trained on other data of a domain, or on what it is tested on."""
     contents = {domain.name: domain.content for domain in test.domains}
     for model in models:
         if model.drawn is not None and model.drawn[0] == test.seed:

@@ -103,11 +103,7 @@ def evaluate(
 ) -> Evaluated:
     """Test every model on every domain; without `cache` what was done is done anew.
 
-    Returns:
-        Figures by model and domain.
-
-    Raises:
-        InputError: A model cannot be tested; those tested before are kept.
+    InputError where a model cannot be tested; those tested before are kept.
     """
     # Named once: code that is edited meanwhile must not make the tasks look elsewhere.
     paths = {(m, d.name): _path(d, m.model, m.content, plan) for m in models for d in domains}
@@ -192,8 +188,7 @@ def restarted(
 ) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
     """Let every engine go on from every domain; with `cache` what was done is not done again.
 
-    Returns:
-        Figures by engine and domain, and why there are none, by engine or by engine and domain.
+    Beside the figures stands why there are none, by engine or by engine and domain.
     """
     restarts: list[Restart] = []
     missing: list[Restart] = []

@@ -82,17 +82,9 @@ def asked(
     trajectories: int | None = None,
     part: Selection = WHOLE,
 ) -> Asked:
-    """Find what is to be studied.
+    """Find what is to be studied: models and data of a scene that belong together.
 
-    Args:
-        models: Folder of trained models.
-        data: Folder of data sets.
-        scene: Name of the scene in both.
-        trajectories: Test with at most so many.
-        part: Which models and domains.
-
-    Raises:
-        InputError: Models or data are missing, or do not belong together.
+    InputError says what is missing or does not belong.
     """
     test = load_paired(data, scene, trajectories, part.variants)
     trained = find_models(models, scene, part)
@@ -121,9 +113,6 @@ def study(
         device: Of the models.
         meter: Told of every model that is tested, and of every engine that goes on.
         command: What was typed.
-
-    Raises:
-        InputError: There is no such frame, or a model cannot be tested.
     """
     began = time.perf_counter()
     test, models = question.test, [*trivial_models(), *question.trained]
