@@ -27,12 +27,14 @@ from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Failure, Trajectory
 
 __all__ = [
+    "RTOL",
     "Outcome",
     "ProgressSink",
     "ReferenceOutcome",
     "Running",
     "Watch",
     "other_steps",
+    "reference_of",
     "run_campaign",
     "run_references",
     "step_task",
@@ -43,7 +45,8 @@ Array = NDArray[np.float64]
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
 _REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
 _TIMEOUT = 3600.0
-_RTOL = 1e-11  # of the reference
+RTOL = 1e-11
+"""Of the reference."""
 _SAMPLE = 3  # trajectories that run at other steps too
 
 
@@ -187,7 +190,7 @@ def run_campaign(
     work: list[tuple[str, Task, Callable[[Any], None]]] = []
     references: list[Any] = []
     for rows in _chunks(len(batch)):
-        task = Task(_reference, (scene, batch[rows], cache), _TIMEOUT)
+        task = Task(reference_of, (scene, batch[rows], cache), _TIMEOUT)
         work.append(("reference", task, references.append))
     for outcome in outcomes:
         work += _engine_work(scene, batch, outcome)
@@ -217,7 +220,7 @@ def run_references(
         InputError: The reference could not be had; without it nothing can be judged.
     """
     parts = [
-        Task(_reference, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
+        Task(reference_of, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
     ]
     return _joined(run_tasks(parts, workers=workers))
 
@@ -272,14 +275,15 @@ def _chunks(count: int) -> list[list[int]]:
     return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
 
 
-def _reference(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
+def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
+    """Solve the reference of some trajectories, with its sensitivity, in this process."""
     begin = time.perf_counter()
-    keys = [key_of("solve", scene, batch, row, _RTOL) for row in range(len(batch))]
+    keys = [key_of("solve", scene, batch, row, RTOL) for row in range(len(batch))]
     kept = sum(load(key) is not None for key in keys) if cache else 0
-    trajectory = reference.solve(scene, batch, rtol=_RTOL, cache=cache)
+    trajectory = reference.solve(scene, batch, rtol=RTOL, cache=cache)
     growth = reference.sensitivity(scene, batch, cache=cache)
     growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
-    return ReferenceOutcome(trajectory, growth, _RTOL, kept, time.perf_counter() - begin)
+    return ReferenceOutcome(trajectory, growth, RTOL, kept, time.perf_counter() - begin)
 
 
 def _joined(parts: list[Any]) -> ReferenceOutcome:
@@ -300,7 +304,7 @@ def _joined(parts: list[Any]) -> ReferenceOutcome:
     return ReferenceOutcome(
         trajectory=dataclasses.replace(parts[0].trajectory, **arrays, failures=failures),
         growth=np.concatenate([part.growth for part in parts]),
-        rtol=_RTOL,
+        rtol=RTOL,
         cached=sum(part.cached for part in parts),
         wall_s=sum(part.wall_s for part in parts),
     )

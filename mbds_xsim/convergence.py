@@ -13,11 +13,13 @@ from mbds_xsim.campaign import Outcome, ReferenceOutcome, Running, Watch, step_t
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, consistency, unsettled
 from mbds_xsim.isolate import run_tasks
+from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import FirstImpact
+from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure
 
-__all__ = ["convergence", "further_step", "refine"]
+__all__ = ["convergence", "further_step", "refine", "smooth"]
 
 _RUNS = 5
 """Steps at most, of which the shortest is 1/16 of the longest."""
@@ -83,19 +85,31 @@ def _given(
     scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
 ) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
     """Give what the check is about, as it takes it; None where nothing is to be compared."""
-    ends = reference.trajectory.failures
-    smooth = [k for k, row in enumerate(outcome.sample) if not scene.contacts or _flies(ends[row])]
-    rows = [outcome.sample[k] for k in smooth]
+    flies = smooth(scene, reference)
+    smooth_ones = [k for k, row in enumerate(outcome.sample) if flies[row]]
+    rows = [outcome.sample[k] for k in smooth_ones]
     truth, contender = reference.trajectory, outcome.contender
     trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
     if trajectory is None or not rows or not outcome.other_steps:
         return None
-    runs = {step: run[smooth] for step, run in outcome.other_steps.items()}
+    runs = {step: run[smooth_ones] for step, run in outcome.other_steps.items()}
     runs[contender.settings.step] = trajectory[rows]
     method = registry.load_adapter(contender.engine).methods[contender.settings.method]
     ordered = [runs[step] for step in sorted(runs, reverse=True)]
     return (scene, batch[rows], ordered, truth[rows], method), {"growth": reference.growth[rows]}
 
 
-def _flies(end: Failure | None) -> bool:
+def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
+    """Tell of each trajectory whether it begins with smooth motion, long enough to be judged.
+
+    The reference follows balls through impacts; of any other contact it ends at the first.
+    """
+    ends = reference.trajectory.failures
+    if not scene.contacts:
+        return [True] * len(ends)
+    balls = has_only_balls(Mechanism.of(scene))
+    return [not balls if end is None else _flies(end) for end in ends]
+
+
+def _flies(end: Failure) -> bool:
     return isinstance(end, FirstImpact) and end.frame > LEAST_SPAN

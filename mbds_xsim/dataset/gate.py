@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.campaign import ReferenceOutcome, reference_of
 from mbds_xsim.checks import Finding, Record, audited
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.shared import Evidence, evidence_of, shared_faults
@@ -111,8 +112,22 @@ class Making:
         return Making(adapter.methods[settings.method], settings.step, time)
 
 
-def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Making) -> Verdict:
-    """Check every trajectory; what a figure is depends on the trajectory and its number alone."""
+def judge_rows(
+    scene: Scene,
+    batch: Batch,
+    trajectory: Trajectory,
+    making: Making,
+    truth: ReferenceOutcome | None = None,
+) -> Verdict:
+    """Check every trajectory; what a figure is depends on the trajectory and its number alone.
+
+    Args:
+        scene: What was simulated.
+        batch: Its starts and inputs.
+        trajectory: What was recorded.
+        making: How.
+        truth: The reference of the audit sample's rows; solved here where it is left out.
+    """
     verdict = Verdict.empty(len(batch))
     for row, failure in enumerate(trajectory.failures):
         if failure is not None:
@@ -134,7 +149,8 @@ def judge_rows(scene: Scene, batch: Batch, trajectory: Trajectory, making: Makin
     verdict.misbuilt += [f"{SHARED}: {line}" for line in shared_faults(evidence)]
     rows = sampled(batch.index)
     if len(rows):
-        verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()]))
+        held = truth or reference_of(scene, batch[rows], False)
+        verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()], held))
     return verdict
 
 

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import isolate
+from mbds_xsim.campaign import reference_of
+from mbds_xsim.dataset.audit_sample import limit_faults, sampled
 from mbds_xsim.dataset.content import Datasets, encode
 from mbds_xsim.dataset.durable import put
-from mbds_xsim.dataset.gate import Making, Verdict, judge_rows
+from mbds_xsim.dataset.gate import SHARED, Making, Verdict, judge_rows
 from mbds_xsim.dataset.layout import CHECKS, known_names
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
@@ -76,7 +78,7 @@ def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | No
     watch.lap("draw_s")
     trajectory, misbuilt = _simulated(variant, batch, crashes or {})
     watch.lap("simulate_s")
-    verdict = judge_rows(variant.scene, batch, trajectory, Making.of(variant.contender))
+    verdict = _judged(variant, batch, trajectory)
     verdict.misbuilt += misbuilt
     watch.lap("check_s")
     passed = verdict.published(certified=variant.certified)
@@ -135,6 +137,21 @@ def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajec
     own = dict(zip(runs, done.trajectory.failures, strict=True))
     whole = _with_failures(whole, batch, crashes, own)
     return whole, _misbuilt(variant, batch[runs], done.readback)
+
+
+def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> Verdict:
+    """Check every trajectory, and where some of them converge to as the step goes to zero."""
+    scene, rows = variant.scene, sampled(batch.index)
+    truth = reference_of(scene, batch[rows], False) if len(rows) else None
+    verdict = judge_rows(scene, batch, trajectory, Making.of(variant.contender), truth)
+    sound = ~(verdict.failed.any(axis=1) | verdict.ended)
+    if not len(rows) or not sound[rows].all():  # what fails by itself tells nothing of the others
+        rows, truth = np.flatnonzero(sound)[:1], None
+    if variant.certified and len(rows):
+        some = (batch[rows], trajectory[rows.tolist()])
+        faults = limit_faults(scene, variant.contender, *some, truth)
+        verdict.misbuilt += [f"{SHARED}: {line}" for line in faults]
+    return verdict
 
 
 def _misbuilt(variant: Variant, batch: Batch, readback: Readback) -> list[str]:

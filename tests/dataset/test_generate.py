@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import audit
-from mbds_xsim.dataset import shard
+from mbds_xsim.choice import Choice
+from mbds_xsim.dataset import audit_sample, shard
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.split import split_of
+from mbds_xsim.dataset.variant import Item, Variant
+from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.matched import settings_for
 from mbds_xsim.registry import load_adapter, load_scene
@@ -22,7 +25,7 @@ from mbds_xsim.sampling_terms import Levels, Turn
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Failure
+from mbds_xsim.state import Batch, Failure
 
 from .conftest import TRAJECTORIES, Make, Silence, contents
 
@@ -207,6 +210,33 @@ def test_what_its_engine_calls_a_failure_is_never_published(
     monkeypatch.setattr(shard, "simulate", failing)  # all its numbers are finite
     (count,) = make(tmp_path, trajectories=3, settings=settings).variants
     assert (count.published, count.rejected_by) == (2, {"ended early": 1})
+
+
+@pytest.mark.parametrize("first", [0, 300])
+def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
+    first: int, rod: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """2e-5 of the weight, at all steps alike; in the audit sample, and where one stands for all."""
+    (contender,), _ = Choice.parse(engines="mujoco").contenders(rod)
+    variant, item = Variant(rod, contender, 0, True), Item(first, 6)
+
+    def published(pull: float) -> int:
+        def pulled(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
+            force = batch.force + pull * np.array(rod.gravity)  # of 1 kg
+            return simulate(scene, dataclasses.replace(batch, force=force), engine, settings)
+
+        for module in (shard, audit_sample):
+            monkeypatch.setattr(module, "simulate", pulled)
+        shard.make_shard(variant, item, tmp_path)
+        with h5py.File(variant.folder(tmp_path) / item.file_name) as file:
+            return int(file.attrs["published"])
+
+    assert published(0.0) == 6
+    assert published(2e-5) == 0
+    with h5py.File(shard.rejected_folder(variant, tmp_path) / item.file_name) as file:
+        reasons = file["reason"].asstr()[()]
+    for reason in reasons:  # no other check sees it
+        assert all(part.startswith("together: consistency of ") for part in reason.split("; "))
 
 
 def test_native_sets_keep_what_is_whole_and_say_uncertified(
