@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from mbds_xsim import registry
 from mbds_xsim.choice import Choice, words_of
 from mbds_xsim.errors import InputError
+from mbds_xsim.isolate import LIMIT
 from mbds_xsim.scene import Scene
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def validate(
     inputs: bool = True,
     cache: bool = True,
     workers: int | None = None,
+    limit: float = LIMIT,
     page: str | Path | None = None,
 ) -> Validation:
     """Run a scene in all engines, check every trajectory, and say which to trust.
@@ -68,7 +70,9 @@ def validate(
         noise: Whether random forces act.
         inputs: Whether drawn inputs act: wind, drives.
         cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out, none but this one for 0.
+        workers: Processes at a time; all cores when left out, none but this one for 0, which
+            knows no limit.
+        limit: Longest that one piece of an engine's work may take [s].
         page: Write a self-contained page into this file.
 
     Raises:
@@ -80,10 +84,11 @@ def validate(
     _check_whole("trajectories", trajectories, 1, _MOST_STARTS)
     _check_whole("seed", seed, 0)
     _check_workers(workers)
+    _check_limit(limit)
     if page is not None:
         check_writable(Path(page), "page")
     choice = Choice.parse(
-        engines=words_of(engines) or None, profiles=settings, method=method, step=step
+        engines=words_of(engines) or None, profiles=settings, method=method, step=step, limit=limit
     )
     validation, evidence = validate_with_evidence(
         load_scene(scene),
@@ -115,6 +120,7 @@ def generate(
     seed: int = 0,
     noise: bool = True,
     workers: int | None = None,
+    limit: float = LIMIT,
 ) -> Generated:
     """Make data sets: simulate, check every trajectory, publish what passes.
 
@@ -129,6 +135,7 @@ def generate(
         seed: Seed of starts and inputs.
         noise: Whether random forces act.
         workers: Processes at a time; all cores when left out.
+        limit: Longest that one piece of an engine's work, a shard, may take [s].
 
     Raises:
         InputError: Something that was given cannot be used.
@@ -139,10 +146,11 @@ def generate(
     _check_whole("trajectories", trajectories, 1)
     _check_whole("seed", seed, 0)
     _check_workers(workers)
+    _check_limit(limit)
     several = (scenes,) if isinstance(scenes, Scene | str | Path) else scenes
     request = Request(
         scenes=tuple(map(load_scene, several)),
-        choice=Choice.parse(engines=words_of(engines) or None, profiles=settings),
+        choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
         trajectories=trajectories,
         out=Path(out),
         seed=seed,
@@ -220,6 +228,12 @@ def _tuple(index: int | Iterable[int] | None) -> tuple[int, ...] | None:
 def _check_workers(workers: int | None) -> None:
     if workers is not None:
         _check_whole("workers", workers, 0)
+
+
+def _check_limit(limit: object) -> None:
+    if not isinstance(limit, int | float) or not limit >= 1.0:
+        msg = f"--limit: got {limit!r}, allowed is 1 or more [s]"
+        raise InputError(msg)
 
 
 def _check_whole(name: str, value: object, least: int, most: int | None = None) -> None:

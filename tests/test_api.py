@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbds_xsim
-from mbds_xsim.choice import Choice
+from mbds_xsim.choice import Choice, Contender
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
 from mbds_xsim.registry import load_scene
@@ -75,6 +75,8 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         ({"trajectories": 1.5}, "--trajectories: got 1.5"),
         ({"seed": -1}, "--seed: got -1"),
         ({"workers": -1}, "--workers: got -1"),
+        ({"limit": 0.5}, "--limit: got 0.5, allowed is 1 or more [s]"),
+        ({"limit": float("nan")}, "--limit: got nan"),
         ({"engines": "mujco"}, "no engine is called 'mujco'"),
         ({"engines": 5}, "allowed are names"),
         ({"engines": ["mujoco", 5]}, "allowed are names"),
@@ -93,6 +95,23 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
 
     assert line in str(told.value)
     assert "\n" not in str(told.value)
+
+
+def test_a_time_limit_is_that_of_each_engine_s_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits = []
+
+    def asked(_: object, choice: Choice) -> tuple[list[Contender], dict[str, str]]:
+        limits.append(choice.limit)
+        raise InputError("enough")
+
+    monkeypatch.setattr(Choice, "contenders", lambda choice, scene: asked(scene, choice))
+    with pytest.raises(InputError, match="enough"):
+        mbds_xsim.validate("2pendulum", engines="mujoco", limit=7.0)
+    with pytest.raises(InputError, match="enough"):
+        mbds_xsim.generate("2pendulum", tmp_path, engines="mujoco", limit=8.0)
+    assert limits == [7.0, 8.0]
 
 
 @pytest.mark.slow

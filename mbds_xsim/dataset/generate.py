@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.choice import Choice
+from mbds_xsim.cost import Work, forewarnings
 from mbds_xsim.dataset import durable
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.join import VariantCount, join
@@ -86,6 +87,9 @@ def generate(
         todo = _todo(variants, request)
         missing = sum(item.count for _, item in todo)
         total = request.trajectories * len(variants)
+        for variant in dict.fromkeys(variant for variant, _ in todo):
+            for line in _forewarnings(variant, todo, workers):
+                progress.notice(line)
         progress.begin(total, total - missing)
         with watched([variant.folder(out) for variant in variants], progress):
             processes = core_count() if workers is None else workers
@@ -130,6 +134,18 @@ class _Found:
     def advance(self, what: str) -> None:
         del what
         self._progress.advance(1, 0)
+
+
+def _forewarnings(
+    variant: Variant, todo: list[tuple[Variant, Item]], workers: int | None
+) -> list[str]:
+    """Announce what will take minutes, from a few steps of the engine."""
+    count = sum(item.count for one, item in todo if one is variant)
+    scene, contender = variant.scene, variant.contender
+    steps = count * scene.clock.duration / contender.settings.step
+    work = Work(contender.name, contender.engine, contender.settings, steps)
+    start = draw_batch(scene, [0], seed=variant.seed, noise=variant.noise)
+    return forewarnings(scene, start, [work], workers=workers)
 
 
 def _check_drawn(scene: Scene, request: Request) -> None:

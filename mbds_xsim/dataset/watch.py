@@ -25,6 +25,9 @@ class ProgressSink(Protocol):
     def advance(self, done: int, rejected: int) -> None:
         """Count trajectories that were made since, and how many of them were rejected."""
 
+    def notice(self, line: str) -> None:
+        """Say what is to stay and be read."""
+
 
 @contextmanager
 def watched(folders: Sequence[Path], progress: ProgressSink) -> Iterator[None]:

@@ -25,6 +25,7 @@ class Silence:
 
     def __init__(self) -> None:
         self.total = self.done = self.rejected = 0
+        self.notices: list[str] = []
 
     def begin(self, total: int, done: int) -> None:
         self.total, self.done = total, done
@@ -32,6 +33,9 @@ class Silence:
     def advance(self, done: int, rejected: int) -> None:
         self.done += done
         self.rejected += rejected
+
+    def notice(self, line: str) -> None:
+        self.notices.append(line)
 
 
 @pytest.fixture(scope="session")

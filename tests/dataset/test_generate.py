@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim import cost
 from mbds_xsim.checks import audit
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import audit_sample, shard
@@ -101,6 +102,20 @@ def test_without_noise_nothing_pushes(make: Make, tmp_path: Path) -> None:
     with h5py.File(tmp_path / FILE) as file:
         assert not file["input/force"][()].any()
         assert not file.attrs["noise"]
+
+
+def test_what_takes_minutes_is_announced_before_it_begins(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    progress = Silence()
+    make(tmp_path, trajectories=3, progress=progress)
+    assert progress.notices == []
+    monkeypatch.setattr(cost, "_LONG", 0.0)
+    make(tmp_path, trajectories=6, progress=progress)
+    make(tmp_path, trajectories=6, progress=progress)  # nothing is left to be made
+    assert progress.notices == [
+        "mujoco (matched) on 1pendulum: 2.4e+02 steps of 0.005 s, about 0 s of processor time"
+    ]
 
 
 def test_copies_are_not_published(make: Make, rod: Scene, tmp_path: Path) -> None:
