@@ -14,7 +14,7 @@ from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.friction import friction, rolling
 from mbds_xsim.checks.impacts import restitution
-from mbds_xsim.checks.integrity import finite, planarity, start
+from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
@@ -33,6 +33,7 @@ Check = Callable[[Record], Finding | None]
 
 CHECKS: tuple[Check, ...] = (
     finite,
+    precision,
     start,
     gap,
     angle_gap,

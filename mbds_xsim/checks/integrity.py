@@ -1,4 +1,4 @@
-"""Is the trajectory a trajectory: finite numbers, unit quaternions, the start that was drawn."""
+"""Is the trajectory a trajectory: finite, unit quaternions, in double precision, as drawn."""
 
 from __future__ import annotations
 
@@ -8,12 +8,22 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
 
-__all__ = ["finite", "planarity", "start"]
+__all__ = ["finite", "planarity", "precision", "start"]
 
 Array = NDArray[np.float64]
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
+_SINGLE = (1 << 29) - 1
+"""Bits of a float64's significand that are 0 where a float32 has the same value."""
+_ROUND = (1 << 37) - 1
+"""The same of 16 significant bits: numbers such as 0.5 that are exact by nature."""
+_FEW = 12
+"""Numbers that may be float32 by chance, however many sets are made."""
+_RESIDUE = 1e-6
+"""Of the largest number: below 2⁻²⁸ a difference of large ones has no more bits than a float32."""
+_MOST_SINGLE = 0.5
+_STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
 def finite(record: Record) -> Finding:
@@ -24,6 +34,39 @@ def finite(record: Record) -> Finding:
     return Finding.of(
         "finite", "1", off, budget=_UNIT, names=_body_names(record), note="; ".join(reasons[:3])
     )
+
+
+def precision(record: Record) -> Finding:
+    """Find states that were rounded to single precision: of 24 significant bits, not of 53.
+
+    The figure is the share of float32 values among the numbers of a state array that move from
+    frame to frame and are not short by nature. Counted are those that no sound computation leaves
+    short: where the frame interval itself is a float32 number, as 1/64 s is, motion may be exact,
+    so that orientations alone are looked at, and what starts with more bits.
+    """
+    found, batch = record.trajectory, record.batch
+    exact = not _bits(np.array([record.frame]), _SINGLE).any()
+    parts = np.zeros((len(batch), len(found.time), len(_STATE)))
+    for k, name in enumerate(_STATE):
+        values = getattr(found, name)
+        single = ~_bits(values, _SINGLE) & _bits(values, _ROUND)
+        single[:, 0] = False
+        if not single.any():
+            continue
+        moving = np.zeros(values.shape, dtype=bool)
+        moving[:, 1:] = (values[:, 1:] != values[:, :-1]) & _bits(values[:, 1:], _ROUND)
+        floor = 1.0 if name in ("orientation", "angular_velocity") else record.scene.length
+        large = np.nan_to_num(np.abs(values)).max(axis=(1, 2, 3), keepdims=True)
+        moving &= np.abs(values) > _RESIDUE * np.maximum(large, floor)
+        if exact and name != "orientation":
+            moving &= _bits(getattr(batch, name), _SINGLE)[:, None]
+        single &= moving
+        count, short = moving.sum(axis=(1, 2, 3)), single.sum(axis=(1, 2, 3))
+        first = single.any(axis=(2, 3)).argmax(axis=1)
+        share = np.where(count >= _FEW, short / np.maximum(count, 1), 0.0)
+        parts[np.arange(len(batch)), first, k] = share
+    names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in _STATE)
+    return Finding.of("precision", "1", parts, budget=_MOST_SINGLE, names=tuple(names))
 
 
 def start(record: Record) -> Finding:
@@ -72,6 +115,11 @@ def planarity(record: Record) -> Finding | None:
         budget=scene.budget.planarity,
         names=tuple(names[body] for body in owners),
     )
+
+
+def _bits(values: Array, mask: int) -> NDArray[np.bool_]:
+    """Tell which numbers have any of some bits set; those that are not finite have none."""
+    return np.asarray((np.ascontiguousarray(values).view(np.int64) & mask) != 0)
 
 
 def _relative(got: Array, drawn: Array, floor: float | Array) -> Array:

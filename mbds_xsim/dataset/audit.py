@@ -186,14 +186,18 @@ class _Case:
             maybe = [check(record) for check in _OF_POSITIONS]
             found = [finding for finding in maybe if finding is not None]
             self._leave_out("no velocities")
+        if blur is None:
+            self.not_checked["precision"] = "bodies are fitted to the particles"
         off = {"start": blur or 0.0, "finite": turned}
         if max(off.values()) > _SAME_INPUT:
+            self.not_checked["precision"] = "the numbers are float32, or have no more digits"
             self.taken.append(
                 f"rounding: start and finite may be off by {max(off.values()):.0e} for it"
             )
         return [
             dataclasses.replace(one, uncertainty=one.uncertainty + off.get(one.check, 0.0))
             for one in found
+            if one.check not in self.not_checked
             if one.check != "start" or (self.named and blur is not None)
         ]
 

@@ -165,6 +165,7 @@ SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
 
 CHECKS: dict[str, str] = {
     "finite": "1",
+    "precision": "1",
     "start": "1",
     "gap": "m",
     "angle gap": "rad",

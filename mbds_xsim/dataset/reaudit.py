@@ -32,7 +32,6 @@ _ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
 _SAME_MOTION = 1e-6  # of a state's scale; rounding that chaos has amplified
 _SAME_AT_FIRST = 1e-10  # the same, up to the frame _EARLY
 _EARLY = 5
-_FEW = 12  # numbers that may be float32 by chance
 _STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
@@ -65,7 +64,7 @@ def reaudit(path: Path, resimulated: int, seed: int = 0) -> FileReport:
         if problems:
             return FileReport(str(path), kind, 0, problems)
         held = Held.read(path)
-        problems = (*_numbers(held), *_draws(held), *_orientations(held), *_digits(held))
+        problems = (*_numbers(held), *_draws(held), *_orientations(held))
         problems = (*problems, *_points(held), *_checks(held))
         more, notes = _again(held, resimulated, seed)
     except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
@@ -136,22 +135,6 @@ def _orientations(held: Held) -> Iterator[str]:
             f"{held.batch.index[row]}; what is learned from it would see a jump"
         )
         return
-
-
-def _digits(held: Held) -> Iterator[str]:
-    """No states may be rounded to float32: what starts with more digits keeps none so short."""
-    for row, index in enumerate(held.batch.index):
-        start = np.concatenate([held.arrays[f"start/{key}"][row].ravel() for key in _STATE])
-        for name in (f"body/{key}" for key in _STATE):
-            values = held.arrays[name][row]
-            moving = values[1:][values[1:] != values[:-1]]
-            if len(moving) >= _FEW and _is_short(moving) and not _is_short(start):
-                yield f"{name}: that of trajectory {index} is rounded to float32"
-                return
-
-
-def _is_short(values: NDArray[np.float64]) -> bool:
-    return bool((values.astype(np.float32) == values).all())
 
 
 def _points(held: Held) -> Iterator[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.integrity import finite, planarity, start
+from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.state import Failure
 
 
@@ -40,6 +40,44 @@ def test_a_quaternion_off_unit_length_fails(pendulum: Any) -> None:
     assert finding.passed.tolist() == [True, True, False]
     assert (finding.frame[2], finding.where[2]) == (5, "link2")
     assert finding.figure[2] == pytest.approx(1e-8, rel=1e-4)
+
+
+_STATE = ("position", "orientation", "velocity", "angular_velocity")
+
+
+@pytest.mark.parametrize("field", _STATE)
+def test_what_was_rounded_to_single_precision_fails(pendulum: Any, field: str) -> None:
+    """From frame 1 on, so that the start is the drawn one; in one trajectory of three."""
+    values = getattr(pendulum.exact, field).copy()
+    values[1, 1:] = values[1, 1:].astype(np.float32)
+    finding = precision(
+        Record(
+            pendulum.scene,
+            pendulum.batch,
+            dataclasses.replace(pendulum.exact, **{field: values}),
+        )
+    )
+    assert finding.passed.tolist() == [True, False, True]
+    assert finding.figure.tolist() == [0.0, 1.0, 0.0]
+    told = "(angular velocity rounded to 24 significant bits)"
+    assert finding.line(1).endswith(told.replace("angular velocity", field.replace("_", " ")))
+
+
+def test_motion_that_is_exact_by_nature_is_not_rounded(pendulum: Any) -> None:
+    """All at rest; and a fall of 10 m/s² at 1/64 s, whose every height is a float32 number."""
+    still = {key: np.repeat(getattr(pendulum.exact, key)[:, :1], 65, axis=1) for key in _STATE}
+    time = np.arange(65) / 64.0
+    fall = {**still, "position": np.array(still["position"]).astype(np.float32).astype(float)}
+    fall["position"][:] = 0.0
+    fall["position"][..., 2] = (2049.0 - 5.0 * time**2)[:, None]
+    fall["velocity"] = np.zeros_like(fall["position"])
+    fall["velocity"][..., 2] = (-10.0 * time)[:, None]
+    clock = msgspec.structs.replace(pendulum.scene.clock, frame=1.0 / 64.0, steps=64)
+    scene = msgspec.structs.replace(pendulum.scene, clock=clock)
+    batch = dataclasses.replace(pendulum.batch, position=fall["position"][:, 0])
+    for motion in (still, fall):
+        found = dataclasses.replace(pendulum.exact, time=time, **motion)
+        assert precision(Record(scene, batch, found)).figure.tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])

@@ -79,6 +79,14 @@ def _told_to_twist(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Traje
     return dataclasses.replace(motion, angular_velocity=spin)
 
 
+def _in_single_precision(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    kept = {name: getattr(motion, name).copy() for name in _STATE}
+    for values in kept.values():
+        values[:, 1:] = values[:, 1:].astype(np.float32)
+    kept["orientation"] /= rotation.norm(kept["orientation"])[..., None]
+    return dataclasses.replace(motion, **kept)
+
+
 def _parting(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
     velocity = motion.velocity.copy()
     velocity[:, 1:, -1, 1] += 0.1
@@ -138,6 +146,13 @@ RECORDED = (
         "rolling",
         engines=("mujoco", "dart"),
         motion=_told_to_twist,
+    ),
+    _recorded(
+        "all numbers after the start rounded to single precision",
+        "3pendulum",
+        "precision",
+        engines=("mujoco",),
+        motion=_in_single_precision,
     ),
     _recorded("velocity of a body aside", "workbench", "gap rate", motion=_parting),
 )
