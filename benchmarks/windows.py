@@ -28,16 +28,11 @@ BATCH = 512
 BATCHES = 200
 
 
-class Silence:
-    def begin(self, total: int, done: int) -> None: ...
-    def advance(self, done: int, rejected: int) -> None: ...
-
-
 def made(folder: Path, scene: str = "6pendulum", trajectories: int = 1000) -> Path:
     """Make a data set in MuJoCo at its native settings."""
     choice = Choice.parse(engines="mujoco", profiles="native")
     request = Request((load_scene(scene),), choice, trajectories, folder)
-    (count,) = generate(request, progress=Silence()).variants
+    (count,) = generate(request).variants
     return folder / count.file
 
 

@@ -91,8 +91,8 @@ def limit_faults(
 
     for step in other_steps(scene, settings):
         run(step)
-    while (step := further_step(scene, batch, outcome, held)) is not None:
-        run(step)
+    while (finer := further_step(scene, batch, outcome, held)) is not None:
+        run(finer)
     return failed_lines(batch, convergence(scene, batch, outcome, held))
 
 

@@ -21,16 +21,6 @@ torch.set_num_threads(1)
 Analytic = Callable[..., Motions]
 
 
-class Silence:
-    """Is told how far the making of data is."""
-
-    def begin(self, total: int, done: int) -> None:
-        pass
-
-    def advance(self, done: int, rejected: int) -> None:
-        pass
-
-
 @pytest.fixture(scope="session")
 def analytic() -> Analytic:
     """Make float64 motions x(t) of a scene's particles, t in frames."""
@@ -74,7 +64,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Dataset]:
             scene = msgspec.structs.replace(load_scene(name), clock=Clock(steps=steps))
             out = tmp_path_factory.mktemp("data")
             choice = Choice.parse(engines="mujoco", profiles="native")
-            generate(Request((scene,), choice, trajectories, out), workers=0, progress=Silence())
+            generate(Request((scene,), choice, trajectories, out), workers=0)
             made[name] = load_dataset(out / name / "mujoco-native.h5")
         return made[name]
 

@@ -48,7 +48,6 @@ from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.state import Batch
 from mbds_xsim.studies.shift.present import present
 from mbds_xsim.studies.shift.tables import tables
-from tests.learn.conftest import Silence
 
 SCENE = "1pendulum"
 ENGINES = ("mujoco", "exudyn")
@@ -63,7 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
     choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
     request = Request((scene,), choice, COUNT, folder / "data")
-    generate(request, workers=0, progress=Silence())
+    generate(request, workers=0)
     for training, engines in TRAININGS.items():
         for seed in range(SEEDS):
             _train(folder, training, engines, seed)
@@ -562,7 +561,7 @@ def test_fewer_test_trajectories_than_intervals_do(
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
     scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
     choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
-    generate(Request((scene,), choice, 10, tmp_path / "data"), workers=0, progress=Silence())
+    generate(Request((scene,), choice, 10, tmp_path / "data"), workers=0)
     for training, engines in TRAININGS.items():
         _train(tmp_path, training, engines, 0)
     writes = [f"--{name}={tmp_path / name}" for name in ("html", "rollouts", "png", "csv")]

@@ -52,7 +52,6 @@ from mbds_xsim.scene import Clock
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Failure
 from tests.farm import Farm
-from tests.learn.conftest import Silence
 
 TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False, least=5)
 ENGINES = "mujoco,pybullet"
@@ -77,7 +76,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
     out = tmp_path_factory.mktemp("made")
     choice = Choice.parse(engines=ENGINES, profiles="native")
-    generate(DataRequest((scene,), choice, 40, out), workers=0, progress=Silence())
+    generate(DataRequest((scene,), choice, 40, out), workers=0)
     return out
 
 
@@ -212,7 +211,7 @@ def _publish_nothing(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shard, "simulate", lose)
     scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
     choice = Choice.parse(engines="exudyn", profiles="native")
-    generate(DataRequest((scene,), choice, 40, data), workers=0, progress=Silence())
+    generate(DataRequest((scene,), choice, 40, data), workers=0)
 
 
 def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
@@ -543,7 +542,7 @@ def places(made: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
     def also(name: str, engine: str, trajectories: int, seed: int) -> str:
         choice = Choice.parse(engines=engine, profiles="native")
         request = DataRequest((scene,), choice, trajectories, folder / name, seed=seed)
-        generate(request, workers=0, progress=Silence())
+        generate(request, workers=0)
         return str(folder / name)
 
     (folder / "cwd" / "empty").mkdir(parents=True)
