@@ -46,6 +46,9 @@ these steps can be extrapolated.
 Contact has no such comparison, but laws that each frame must keep to. There the smallest error is
 the budget: 2 % of the friction under balls and wheels that slip, 0.01 of a ball's restitution,
 0.05 of the one of other single impacts, and for the radius of a sphere 0.2 % of the scene's length.
+All impacts of a run together tell 0.02 of restitution and 3 % of friction, with four errors each.
+Gravity shows under wheels that slip, by friction that the weight cannot have: 1 % leaves up to four
+times the budget of *cones*. Under what rolls, sticks or flies seldom it shows less or not at all.
 """
 
 _NEVER = """

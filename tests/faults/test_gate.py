@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import h5py
@@ -23,6 +24,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch, Trajectory
 
+from .contact_changes import ground
 from .planting import Fault, Faulty
 from .smooth import heavier
 
@@ -123,9 +125,18 @@ def _torque_off(batch: Batch) -> Batch:
     return dataclasses.replace(batch, torque=torque)
 
 
-@pytest.mark.parametrize("change", [None, _no_noise, _other_noise, _torque_off])
-def test_a_shard_of_thrown_cubes_is_published_with_its_own_inputs_alone(
-    change: Callable[[Batch], Batch] | None, tmp_path: Path
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"inputs": _no_noise},
+        {"inputs": _other_noise},
+        {"inputs": _torque_off},
+        {"model": ground(restitution=0.88)},
+    ],
+)
+def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(
+    change: dict[str, Any], tmp_path: Path
 ) -> None:
     if "mujoco" not in registry.installed_engines():
         pytest.skip("not installed: mujoco")
@@ -133,8 +144,8 @@ def test_a_shard_of_thrown_cubes_is_published_with_its_own_inputs_alone(
     (contender,), _ = Choice.parse(engines="mujoco").contenders(scene)
     variant = Variant(scene, contender, seed=0, noise=True)
     adapter = registry.load_adapter("mujoco")
-    if change is not None:
-        fault = Fault("inputs", "simplecubli", ("mujoco",), ("coefficients",), inputs=change)
+    if change:
+        fault = Fault("shard", "simplecubli", ("mujoco",), ("coefficients",), **change)
         adapter = Faulty(adapter, fault)
     item = Item(_ROWS.start, len(_ROWS))
     with mock.patch("mbds_xsim.simulate.load_adapter", return_value=adapter):
@@ -142,4 +153,4 @@ def test_a_shard_of_thrown_cubes_is_published_with_its_own_inputs_alone(
     with h5py.File(variant.folder(tmp_path) / item.file_name) as file:
         published = int(file.attrs["published"])
 
-    assert published == (len(_ROWS) if change is None else 0)
+    assert published == (0 if change else len(_ROWS))
