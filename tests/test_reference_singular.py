@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.four_bars import angle_and_rate, energy, four_bars
 from mbds_xsim.errors import SceneError
 from mbds_xsim.reference import marching, solve, stiff
+from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Torque
 from mbds_xsim.state import Trajectory
@@ -139,6 +141,23 @@ def test_at_rest_forces_choose_the_branch_or_the_start_is_told() -> None:
     (failure,) = solve(alone, draw_batch(alone, [0]), cache=False).failures
     assert failure is not None
     assert "bifurcation" in failure.reason
+
+
+def test_a_loop_that_shakes_where_constraints_depend_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A hinge askew in a plane loop locks it: the squeezer shakes where it stands."""
+    monkeypatch.setattr(marching, "_USUAL_STEPS", 2)
+    monkeypatch.setattr(marching, "_SINGULAR_STEPS", 3)
+    squeezer = load_scene("andrews")
+    joints = tuple(
+        msgspec.structs.replace(joint, axis=(0.0, -1.0, 1.0)) if joint.name == "A5" else joint
+        for joint in squeezer.joints
+    )
+    locked = msgspec.structs.replace(squeezer, joints=joints, clock=Clock(0.02, 2))
+    (failure,) = solve(locked, draw_batch(locked, [0]), rtol=1e-6, cache=False).failures
+    assert failure is not None
+    assert "3 steps begin where constraints nearly depend: see axes in loops" in failure.reason
 
 
 def stiff_pendulum() -> Scene:

@@ -29,6 +29,9 @@ _FIRST_STEP = 0.1  # of a frame
 _SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
+_USUAL_STEPS, _SINGULAR_STEPS = 100, 100
+# Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
+# a step costs tens of others, and a motion that passes a singular pose is through it in a few.
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,7 @@ class _March:
         self.left = np.full(batch, frame)
         self.step = np.full(batch, _FIRST_STEP * frame)
         self.tries = np.zeros(batch, dtype=np.intp)
+        self.singular = np.zeros(batch, dtype=np.intp)
         self.rate = np.empty_like(start)
         self._end_together(branchless(dynamics, start, inputs), lambda _: Failure(1, BIFURCATION))
         if not len(self.row):
@@ -161,6 +165,12 @@ class _March:
         self._end(self.step < smallest, self._stuck(f"a step below {smallest:.1e} s is needed"))
         why = f"{MOST_STEPS} steps do not reach the end of a frame"
         self._end_together(self.tries > MOST_STEPS, self._stuck(why))
+        late = np.flatnonzero(self.tries > _USUAL_STEPS)
+        if len(late):
+            _, share = self.dynamics.rate(self.y[late], *self._forces(late))
+            self.singular[late] += share < self.dynamics.near
+        why = f"{_SINGULAR_STEPS} steps begin where constraints nearly depend: see axes in loops"
+        self._end_together(self.singular > _SINGULAR_STEPS, self._stuck(why))
 
     def _impacts(
         self, new: Array, forces: tuple[Array, Array], h: Array, good: NDArray[np.bool_]
@@ -200,7 +210,7 @@ class _March:
             return False
         self.y[done] = self.dynamics.project(self.y[done])
         self.at[done] += 1
-        self.left[done], self.tries[done] = self.frame, 0
+        self.left[done], self.tries[done], self.singular[done] = self.frame, 0, 0
         self.states[self.row[done], self.at[done]] = self.y[done]
         under_way = self.at < self.frames
         done = done[under_way[done]]
@@ -236,5 +246,5 @@ class _March:
         return failure
 
     def _keep(self, kept: NDArray[np.bool_]) -> None:
-        for key in ("row", "y", "at", "left", "step", "tries", "rate"):
+        for key in ("row", "y", "at", "left", "step", "tries", "singular", "rate"):
             setattr(self, key, getattr(self, key)[kept])
