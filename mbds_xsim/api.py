@@ -188,7 +188,7 @@ def audit(
         InputError: The file, or what is told of it, cannot be used.
     """
     from mbds_xsim.dataset.audit import Told, audit_file
-    from mbds_xsim.dataset.numbers import parse_numbers
+    from mbds_xsim.dataset.read import parse_numbers
 
     told = Told(
         index=tuple(parse_numbers(index, "--index")) if isinstance(index, str) else _tuple(index),

@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 
 from mbds_xsim.sampling_terms import INTERVALS, Interval
 
-__all__ = ["Batch", "Failure", "Trajectory"]
+__all__ = ["STATES", "Batch", "Failure", "Trajectory"]
+
+STATES = ("position", "orientation", "velocity", "angular_velocity")
+"""What is known of a body in a frame, and of its start."""
 
 Array = NDArray[np.float64]
 
@@ -113,10 +116,7 @@ class Trajectory:
 
     def replaced(self, rows: NDArray[np.int64], other: Trajectory) -> Trajectory:
         """Put another's trajectories in the place of some, in their order."""
-        arrays = {
-            key: getattr(self, key).copy()
-            for key in ("position", "orientation", "velocity", "angular_velocity")
-        }
+        arrays = {key: getattr(self, key).copy() for key in STATES}
         failures = list(self.failures)
         for key, values in arrays.items():
             values[rows] = getattr(other, key)
@@ -132,7 +132,7 @@ class Trajectory:
         last = len(self.time) - 1
         for row, failure in enumerate(self.failures):
             if failure is not None:
-                for key in ("position", "orientation", "velocity", "angular_velocity"):
+                for key in STATES:
                     getattr(self, key)[row, min(max(failure.frame, 0), last) :] = np.nan
         return self
 
@@ -141,10 +141,7 @@ class Trajectory:
         """Put trajectories one after the other, one part at least."""
         if len(parts) == 1:
             return parts[0]
-        arrays = {
-            key: np.concatenate([getattr(part, key) for part in parts])
-            for key in ("position", "orientation", "velocity", "angular_velocity")
-        }
+        arrays = {key: np.concatenate([getattr(part, key) for part in parts]) for key in STATES}
         failures = tuple(failure for part in parts for failure in part.failures)
         return Trajectory(parts[0].time, **arrays, failures=failures)
 

@@ -60,7 +60,7 @@ def audit(
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
     from mbds_xsim.dataset.audit import Told, audit_file
-    from mbds_xsim.dataset.numbers import parse_numbers
+    from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit.present import present
 

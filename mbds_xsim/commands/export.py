@@ -40,7 +40,7 @@ def export(
     """Write data sets in a form that any program reads, and say what it does not carry."""
     from mbds_xsim.counted import counted
     from mbds_xsim.dataset.export import export as run
-    from mbds_xsim.dataset.numbers import parse_numbers
+    from mbds_xsim.dataset.read import parse_numbers
 
     console = console_for(json)
     check_targets(json=json)

@@ -158,7 +158,7 @@ def _trained(
     console: Console,
 ) -> dict[str, Any]:
     """Carry the runs out, and give what is to be told of them."""
-    from mbds_xsim.dataset.lock import locked
+    from mbds_xsim.dataset.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
     from mbds_xsim.report.training import TrainingBar, print_outcome

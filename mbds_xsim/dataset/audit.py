@@ -17,9 +17,8 @@ from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.dataset.foreign import Foreign, read_foreign
-from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.pooled import Pooled
-from mbds_xsim.dataset.recover import recover
 from mbds_xsim.engine import Method
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
@@ -28,7 +27,7 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.result import FindingResult
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import STATES, Batch, Trajectory
 
 __all__ = ["Audited", "Told", "audit_file"]
 
@@ -146,8 +145,8 @@ class _Case:
         arrays, found = self.foreign.arrays, list[Finding]()
         points = arrays.get("position")
         if "body/position" in arrays:
-            states = {key: arrays.get(f"body/{key}") for key in _STATE}
-            blur = {key: self.foreign.rounding.get(f"body/{key}", 0.0) for key in _STATE}
+            states = {key: arrays.get(f"body/{key}") for key in STATES}
+            blur = {key: self.foreign.rounding.get(f"body/{key}", 0.0) for key in STATES}
             found += self._of_bodies(states, max(blur.values()), blur["orientation"])
             if points is not None:
                 found.append(self._points(points, states))
@@ -204,7 +203,7 @@ class _Case:
     def _trajectory(self, states: dict[str, Array | None]) -> Trajectory:
         """Give the core's type; velocities that nothing looks at are those of the start."""
         whole = {key: values for key, values in states.items() if values is not None}
-        for key in set(_STATE) - set(whole):
+        for key in set(STATES) - set(whole):
             frames = (len(self.batch), self.foreign.steps + 1, *getattr(self.batch, key).shape[1:])
             whole[key] = np.broadcast_to(getattr(self.batch, key)[:, None], frames)
         failures = (None,) * len(self.batch)
@@ -222,7 +221,7 @@ class _Case:
             self._leave_out(reason, *_positional(scene))
             return [rigid, *self._start_of(position, velocity)]
         self.taken.append("body states: rigid bodies fitted to the particles by least squares")
-        states = {key: getattr(fit, key) for key in _STATE}
+        states = {key: getattr(fit, key) for key in STATES}
         return [*self._of_bodies(states, None, 0.0), rigid, *self._start_of(position, velocity)]
 
     def _start_of(self, position: Array, velocity: Array | None) -> list[Finding]:
@@ -230,7 +229,7 @@ class _Case:
         if not self.named:
             return []
         batch = self.batch
-        first = {key: getattr(batch, key)[:, None] for key in _STATE}
+        first = {key: getattr(batch, key)[:, None] for key in STATES}
         drawn = Trajectory(np.zeros(1), **first, failures=(None,) * len(batch))
         parts = np.full((*position.shape[:2], 1), np.nan)
         pairs = zip((position, velocity), Points.of(self.foreign.scene).motion(drawn), strict=True)
@@ -312,11 +311,10 @@ class _Case:
         arrays = self.foreign.arrays
         if "body/position" not in arrays:
             return arrays["position"]
-        states = {key: arrays.get(f"body/{key}") for key in _STATE}
+        states = {key: arrays.get(f"body/{key}") for key in STATES}
         return Points.of(self.foreign.scene).motion(self._trajectory(states))[0]
 
 
-_STATE = ("position", "orientation", "velocity", "angular_velocity")
 _CONTACT_CHECKS = tuple(
     check.__name__.replace("_", " ") for check in CHECKS[CHECKS.index(penetration) + 1 :]
 )

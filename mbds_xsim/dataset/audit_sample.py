@@ -21,7 +21,7 @@ from mbds_xsim.judge import error_findings, failed_lines
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import STATES, Batch, Trajectory
 
 __all__ = ["AUDIT_SAMPLE", "limit_faults", "sample_findings", "sampled"]
 
@@ -113,10 +113,7 @@ def _beginning(
     """Give the first steps of trajectories, as of a scene that ends then."""
     steps = min(_BRIEF, batch.steps)
     clock = msgspec.structs.replace(scene.clock, steps=steps)
-    kept = {
-        key: getattr(trajectory, key)[:, : steps + 1]
-        for key in ("position", "orientation", "velocity", "angular_velocity")
-    }
+    kept = {key: getattr(trajectory, key)[:, : steps + 1] for key in STATES}
     brief = dataclasses.replace(trajectory, time=trajectory.time[: steps + 1], **kept)
     return msgspec.structs.replace(scene, clock=clock), batch.truncated(steps), brief
 

@@ -1,25 +1,199 @@
-"""What lies beside the data sets of a scene for those who find them: a card, and metadata."""
+"""What lies beside the data sets of a scene for those who find them: a card, and metadata.
+
+The metadata are in the Croissant format of MLCommons, version 1.0, which lists the files with their
+checksums and, as inline records, the arrays in them: Croissant itself has no way into an HDF5 file.
+See http://mlcommons.org/croissant/1.0. What a publisher adds to either stays when they are written
+again.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.additions import with_additions
-from mbds_xsim.dataset.croissant import croissant
-from mbds_xsim.dataset.durable import put
+from mbds_xsim.dataset.files import put
+from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.join import JOINT, causes
-from mbds_xsim.dataset.layout import SUFFIX
-from mbds_xsim.dataset.opened import opened
+from mbds_xsim.dataset.layout import FIELDS, FORMAT, SPLITS, SUFFIX, VERSION
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 from mbds_xsim.safe_text import in_markdown, sentence
+from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["CARD", "CROISSANT", "descriptions", "write_card"]
+__all__ = [
+    "CARD",
+    "CROISSANT",
+    "croissant",
+    "descriptions",
+    "missing_lines",
+    "with_additions",
+    "write_card",
+]
+
+
+def with_additions(path: Path, content: bytes) -> bytes:
+    """Give the new content of a card or of metadata, with what only a publisher can have added.
+
+    Metadata keep the entries that the data do not give. A card that still says all that the data
+    give stays as it is; where the data have changed it is written anew.
+    """
+    try:
+        old = path.read_bytes()
+        return _entries(old, content) if path.suffix == ".json" else _lines(old, content)
+    except (OSError, ValueError):
+        return content
+
+
+def missing_lines(text: str, wanted: str) -> Iterator[tuple[int, str]]:
+    """Give the first line, with its number, that a text does not have after those before it."""
+    rest = iter(text.split("\n"))
+    for number, line in enumerate(wanted.split("\n"), 1):
+        if line not in rest:  # takes lines up to it
+            yield number, line
+            return
+
+
+def _entries(old: bytes, content: bytes) -> bytes:
+    found, ours = json.loads(old), json.loads(content)
+    if not isinstance(found, dict) or found.keys() <= ours.keys():
+        return content
+    added = {key: value for key, value in found.items() if key not in ours}
+    return (json.dumps(ours | added, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def _lines(old: bytes, content: bytes) -> bytes:
+    says_all = not any(missing_lines(old.decode(), content.decode()))
+    return old if says_all else content
+
+
+_HDF5 = "application/x-hdf5"
+_CONTEXT: dict[str, Any] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    "sc": "https://schema.org/",
+    "cr": "http://mlcommons.org/croissant/",
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "dct": "http://purl.org/dc/terms/",
+    "conformsTo": "dct:conformsTo",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    **{
+        term: f"cr:{term}"
+        for term in (
+            "citeAs", "column", "equivalentProperty", "extract", "field", "fileObject",
+            "fileProperty", "fileSet", "format", "includes", "isLiveDataset", "jsonPath", "key",
+            "md5", "parentField", "path", "recordSet", "references", "regex", "repeated",
+            "replace", "samplingRate", "separator", "source", "subField", "transform",
+        )
+    },
+}  # fmt: skip
+
+_TYPES = {str: "sc:Text", int: "sc:Integer"}
+
+
+def croissant(sets: Sequence[Dataset], joint: Path) -> bytes:
+    """Describe the data sets of one folder; the same data give the same bytes.
+
+    What only a publisher knows is left out: license, url, creator and datePublished.
+
+    Args:
+        sets: Data sets of one scene.
+        joint: The file that says what is valid in all of them.
+    """
+    scene = sets[0].scene
+    engines = ", ".join(dict.fromkeys(data.attributes["engine"] for data in sets))
+    text = (
+        f"Trajectories of {scene.name} ({scene.description or 'a multibody scene'}) in {engines}, "
+        f"each checked; {FORMAT} {VERSION}."
+    )
+    metadata = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": f"mbds-xsim-{scene.name}",
+        "description": text,
+        "keywords": ["multibody dynamics", "simulation", *engines.split(", ")],
+        "distribution": [*_distribution(sets, joint)],
+        "recordSet": [_records("arrays", _arrays()), _records("counts", _counts(sets))],
+    }
+    return (json.dumps(metadata, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def _distribution(sets: Sequence[Dataset], joint: Path) -> Iterator[dict[str, Any]]:
+    """The joined files, and the shards that they read from."""
+    for path in (*(data.path for data in sets), joint):
+        yield {
+            "@type": "cr:FileObject",
+            "@id": path.name,
+            "name": path.name,
+            "contentUrl": path.name,
+            "contentSize": f"{path.stat().st_size} B",
+            "encodingFormat": _HDF5,
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        }
+    for data in sets:
+        folder = data.path.stem
+        yield {
+            "@type": "cr:FileSet",
+            "@id": f"{folder}-shards",
+            "name": f"{folder}-shards",
+            "description": f"the trajectories of {data.path.name}, which has their checksums",
+            "encodingFormat": _HDF5,
+            "includes": f"{folder}/*.h5",
+        }
+
+
+def _records(name: str, rows: Sequence[dict[str, str | int]]) -> dict[str, Any]:
+    """Put a table into the metadata itself."""
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "field": [
+            {
+                "@type": "cr:Field",
+                "@id": f"{name}/{key}",
+                "name": f"{name}/{key}",
+                "dataType": _TYPES[type(value)],
+            }
+            for key, value in rows[0].items()
+        ],
+        "data": [{f"{name}/{key}": value for key, value in row.items()} for row in rows],
+    }
+
+
+def _arrays() -> list[dict[str, str | int]]:
+    """Datasets of the HDF5 files, as `docs/dataset-layout.md` lists them."""
+    return [
+        {
+            "path": field.name,
+            "axes": ", ".join(field.axes),
+            "type": field.dtype,
+            "unit": field.unit,
+            "meaning": field.meaning,
+        }
+        for field in FIELDS.values()
+        if "joined" in field.kinds
+    ]
+
+
+def _counts(sets: Sequence[Dataset]) -> list[dict[str, str | int]]:
+    """Trajectories of each file, part of the split, and interval."""
+    return [
+        {"file": data.path.name, "split": part, "interval": interval, "trajectories": number}
+        for data in sets
+        for part, counts in counts_of(data).items()
+        for interval, number in counts.items()
+        if part in SPLITS and interval in INTERVALS
+    ]
+
 
 CARD = "README.md"
 CROISSANT = "croissant.json"
@@ -113,7 +287,7 @@ def _each(sets: Sequence[Dataset], key: str) -> str:
 
 
 def _valid(joint: Path) -> NDArray[np.bool_]:
-    with opened(joint) as file:
+    with open_hdf5(joint) as file:
         return np.asarray(file["valid_in_all"][()])
 
 

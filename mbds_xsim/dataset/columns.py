@@ -1,9 +1,12 @@
-"""Names of a trajectory's numbers where each has a column of its own, as in CSV files."""
+"""A trajectory with a column for each of its numbers, as in CSV files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import csv
 from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +15,14 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 
-__all__ = ["HELD", "TIME", "Group", "groups", "sort_columns"]
+__all__ = ["PER_STEP", "TIME", "Group", "groups", "read_csv", "rounding_of"]
+
+Array = NDArray[np.float64]
 
 TIME = "time"
-HELD = ("input/force", "input/torque")
-"""Arrays of which a row holds from its frame to the next; that of the last frame means nothing."""
+PER_STEP = ("input/force", "input/torque")
+"""Arrays of which a row acts from its frame to the next; that of the last frame means nothing."""
+_COMMENT = "#"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +63,9 @@ def groups(scene: Scene) -> list[Group]:
     ]
 
 
-def sort_columns(scene: Scene, found: Iterable[str], source: str) -> list[Group]:
-    """Tell which arrays the columns of a file are.
-
-    Raises:
-        InputError: A column is not known, time is missing, or an array is there in part.
-    """
-    allowed, got = groups(scene), list(found)
+def _sort_columns(scene: Scene, got: list[str], source: str) -> list[Group]:
+    """Tell which arrays the columns of a file are."""
+    allowed = groups(scene)
     twice = sorted({name for name in got if got.count(name) > 1})
     known = {TIME} | {str(name) for group in allowed for name in group.columns.ravel()}
     strange = [name for name in got if name not in known]
@@ -82,3 +84,88 @@ def _is_given(group: Group, got: set[str], source: str) -> bool:
         msg = f"{source}: {group.name} needs the columns {group.span}, {missing[0]} is missing"
         raise InputError(msg)
     return not missing
+
+
+def read_csv(
+    path: Path, scene: Scene | None
+) -> tuple[dict[str, NDArray[Any]], dict[str, float], dict[str, str]]:
+    """Read rows of columns, and before them facts, as `# seed: 0`.
+
+    Returns:
+        Arrays, by how much the numbers of each may be rounded, and facts.
+
+    Raises:
+        InputError: A column is not known, time is missing, or an array is there in part.
+    """
+    if scene is None:
+        msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
+        raise InputError(msg)
+    lines = path.read_text("utf-8-sig").splitlines()
+    said = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
+    facts = {key.strip(): text.strip() for key, _, text in said}
+    rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
+    if len(rows) < 3:
+        msg = (
+            f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
+        )
+        raise InputError(msg)
+    names = [name.strip() for name in rows[0]]
+    given = _sort_columns(scene, names, str(path))
+    per_step = {
+        str(name) for group in given if group.name in PER_STEP for name in group.columns.ravel()
+    }
+    values = {
+        name: _column(rows[1:], k, name, path, name in per_step) for k, name in enumerate(names)
+    }
+    arrays: dict[str, NDArray[Any]] = {TIME: values[TIME][0]}
+    rounding = {TIME: values[TIME][1]}
+    for group in given:
+        columns = [values[name] for name in group.columns.ravel().tolist()]
+        series = np.stack([numbers for numbers, _ in columns], axis=-1)
+        series = series.reshape(len(series), *group.columns.shape)
+        arrays[group.name] = series[:-1] if group.name in PER_STEP else series
+        rounding[group.name] = max(off for _, off in columns)
+    if "input/torque" in arrays:
+        arrays["input/torque"] = arrays["input/torque"][..., 0]
+    if "index" in facts:
+        arrays["index"] = np.array([facts["index"]])
+    return arrays, rounding, facts
+
+
+def _column(
+    rows: list[list[str]], place: int, name: str, path: Path, per_step: bool
+) -> tuple[Array, float]:
+    """Give the numbers of a column, and half a unit of the last digit that is written."""
+    texts = [row[place].strip() if place < len(row) else "" for row in rows]
+    if per_step:
+        texts[-1] = "0"
+    try:
+        decimals = [Decimal(text).as_tuple().exponent for text in texts]
+    except ArithmeticError:
+        bad = next(k for k, text in enumerate(texts) if not _is_number(text))
+        msg = f"{path}: frame {bad}, column {name}: got {texts[bad]!r}, allowed is a number"
+        raise InputError(msg) from None
+    last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
+    numbers = np.array([float(text) for text in texts])
+    return numbers, max(0.5 * 10.0**last, _coarse(numbers))
+
+
+def _coarse(numbers: Array) -> float:
+    """Rounding of numbers that are float32 written as short as they can be; 0 of others."""
+    short = numbers.astype(np.float32)
+    return rounding_of(short) if (short.astype(str).astype(np.float64) == numbers).all() else 0.0
+
+
+def _is_number(text: str) -> bool:
+    try:
+        Decimal(text)
+    except ArithmeticError:
+        return False
+    return True
+
+
+def rounding_of(values: NDArray[Any]) -> float:
+    """Give by how much values of this type and size may be rounded."""
+    if values.dtype.kind != "f":
+        return 0.0
+    return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.dataset.columns import TIME, groups
-from mbds_xsim.dataset.durable import put
-from mbds_xsim.dataset.found import joined_files
-from mbds_xsim.dataset.held import Held
-from mbds_xsim.dataset.layout import FIELDS
-from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.dataset.split import NAMES
+from mbds_xsim.dataset.files import put
+from mbds_xsim.dataset.layout import FIELDS, SPLITS
+from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.safe_text import in_markdown, on_a_line
@@ -103,9 +100,9 @@ def export(
         put(folder / _SCENE, data.attributes["scene"].encode())
         put(folder / _README, _readme(data, form).encode())
         for shard in data.files:
-            held = Held.read(shard)
-            rows = _rows(held, numbers)
-            for name, content in _WRITERS[form](data, held, rows):
+            part = load_dataset(shard)
+            rows = _rows(part, numbers)
+            for name, content in _WRITERS[form](data, part, rows):
                 put(folder / name, content)
                 files, size = files + 1, size + len(content)
             count += len(rows)
@@ -119,9 +116,8 @@ def _folder(data: Dataset, out: Path) -> Path:
     return out / folder_name(data.attributes["scene_name"]) / variant
 
 
-def _rows(held: Held, numbers: Sequence[int] | None) -> NDArray[np.int64]:
-    index = held.arrays["index"]
-    return np.flatnonzero(np.isin(index, index if numbers is None else numbers))
+def _rows(part: Dataset, numbers: Sequence[int] | None) -> NDArray[np.int64]:
+    return np.flatnonzero(np.isin(part.index, part.index if numbers is None else numbers))
 
 
 def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
@@ -157,50 +153,48 @@ def _csv_name(number: int) -> str:
     return f"{number:010d}.csv"
 
 
-def _npz(data: Dataset, held: Held, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
+def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
     """All trajectories of a shard, under the names of the data set."""
     if not len(rows):
         return
     carried = [
         field
-        for field in FIELDS
-        if field.name in held.arrays and not field.name.startswith(_NOT_CARRIED)
+        for field in FIELDS.values()
+        if field.name in part and not field.name.startswith(_NOT_CARRIED)
     ]
     arrays: dict[str, Any] = {
-        field.name: held.arrays[field.name][rows]
-        if field.per_trajectory
-        else held.arrays[field.name]
+        field.name: part[field.name][rows] if field.per_trajectory else part[field.name]
         for field in carried
     }
     splits = _splits(data)
     if splits:
         numbers = arrays["index"].tolist()
         arrays["split"] = np.array([splits[number] for number in numbers], dtype=np.uint8)
-    arrays |= {key: np.array(held.attributes[key]) for key in (*_FACTS, "scene")}
+    arrays |= {key: np.array(part.attributes[key]) for key in (*_FACTS, "scene")}
     arrays = {
         key: values.astype(str) if values.dtype == object else values
         for key, values in arrays.items()
     }
     stream = io.BytesIO()
     np.savez(stream, **arrays)
-    yield f"{held.path.stem}.npz", stream.getvalue()
+    yield f"{part.path.stem}.npz", stream.getvalue()
 
 
-def _csv(data: Dataset, held: Held, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
+def _csv(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
     """A file a trajectory: facts, names of columns, a row a frame."""
-    splits, arrays = _splits(data), held.arrays
-    there = [group for group in groups(held.scene) if group.name in arrays]
+    splits = _splits(data)
+    there = [group for group in groups(part.scene) if group.name in part]
     names = [TIME, *(str(name) for group in there for name in group.columns.ravel())]
-    facts = {key: held.attributes[key] for key in _FACTS}
+    facts = {key: part.attributes[key] for key in _FACTS}
     for row in rows.tolist():
-        number = int(arrays["index"][row])
+        number = int(part.index[row])
         own: dict[str, Any] = {"index": number, **facts}
         if splits:
-            own["split"] = NAMES[splits[number]]
-        columns = [_texts(arrays[TIME])]
-        columns += [_texts(arrays[group.name][row]) for group in there]
+            own["split"] = SPLITS[splits[number]]
+        columns = [_texts(part.time)]
+        columns += [_texts(part[group.name][row]) for group in there]
         lines = [f"# {key}: {on_a_line(str(value))}" for key, value in own.items()]
-        lines += [",".join(names), *_lines(columns, len(arrays[TIME]))]
+        lines += [",".join(names), *_lines(columns, len(part.time))]
         yield _csv_name(number), ("\n".join(lines) + "\n").encode()
 
 
@@ -235,16 +229,15 @@ def _readme(data: Dataset, form: Form) -> str:
     if form == "npz":
         names = "".join(
             f"| `{field.name}` | {', '.join(field.axes)} | {field.unit} | {field.meaning} |\n"
-            for field in FIELDS
+            for field in FIELDS.values()
             if field.name == "split"
             or ("shard" in field.kinds and not field.name.startswith(_NOT_CARRIED))
         )
         names = f"| array | axes | unit | |\n| --- | --- | --- | --- |\n{names}"
     else:
-        units = {field.name: field for field in FIELDS}
         names = "| columns | unit | |\n| --- | --- | --- |\n| `time` | s | of each frame |\n"
         names += "".join(
-            f"| `{group.span}` | {units[group.name].unit} | {units[group.name].meaning} |\n"
+            f"| `{group.span}` | {FIELDS[group.name].unit} | {FIELDS[group.name].meaning} |\n"
             for group in groups(data.scene)
         )
     return f"""# {told["scene_name"]} in {told["engine"]} {told["engine_version"]}: {form} files

@@ -1,4 +1,7 @@
-"""A trajectory from anywhere: npz, HDF5 or CSV in documented names, held against its scene."""
+"""Trajectories from anywhere: npz, HDF5 or CSV in documented names, held against their scene.
+
+They are read some at a time, so that any file fits the memory.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,28 @@ import csv
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import msgspec
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.columns import HELD, TIME, groups, sort_columns
-from mbds_xsim.dataset.facts import scene_of
-from mbds_xsim.dataset.layout import known_names
-from mbds_xsim.dataset.opened import refuse_other
-from mbds_xsim.dataset.streams import RANKS, Piece, read_hdf5, read_npz
+from mbds_xsim.dataset.columns import PER_STEP, TIME, groups, read_csv, rounding_of
+from mbds_xsim.dataset.hdf5 import (
+    check_sources,
+    datasets_in,
+    open_hdf5,
+    plain,
+    refuse_bomb,
+    refuse_other,
+)
+from mbds_xsim.dataset.layout import FIELDS
+from mbds_xsim.dataset.proof import scene_of
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Clock, Scene
 
@@ -47,7 +57,19 @@ _DAMAGE = (
 )  # fmt: skip
 """What reading a file raises that is damaged, encrypted, or something else."""
 _SAME_FRAME = 1e-4  # relative; what rounding to float32 makes of frames
-_COMMENT = "#"
+_AT_ONCE = 100_000  # frames of bodies or points; the checks take some 5 kB for each
+_RANKS = {
+    "position": 4,
+    "velocity": 4,
+    "body/position": 4,
+    "body/orientation": 4,
+    "body/velocity": 4,
+    "body/angular_velocity": 4,
+    "input/force": 4,
+    "input/torque": 3,
+    "index": 1,
+}
+"""Arrays of trajectories, and how many axes they have where the first one counts trajectories."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +106,8 @@ class Foreign:
 
 
 @dataclass(frozen=True, eq=False)
-class _Raw:
-    """What was read, before anything is known of the scene's shapes."""
+class _Piece:
+    """Some trajectories as they were read, before they are held against the scene."""
 
     arrays: dict[str, NDArray[Any]]
     rounding: dict[str, float]
@@ -104,152 +126,172 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     Raises:
         InputError: It cannot be read, or is no trajectory of the scene.
     """
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".h5": _read_hdf5, ".hdf5": _read_hdf5}
-    if path.suffix not in readers:
+    if path.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
         msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
         raise InputError(msg)
     refuse_other(path)
     try:
-        for raw in readers[path.suffix](path, scene):
-            yield _checked(raw, scene or _own_scene(raw, path), str(path))
+        for piece in _pieces_of(path, scene):
+            yield _checked(piece, scene or _own_scene(piece, path), str(path))
     except _DAMAGE as error:
         msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
         raise InputError(msg) from error
 
 
-def _read_csv(path: Path, scene: Scene | None) -> Iterator[_Raw]:
-    """Rows of columns, and before them facts, as `# seed: 0`."""
-    if scene is None:
-        msg = f"{path}: a CSV file does not tell its scene; give it with --scene"
-        raise InputError(msg)
-    lines = path.read_text("utf-8-sig").splitlines()
-    said = [line.lstrip(_COMMENT).partition(":") for line in lines if line.startswith(_COMMENT)]
-    facts = {key.strip(): text.strip() for key, _, text in said}
-    rows = list(csv.reader(line for line in lines if line and not line.startswith(_COMMENT)))
-    if len(rows) < 3:
-        msg = (
-            f"{path}: got {max(len(rows) - 1, 0)} frames, allowed is a line of names and 2 or more"
-        )
-        raise InputError(msg)
-    names = [name.strip() for name in rows[0]]
-    found = sort_columns(scene, names, str(path))
-    held = {str(name) for group in found if group.name in HELD for name in group.columns.ravel()}
-    values = {name: _column(rows[1:], k, name, path, name in held) for k, name in enumerate(names)}
-    arrays: dict[str, NDArray[Any]] = {TIME: values[TIME][0]}
-    rounding = {TIME: values[TIME][1]}
-    for group in found:
-        columns = [values[name] for name in group.columns.ravel().tolist()]
-        series = np.stack([numbers for numbers, _ in columns], axis=-1)
-        series = series.reshape(len(series), *group.columns.shape)
-        arrays[group.name] = series[:-1] if group.name in HELD else series
-        rounding[group.name] = max(off for _, off in columns)
-    if "input/torque" in arrays:
-        arrays["input/torque"] = arrays["input/torque"][..., 0]
-    if "index" in facts:
-        arrays["index"] = np.array([_fact("index", facts["index"], _NATURAL, str(path))])
-    yield _Raw(arrays, rounding, facts)
+def _pieces_of(path: Path, scene: Scene | None) -> Iterator[_Piece]:
+    if path.suffix == ".csv":
+        yield _Piece(*read_csv(path, scene))
+    elif path.suffix == ".npz":
+        yield from _read_npz(path)
+    else:
+        yield from _read_hdf5(path)
 
 
-def _column(
-    rows: list[list[str]], place: int, name: str, path: Path, held: bool
-) -> tuple[Array, float]:
-    """Give the numbers of a column, and half a unit of the last digit that is written."""
-    texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    if held:
-        texts[-1] = "0"
-    try:
-        decimals = [Decimal(text).as_tuple().exponent for text in texts]
-    except ArithmeticError:
-        bad = next(k for k, text in enumerate(texts) if not _is_number(text))
-        msg = f"{path}: frame {bad}, column {name}: got {texts[bad]!r}, allowed is a number"
-        raise InputError(msg) from None
-    last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
-    numbers = np.array([float(text) for text in texts])
-    return numbers, max(0.5 * 10.0**last, _coarse(numbers))
+def _read_hdf5(path: Path) -> Iterator[_Piece]:
+    """Read arrays by their paths and attributes as facts; of other datasets only the names."""
+    with open_hdf5(path) as file:
+        sources = datasets_in(file)
+        for name in _RANKS.keys() & sources.keys():
+            check_sources(sources[name])
+        yield from _read_rows(sources, plain(file.attrs), path)
 
 
-def _coarse(numbers: Array) -> float:
-    """Rounding of numbers that are float32 written as short as they can be; 0 of others."""
-    short = numbers.astype(np.float32)
-    return _rounding(short) if (short.astype(str).astype(np.float64) == numbers).all() else 0.0
+def _read_npz(path: Path) -> Iterator[_Piece]:
+    """Read arrays by their names; what has no axes is a fact."""
+    with ExitStack() as stack:
+        archive = stack.enter_context(zipfile.ZipFile(path))
+        refuse_bomb(path, sum(member.file_size for member in archive.infolist()))
+        members = {
+            name.removesuffix(".npy"): _Member(stack.enter_context(archive.open(name)), path)
+            for name in archive.namelist()
+        }
+        facts = {name: one[()].item() for name, one in members.items() if not one.shape}
+        yield from _read_rows({k: one for k, one in members.items() if one.shape}, facts, path)
 
 
-def _is_number(text: str) -> bool:
-    try:
-        Decimal(text)
-    except ArithmeticError:
-        return False
-    return True
+def _read_rows(sources: Mapping[str, Any], facts: dict[str, Any], path: Path) -> Iterator[_Piece]:
+    """Read some trajectories at a time; what belongs to no motion is passed over.
 
-
-def _read_npz(path: Path, _scene: Scene | None) -> Iterator[_Raw]:
-    yield from (_named(piece, path) for piece in read_npz(path))
-
-
-def _read_hdf5(path: Path, _scene: Scene | None) -> Iterator[_Raw]:
-    yield from (_named(piece, path) for piece in read_hdf5(path))
-
-
-def _named(piece: Piece, path: Path) -> _Raw:
-    """Sort arrays by name; what belongs to a data set but not to its motion is passed over."""
-    values = piece.values
-    strange = [name for name in values if name not in known_names()]
-    if strange or TIME not in values:
+    Args:
+        sources: Arrays in a file that give their shape, rows by slices without a gap, and all of
+            them by `[()]`.
+        facts: What else the file says.
+        path: The file.
+    """
+    strange = [name for name in sources if name not in FIELDS]
+    if strange or TIME not in sources:
         got = f"an array {strange[0]!r}" if strange else "no array 'time'"
-        msg = f"{path}: got {got}, allowed are {', '.join(_ARRAYS)}"
+        allowed = ", ".join((TIME, *(name for name in _RANKS if name != "index")))
+        msg = f"{path}: got {got}, allowed are {allowed}"
         raise InputError(msg)
-    arrays = {name: values[name] for name in (*_ARRAYS, "index") if name in values}
-    for name, array in arrays.items():
-        if array.dtype.kind not in "fiu":
-            msg = f"{path}: {name}: got values of the type {array.dtype}, allowed are numbers"
+    sources = {name: one for name, one in sources.items() if name in (TIME, *_RANKS)}
+    for name, one in sources.items():
+        if one.dtype.kind not in "fiu":
+            msg = f"{path}: {name}: got values of the type {one.dtype}, allowed are numbers"
             raise InputError(msg)
-    rounding = {name: _rounding(array) for name, array in arrays.items()}
-    return _Raw(arrays, rounding, piece.facts, piece.first, piece.total)
+    many = {name for name, one in sources.items() if len(one.shape) == _RANKS.get(name)}
+    if many == {"index"}:
+        many = set()  # one trajectory, whose arrays have no such axis
+    counts = {name: sources[name].shape[0] for name in sorted(many)}
+    _refuse_different(counts, path)
+    total = max(counts.values(), default=1)
+    if total < 1:
+        msg = f"{path}: got no trajectory, allowed is 1 or more"
+        raise InputError(msg)
+    each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
+    size = max(1, _AT_ONCE // max(1, each))
+    shared = {name: np.asarray(one[()]) for name, one in sources.items() if name not in many}
+    for first in range(0, total, size):
+        rows = {name: np.asarray(sources[name][first : first + size]) for name in many}
+        arrays = shared | rows
+        rounding = {name: rounding_of(array) for name, array in arrays.items()}
+        yield _Piece(arrays, rounding, facts, first, total)
 
 
-def _rounding(values: NDArray[Any]) -> float:
-    if values.dtype.kind != "f":
-        return 0.0
-    return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))
+def _refuse_different(counts: dict[str, int], source: Path | str) -> None:
+    if len(set(counts.values())) > 1:
+        sizes = ", ".join(f"{name} {count}" for name, count in counts.items())
+        msg = f"{source}: got arrays of different numbers of trajectories: {sizes}"
+        raise InputError(msg)
 
 
-_ARRAYS = (TIME, *(name for name in RANKS if name != "index"))
+class _Member:
+    """An array of an npz file, which can be read from its beginning on alone."""
+
+    def __init__(self, file: IO[bytes], path: Path) -> None:
+        self._file = file
+        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        try:
+            version = npy.read_magic(file)
+        except ValueError as error:
+            msg = f"{path}: holds {file.name}, which is no array; allowed are arrays of numbers"
+            raise InputError(msg) from error
+        if version not in readers:
+            msg = f"{path}: holds an array in version {version} of npy, allowed are 1.0 and 2.0"
+            raise InputError(msg)
+        self.shape, self._by_columns, self.dtype = readers[version](file)
+        if self.dtype.hasobject:
+            msg = f"{path}: holds Python objects; allowed are arrays of numbers"
+            raise InputError(msg)
+        self._read: NDArray[Any] | None = None
+
+    def __getitem__(self, rows: slice | tuple[()]) -> NDArray[Any]:
+        """Read all of it, or the next rows."""
+        if not isinstance(rows, slice):
+            return self._whole()
+        if self._by_columns:  # rows are all over it
+            self._read = self._whole() if self._read is None else self._read
+            return self._read[rows]
+        return self._take((len(range(*rows.indices(self.shape[0]))), *self.shape[1:]))
+
+    def _whole(self) -> NDArray[Any]:
+        if self._by_columns:
+            return self._take(self.shape[::-1]).transpose()
+        return self._take(self.shape)
+
+    def _take(self, shape: tuple[int, ...]) -> NDArray[Any]:
+        wanted = math.prod(shape) * self.dtype.itemsize
+        content = self._file.read(wanted)
+        if len(content) < wanted:
+            msg = "an array ends too early"
+            raise EOFError(msg)
+        return np.frombuffer(content, self.dtype).reshape(shape)
 
 
-def _own_scene(raw: _Raw, path: Path) -> Scene:
-    if "scene" not in raw.facts:
+def _own_scene(piece: _Piece, path: Path) -> Scene:
+    if "scene" not in piece.facts:
         msg = f"{path}: the file does not tell its scene; give it with --scene"
         raise InputError(msg)
-    return scene_of(raw.facts["scene"], path, "give it with --scene")
+    return scene_of(piece.facts["scene"], path, "give it with --scene")
 
 
-def _checked(raw: _Raw, scene: Scene, source: str) -> Foreign:
+def _checked(piece: _Piece, scene: Scene, source: str) -> Foreign:
     """Hold times, shapes and numbers against the scene."""
-    if not {"position", "body/position"} & raw.arrays.keys():
+    if not {"position", "body/position"} & piece.arrays.keys():
         msg = f"{source}: got no positions, allowed are position (of particles) or body/position"
         raise InputError(msg)
-    if ("body/position" in raw.arrays) != ("body/orientation" in raw.arrays):
-        msg = f"{source}: body/position and body/orientation belong together; one is missing"
-        raise InputError(msg)
-    if ("body/velocity" in raw.arrays) != ("body/angular_velocity" in raw.arrays):
-        msg = f"{source}: body/velocity and body/angular_velocity belong together; one is missing"
-        raise InputError(msg)
-    clock = _clock(np.asarray(raw.arrays[TIME], dtype=np.float64), scene, source)
+    for one, other in (("position", "orientation"), ("velocity", "angular_velocity")):
+        if (f"body/{one}" in piece.arrays) != (f"body/{other}" in piece.arrays):
+            msg = f"{source}: body/{one} and body/{other} belong together; one is missing"
+            raise InputError(msg)
+    clock = _clock(np.asarray(piece.arrays[TIME], dtype=np.float64), scene, source)
     frames = np.arange(clock.steps + 1, dtype=np.float64)
     arrays: dict[str, Array] = {TIME: np.asarray(clock.frame * frames)}
-    arrays |= _shaped(raw, scene, clock, source)
+    arrays |= _shaped(piece, scene, clock, source)
     facts = {
-        key: _fact(key, raw.facts[key], allowed, source)
+        key: _fact(key, piece.facts[key], allowed, source)
         for key, allowed in FACTS.items()
-        if key in raw.facts
+        if key in piece.facts
     }
     index = None
-    if "index" in raw.arrays:
-        given = raw.arrays["index"].ravel().tolist()
+    if "index" in piece.arrays:
+        given = piece.arrays["index"].ravel().tolist()
         numbers = [_fact("index", number, _NATURAL, source) for number in given]
         index = np.array(numbers, dtype=np.int64)
     found = msgspec.structs.replace(scene, clock=clock)
-    return Foreign(source, scene, found, arrays, raw.rounding, index, facts, raw.first, raw.total)
+    return Foreign(
+        source, scene, found, arrays, piece.rounding, index, facts, piece.first, piece.total
+    )
 
 
 def _clock(time: Array, scene: Scene, source: str) -> Clock:
@@ -271,31 +313,27 @@ def _clock(time: Array, scene: Scene, source: str) -> Clock:
     return Clock(frame=frame if same else usual, steps=len(steps))
 
 
-def _shaped(raw: _Raw, scene: Scene, clock: Clock, source: str) -> dict[str, Array]:
+def _shaped(piece: _Piece, scene: Scene, clock: Clock, source: str) -> dict[str, Array]:
     """Give the arrays a first axis of trajectories and hold their shapes against the scene."""
     found: dict[str, Array] = {}
     for group in groups(scene):
-        if group.name not in raw.arrays:
+        if group.name not in piece.arrays:
             continue
-        values = np.asarray(raw.arrays[group.name], dtype=np.float64)
-        held = group.name in HELD
+        values = np.asarray(piece.arrays[group.name], dtype=np.float64)
+        per_step = group.name in PER_STEP
         own = group.columns.shape[:1] if group.name == "input/torque" else group.columns.shape
-        wanted = (clock.steps + (not held), *own)
+        wanted = (clock.steps + (not per_step), *own)
         values = values[None] if values.ndim == len(wanted) else values
         if values.shape[1:] != wanted:
             shape = ", ".join(map(str, wanted))
             msg = (
                 f"{source}: {group.name}: got shape {values.shape}, allowed for {scene.name} is "
-                f"(trajectories, {shape}): {'steps' if held else 'frames'}, then {group.span}"
+                f"(trajectories, {shape}): {'steps' if per_step else 'frames'}, then {group.span}"
             )
             raise InputError(msg)
-        _refuse_nan(values, group.name, source, raw.first)
+        _refuse_nan(values, group.name, source, piece.first)
         found[group.name] = values
-    counts = {len(values) for values in found.values()}
-    if len(counts) > 1:
-        sizes = ", ".join(f"{name} {len(values)}" for name, values in found.items())
-        msg = f"{source}: got arrays of different numbers of trajectories: {sizes}"
-        raise InputError(msg)
+    _refuse_different({name: len(values) for name, values in found.items()}, source)
     return found
 
 

@@ -9,15 +9,12 @@ from typing import Any
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.cost import Work, forewarnings
-from mbds_xsim.dataset import durable
 from mbds_xsim.dataset.card import write_card
+from mbds_xsim.dataset.files import clean, locked
 from mbds_xsim.dataset.join import VariantCount, join
-from mbds_xsim.dataset.lock import locked
-from mbds_xsim.dataset.plan import check_paired, pending
 from mbds_xsim.dataset.shard import rejected_folder
-from mbds_xsim.dataset.variant import Item, Variant, folder_name
-from mbds_xsim.dataset.watch import ProgressSink, watched
-from mbds_xsim.dataset.work import Carrier, make
+from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
+from mbds_xsim.dataset.work import Carrier, ProgressSink, make, watched
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import core_count, run_tasks
@@ -82,7 +79,7 @@ def generate(
     out = request.out.absolute()  # workers stand elsewhere
     with locked(request.out):
         for variant in variants:
-            check_paired(variant, request.out)
+            check_same_draws(variant, request.out)
             _clean(variant, request.out)
         todo = _todo(variants, request)
         missing = sum(item.count for _, item in todo)
@@ -172,7 +169,7 @@ def _clean(variant: Variant, out: Path) -> None:
     """Remove what a run left that was killed."""
     folder = variant.folder(out)
     for written in (folder, folder.parent, rejected_folder(variant, out)):
-        durable.clean(written)
+        clean(written)
 
 
 def _todo(variants: list[Variant], request: Request) -> list[tuple[Variant, Item]]:

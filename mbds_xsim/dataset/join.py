@@ -13,12 +13,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.content import CONTENT, NewFile, encode, values_of
-from mbds_xsim.dataset.durable import put
-from mbds_xsim.dataset.layout import SHARED, SUFFIX, Field, known_names
-from mbds_xsim.dataset.opened import opened
+from mbds_xsim.dataset.files import put
+from mbds_xsim.dataset.hdf5 import CONTENT, NewFile, encode, open_hdf5, values_of
+from mbds_xsim.dataset.layout import FIELDS, SHARED, SUFFIX, Field, split_of
 from mbds_xsim.dataset.shard import rejected_folder
-from mbds_xsim.dataset.split import split_of
 from mbds_xsim.dataset.variant import Variant
 
 __all__ = ["JOINT", "VariantCount", "cause_of", "causes", "join", "valid_numbers"]
@@ -86,15 +84,14 @@ def _joined(shards: Sequence[_Shard], trajectories: int, attributes: dict[str, A
         "shard/rows": np.array([shard.rows for shard in shards]),
         "shard/content": np.array([shard.content for shard in shards]),
     }
-    fields = known_names()
-    with NewFile() as new, opened(shards[0].path) as first:
-        for name in sorted(own.keys() | {name for name in fields if name in first}):
+    with NewFile() as new, open_hdf5(shards[0].path) as first:
+        for name in sorted(own.keys() | {name for name in FIELDS if name in first}):
             if name in own:
-                new.put(fields[name], own[name])
-            elif fields[name].per_trajectory:
-                _put_virtual(new, fields[name], first[name], shards)
+                new.put(FIELDS[name], own[name])
+            elif FIELDS[name].per_trajectory:
+                _put_virtual(new, FIELDS[name], first[name], shards)
             else:
-                new.put(fields[name], values_of(first[name]))
+                new.put(FIELDS[name], values_of(first[name]))
         return new.finished(attributes)
 
 
@@ -103,7 +100,7 @@ class _Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        with opened(path) as file:
+        with open_hdf5(path) as file:
             self.index: NDArray[np.int64] = file["index"][()]
             self.content = str(file.attrs[CONTENT])
         self.rows = len(self.index)
@@ -138,7 +135,7 @@ def causes(folder: Path, names: Sequence[str]) -> Counter[str]:
     found: Counter[str] = Counter()
     for name in names:
         if (folder / name).exists():
-            with opened(folder / name) as file:
+            with open_hdf5(folder / name) as file:
                 found.update(map(cause_of, file["reason"].asstr()[()]))
     return found
 
@@ -150,7 +147,7 @@ def cause_of(reason: str) -> str:
 
 def valid_numbers(path: Path) -> NDArray[np.bool_]:
     """Tell of each number that was drawn whether a joined file has its trajectory."""
-    with opened(path) as file:
+    with open_hdf5(path) as file:
         return np.isin(np.arange(file.attrs["count"]), file["index"][()])
 
 
@@ -158,7 +155,7 @@ def _join_scene(folder: Path) -> None:
     """Write which trajectories are published in all variants that a folder holds."""
     paths = [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
     masks = [valid_numbers(path) for path in paths]
-    with opened(paths[0]) as file:
+    with open_hdf5(paths[0]) as file:
         shared = {key: file.attrs[key] for key in SHARED}
     common = min(map(len, masks))
     valid = np.stack([mask[:common] for mask in masks])

@@ -9,6 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 __all__ = [
     "ATTRIBUTES",
     "CHECKS",
@@ -16,11 +19,12 @@ __all__ = [
     "FORMAT",
     "INTEGRITY",
     "SHARED",
+    "SPLITS",
     "SUFFIX",
     "VERSION",
     "Field",
     "Kind",
-    "known_names",
+    "split_of",
 ]
 
 FORMAT = "mbds-xsim data"
@@ -52,7 +56,7 @@ class Field:
 _WHOLE = ("trajectory", "frame")
 _HELD = ("trajectory", "step")
 
-FIELDS: tuple[Field, ...] = (
+_FIELDS = (
     Field(
         "index", ("trajectory",), "<i8", "1", "number of the trajectory, the same in all engines"
     ),
@@ -126,6 +130,8 @@ FIELDS: tuple[Field, ...] = (
     ),
     Field("valid_in_all", ("number",), "|b1", "1", "the same in all variants", ("joint",)),
 )
+FIELDS = {field.name: field for field in _FIELDS}
+"""Datasets by name, in the order of the layout."""
 
 Kind = Literal["text", "truth", "natural", "number", "positive"]
 """Of an attribute."""
@@ -202,7 +208,18 @@ need the reference and are known of the audit sample alone."""
 INTEGRITY = ("finite", "start")
 """What even an uncertified trajectory must pass."""
 
+SPLITS = ("train", "validation", "test")
+"""Parts of a data set by index, the same in every engine."""
+_OF = 15_000
+_ENDS = (12_000, 13_500)  # the paper's 13 500 and 1 500; the last 1 500 of the former validate
 
-def known_names() -> dict[str, Field]:
-    """Fields by name."""
-    return {field.name: field for field in FIELDS}
+
+def split_of(index: NDArray[np.int64], trajectories: int) -> NDArray[np.uint8]:
+    """Give 0 train, 1 validation, 2 test; the first 80 %, the next 10 %, the rest.
+
+    Args:
+        index: Numbers of trajectories.
+        trajectories: How many were drawn.
+    """
+    ends = [end * trajectories // _OF for end in _ENDS]
+    return np.searchsorted(ends, index, side="right").astype(np.uint8)

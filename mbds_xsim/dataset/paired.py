@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.found import joined_files
-from mbds_xsim.dataset.labelled import labelled
-from mbds_xsim.dataset.layout import known_names
-from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.layout import FIELDS
+from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
 from mbds_xsim.dataset.series import Series
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
+from mbds_xsim.state import STATES
 
 __all__ = [
     "STARTS",
-    "STATES",
     "PairedData",
     "PairedSeries",
     "check_alike",
@@ -32,7 +30,6 @@ __all__ = [
 
 Numbers = NDArray[np.int64]
 
-STATES = ("position", "orientation", "velocity", "angular_velocity")
 STARTS = tuple(f"start/{name}" for name in STATES)
 _SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
 
@@ -121,7 +118,7 @@ class PairedData:
         series = tuple(value for value in values if isinstance(value, Series))
         if series:
             return PairedSeries(series, self.rows)
-        per_trajectory = known_names()[name].per_trajectory
+        per_trajectory = FIELDS[name].per_trajectory
         whole = np.asarray(values[0])
         return whole[self.rows[0]] if per_trajectory else whole
 
@@ -133,7 +130,7 @@ class PairedData:
         """
         arrays = {}
         for name in names:
-            axes, values = known_names()[name].axes, self[name]
+            axes, values = FIELDS[name].axes, self[name]
             if isinstance(values, PairedSeries):
                 axes = (axes[0], "engine", *axes[1:])
             arrays[name] = (axes, values[:])
@@ -159,7 +156,7 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
     """
     found = [load_dataset(file) for path in paths for file in joined_files(Path(path))]
     where = ", ".join(map(str, paths))
-    files = {f"{one.attributes['engine']}-{one.attributes['profile']}": one for one in found}
+    files = {one.variant: one for one in found}
     if len(found) < 2 or len(files) < len(found):
         names = ", ".join(str(one.path) for one in found)
         msg = (

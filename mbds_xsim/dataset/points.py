@@ -1,4 +1,4 @@
-"""The points of a scene whose motion is published, and the graph over them."""
+"""The points of a scene whose motion is published, from the bodies' motion and back."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.markers import markers
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.sampling import noise_components
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Trajectory
 
-__all__ = ["Points"]
+__all__ = ["Points", "Recovered", "recover"]
 
 Array = NDArray[np.float64]
 
@@ -61,3 +61,154 @@ class Points:
             "graph/static_node": static[:, self.axes],
             "graph/body_name": np.array([body.name for body in scene.bodies]),
         }
+
+
+_COINCIDENT = 1e-9  # of the scene's length
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """The rigid motion of every body that is nearest to the points."""
+
+    position: Array
+    """Of centres of mass [m], shape (trajectory, frame, body, 3)."""
+    orientation: Array
+    """Shape (trajectory, frame, body, 4)."""
+    velocity: Array | None
+    """[m/s]; None without velocities of the points."""
+    angular_velocity: Array | None
+    """[rad/s]."""
+    residual: Array
+    """Largest distance of a point of the body from where the rigid body has it [m], shape
+    (trajectory, frame, body)."""
+    undetermined: tuple[str, ...]
+    """Bodies whose orientation, about a line at least, the points do not tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What is known of a body: own points, and joints that sit on another body's point."""
+
+    offset: Array
+    """From its centre of mass in the native frame [m], shape (known, 3)."""
+    source: NDArray[np.int64]
+    """Number of the point; −1: fixed in W."""
+    place: Array
+    """Of those fixed in W [m], shape (known, 3)."""
+
+
+def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
+    """Fit rigid bodies to points by least squares (Kabsch), and twists to their velocities.
+
+    Joints help: where one sits on a point of another body, or is fixed in W, that point is one
+    of this body's, too. A scene that stays in its plane turns about y alone.
+
+    Args:
+        scene: What moves.
+        position: Of the points [m], shape (trajectory, frame, point, axis).
+        velocity: Of the points [m/s], the same shape; None: not known.
+    """
+    points = Points.of(scene)
+    mechanism = points.mechanism
+    place = _lifted(points, position, mechanism.com[points.body] + points.offset)
+    speed = None if velocity is None else _lifted(points, velocity, np.zeros((len(points.body), 3)))
+    fixed = np.zeros((0, 3)) if scene.dimension == 3 else np.array([[0.0, 1.0, 0.0]])
+    fits = [_fit(_known(points, body), fixed, place, speed) for body in range(len(scene.bodies))]
+    native = np.stack([fit.native for fit in fits], axis=2)
+    moving = speed is not None
+    names = [body.name for body in scene.bodies]
+    return Recovered(
+        position=np.stack([fit.position for fit in fits], axis=2),
+        orientation=mechanism.body_orientation(native),
+        velocity=np.stack([fit.velocity for fit in fits], axis=2) if moving else None,
+        angular_velocity=np.stack([fit.rate for fit in fits], axis=2) if moving else None,
+        residual=np.stack([fit.residual for fit in fits], axis=2),
+        undetermined=tuple(
+            name for name, fit in zip(names, fits, strict=True) if not fit.determined
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    position: Array
+    native: Array
+    velocity: Array
+    rate: Array
+    residual: Array
+    determined: bool
+
+
+def _lifted(points: Points, values: Array, rest: Array) -> Array:
+    """Give three components; those that the scene does not move in are at rest."""
+    whole = np.broadcast_to(rest, (*values.shape[:-1], 3)).copy()
+    whole[..., points.axes] = values
+    return whole
+
+
+def _known(points: Points, body: int) -> _Known:
+    """Find the points whose place in a body is known."""
+    mechanism = points.mechanism
+    own = np.flatnonzero(points.body == body)
+    offset, source, place = list(points.offset[own]), own.tolist(), [np.zeros(3)] * len(own)
+    for joint in mechanism.joints:
+        if body not in (joint.parent, joint.child) or joint.kind == "slider":
+            continue
+        here, there = joint.in_child, joint.in_parent
+        other = joint.parent
+        if body == joint.parent:
+            here, there, other = there, here, joint.child
+        found = -1 if other == WORLD_INDEX else _point_at(points, mechanism, other, there)
+        if found is not None:
+            offset.append(here)
+            source.append(found)
+            place.append(there)
+    return _Known(
+        np.array(offset).reshape(-1, 3), np.array(source, dtype=int), np.reshape(place, (-1, 3))
+    )
+
+
+def _point_at(points: Points, mechanism: Mechanism, body: int, offset: Array) -> int | None:
+    near = np.linalg.norm(points.offset - offset, axis=1) <= _COINCIDENT * mechanism.scene.length
+    found = np.flatnonzero(near & (points.body == body))
+    return int(found[0]) if len(found) else None
+
+
+def _fit(known: _Known, fixed: Array, place: Array, speed: Array | None) -> _Fit:
+    """Fit one body; directions that stay fixed in it and in W are like points at no distance."""
+    seen = np.where((known.source < 0)[:, None], known.place, place[..., known.source, :])
+    middle, centre = known.offset.mean(axis=0), seen.mean(axis=-2)
+    arms = known.offset - middle
+    reach = float(np.sqrt((arms**2).sum(axis=1).max(initial=0.0)))
+    held = fixed * max(reach, 1e-12)
+    spread = np.linalg.svd(np.concatenate([arms, held]), compute_uv=False)
+    determined = int((spread > 1e-6 * max(reach, 1e-12)).sum()) >= 2 and reach > 0
+    inside = seen - centre[..., None, :]
+    turn = _nearest_turn(np.einsum("...ki,kj->...ij", inside, arms) + held.T @ held)
+    native = rotation.from_matrix(turn)
+    position = centre - rotation.rotate(native, middle)
+    apart = seen - position[..., None, :] - rotation.rotate(native[..., None, :], known.offset)
+    residual = np.linalg.norm(apart, axis=-1).max(axis=-1)
+    velocity = rate = np.zeros_like(position)
+    if speed is not None:
+        moved = np.where((known.source < 0)[:, None], 0.0, speed[..., known.source, :])
+        rate = _twist(inside, held, moved - moved.mean(axis=-2, keepdims=True))
+        velocity = moved.mean(axis=-2) + rotation.cross(rate, position - centre)
+    return _Fit(position, native, velocity, rate, residual, determined)
+
+
+def _nearest_turn(covariance: Array) -> Array:
+    """Give the rotation matrices that match best, shape (…, 3, 3)."""
+    left, _, right = np.linalg.svd(covariance)
+    sign = np.ones((*covariance.shape[:-2], 3))
+    sign[..., 2] = np.sign(np.linalg.det(left @ right))
+    return np.asarray((left * sign[..., None, :]) @ right)
+
+
+def _twist(inside: Array, held: Array, moved: Array) -> Array:
+    """Give the angular velocities that match best [rad/s], shape (…, 3)."""
+    arms = np.concatenate([inside, np.broadcast_to(held, (*inside.shape[:-2], *held.shape))], -2)
+    square = np.einsum("...k,...k->...", arms, arms).sum(axis=-1)
+    inertia = square[..., None, None] * np.eye(3) - np.einsum("...ki,...kj->...ij", arms, arms)
+    momentum = rotation.cross(inside, moved).sum(axis=-2)
+    return np.asarray(np.einsum("...ij,...j->...i", np.linalg.pinv(inertia), momentum))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, ItemsView, Iterator, KeysView, Sequence, ValuesView
+import re
+from collections.abc import Collection, ItemsView, Iterator, KeysView, Mapping, Sequence, ValuesView
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,21 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.content import CONTENT, check_content, values_of
-from mbds_xsim.dataset.facts import attributes_of, scene_of
-from mbds_xsim.dataset.fit import check_fit
-from mbds_xsim.dataset.labelled import labelled
-from mbds_xsim.dataset.layout import known_names
-from mbds_xsim.dataset.mapped import Part
-from mbds_xsim.dataset.opened import opened
-from mbds_xsim.dataset.series import Series
-from mbds_xsim.dataset.split import NAMES
-from mbds_xsim.dataset.windows import Windows
+from mbds_xsim.dataset.hdf5 import CONTENT, check_content, open_hdf5, values_of
+from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX
+from mbds_xsim.dataset.proof import attributes_of, check_fit, scene_of
+from mbds_xsim.dataset.series import MappedFile, Series, Windows
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
+from mbds_xsim.state import STATES, Batch, Failure, Trajectory
 
-__all__ = ["Dataset", "load_dataset"]
+__all__ = ["Dataset", "joined_files", "labelled", "load_dataset", "parse_numbers"]
 
+
+_LONGEST = 10_000_000  # range of numbers of trajectories
 _AT_ONCE = ("index", "split", "reason")
 
 
@@ -49,9 +47,9 @@ def load_dataset(path: str | Path) -> Dataset:
         msg = f"{path} holds no trajectories, it is of the kind {kind!r}"
         raise InputError(msg)
     scene = scene_of(attributes["scene"], path)
-    with opened(path) as file:
+    with open_hdf5(path) as file:
         check_fit(file, path, kind, scene)
-        found = {name: field for name, field in known_names().items() if name in file}
+        found = {name: field for name, field in FIELDS.items() if name in file}
         small = {
             name: values_of(file[name])
             for name, field in found.items()
@@ -62,13 +60,13 @@ def load_dataset(path: str | Path) -> Dataset:
             for name in found
             if name not in small
         }
-    parts: tuple[Part, ...] = (Part.of(path, len(small["index"])),)
+    parts: tuple[MappedFile, ...] = (MappedFile.of(path, len(small["index"])),)
     if kind == "joined":
         parts = tuple(_parts(path, small))
     return Dataset(path, attributes, scene, parts, small, like)
 
 
-def _parts(path: Path, small: dict[str, NDArray[Any]]) -> Iterator[Part]:
+def _parts(path: Path, small: dict[str, NDArray[Any]]) -> Iterator[MappedFile]:
     """Find the shards that a file joins."""
     files = tuple(path.parent / name for name in small["shard/file"])
     missing = [file for file in files if not file.is_file()]
@@ -79,7 +77,7 @@ def _parts(path: Path, small: dict[str, NDArray[Any]]) -> Iterator[Part]:
     if min(rows, default=0) < 0 or sum(rows) != len(small["index"]):
         msg = f"{path}: shard/rows do not make up its {len(small['index'])} trajectories"
         raise InputError(f"{msg}; get it again, or generate it anew")
-    yield from map(Part.of, files, rows)
+    yield from map(MappedFile.of, files, rows)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +94,7 @@ class Dataset:
     """How it was made: scene, engine, settings, seed, versions; see `docs/dataset-layout.md`."""
     scene: Scene
     """The scene, as the file has it."""
-    parts: tuple[Part, ...]
+    parts: tuple[MappedFile, ...]
     """Files in which its trajectories are, and how many each has."""
     small: dict[str, NDArray[Any]]
     """Index, split, and datasets that belong to no trajectory: time, graph, names of checks."""
@@ -136,7 +134,7 @@ class Dataset:
         return name in self.small or name in self.like
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name in known_names() if name in self)
+        return (name for name in FIELDS if name in self)
 
     def keys(self) -> KeysView[str]:
         """Names of the datasets, in the order of the layout."""
@@ -161,6 +159,11 @@ class Dataset:
     def files(self) -> tuple[Path, ...]:
         """Files in which its trajectories are."""
         return tuple(part.path for part in self.parts)
+
+    @property
+    def variant(self) -> str:
+        """Engine and settings, as in `mujoco-matched`."""
+        return f"{self.attributes['engine']}-{self.attributes['profile']}"
 
     @property
     def lack(self) -> str:
@@ -199,13 +202,13 @@ class Dataset:
         Raises:
             InputError: There is no such part, or the file is a shard, which has no split.
         """
-        if split not in NAMES:
-            msg = f"split: got {split!r}, allowed is {', '.join(NAMES)}"
+        if split not in SPLITS:
+            msg = f"split: got {split!r}, allowed is {', '.join(SPLITS)}"
             raise InputError(msg)
         if "split" not in self.small:
             msg = f"{self.path} is one shard; the split is in the file that joins the shards"
             raise InputError(msg)
-        return np.flatnonzero(self.small["split"] == NAMES.index(split))
+        return np.flatnonzero(self.small["split"] == SPLITS.index(split))
 
     def to_xarray(
         self, names: Sequence[str] = ("position", "velocity"), rows: Any = slice(None)
@@ -219,8 +222,24 @@ class Dataset:
         Raises:
             InputError: xarray is not installed.
         """
-        arrays = {name: (known_names()[name].axes, self[name][rows]) for name in names}
+        arrays = {name: (FIELDS[name].axes, self[name][rows]) for name in names}
         return labelled(arrays, trajectory=self.index[rows], frame=self.time)
+
+    def batch(self, rows: Any = slice(None)) -> Batch:
+        """Starts and inputs of trajectories, the noise included."""
+        starts = {key: self._series(f"start/{key}")[rows] for key in STATES}
+        force, torque = self._series("input/force")[rows], self._series("input/torque")[rows]
+        return Batch(index=self.index[rows], **starts, force=force, torque=torque)
+
+    def trajectory(self, rows: Any = slice(None)) -> Trajectory:
+        """Motions of the bodies; one that has no numbers to its end is a failure."""
+        states = {key: self._series(f"body/{key}")[rows] for key in STATES}
+        each = [np.isfinite(values).all(axis=(2, 3)) for values in states.values()]
+        failures = tuple(
+            None if row.all() else Failure(int(np.argmin(row)), "no numbers")
+            for row in np.logical_and.reduce(each)
+        )
+        return Trajectory(self.time, **states, failures=failures)
 
     def check(self, names: Collection[str] | None = None) -> None:
         """Hold values against the checksums that were written with them, which reading does not.
@@ -260,3 +279,76 @@ class Dataset:
         if rows is not None:
             chosen = np.intersect1d(chosen, rows)
         return Windows(tuple(map(self._series, names)), chosen, length)
+
+
+def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: Any) -> Any:
+    """Give an `xarray.Dataset` of arrays, each with its axes, and of coordinates of their axes.
+
+    Raises:
+        InputError: xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError as error:
+        msg = "to_xarray() needs xarray, which is not installed: pip install 'mbds-xsim[frames]'"
+        raise InputError(msg) from error
+    used = {axis for axes, _ in arrays.values() for axis in axes}
+    return Dataset(
+        dict(arrays), coords={axis: coordinates[axis] for axis in coordinates if axis in used}
+    )
+
+
+def joined_files(path: Path, engines: str | None = None) -> list[Path]:
+    """Give the data sets of a folder, or the one that a file is.
+
+    Args:
+        path: A data file, or a folder that `mbds-xsim generate` has made, or one within.
+        engines: Only those of these, comma-separated.
+
+    Raises:
+        InputError: There are none.
+    """
+    if not path.exists():
+        msg = f"{path}: there is no such file or folder"
+        raise InputError(msg)
+    kinds = {file: attributes_of(file) for file in _candidates(path)}
+    found = [file for file, told in kinds.items() if path.is_file() or told["kind"] == "joined"]
+    if not found:
+        msg = f"{path} holds no data set; name a folder that mbds-xsim generate has finished"
+        raise InputError(msg)
+    if engines is None:
+        return found
+    wanted = [word.strip() for word in engines.split(",")]
+    there = sorted({str(kinds[file].get("engine")) for file in found})
+    strange = [word for word in wanted if word not in there]
+    if strange:
+        msg = f"--engines: got {strange[0]!r}, allowed for {path} is {', '.join(there)}"
+        raise InputError(msg)
+    return [file for file in found if kinds[file].get("engine") in wanted]
+
+
+def _candidates(path: Path) -> list[Path]:
+    """Files beside folders of their own name are joined; shards need not be opened."""
+    if path.is_file():
+        return [path]
+    return [file for file in sorted(path.rglob(f"*{SUFFIX}")) if file.with_suffix("").is_dir()]
+
+
+def parse_numbers(text: str, option: str) -> list[int]:
+    """Read numbers and ranges, ascending, each once.
+
+    Raises:
+        InputError: It is something else, or a range that would fill the memory.
+    """
+    found: set[int] = set()
+    for word in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,15})(?:-(\d{1,15}))?\s*", word)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if not 0 <= last - first < _LONGEST:
+            msg = (
+                f"{option}: got {text!r}, allowed are numbers and ranges of up to {_LONGEST}, as "
+                "0-9,15"
+            )
+            raise InputError(msg)
+        found |= set(range(first, last + 1))
+    return sorted(found)

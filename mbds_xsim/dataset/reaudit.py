@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.dataset.content import check_content
-from mbds_xsim.dataset.facts import attributes_of, scene_of
-from mbds_xsim.dataset.fit import misfits
-from mbds_xsim.dataset.gate import SHARED, Verdict, judge_rows
-from mbds_xsim.dataset.held import Held
+from mbds_xsim.dataset.gate import SHARED, Making, Verdict, judge_rows
+from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.layout import CHECKS
-from mbds_xsim.dataset.opened import opened
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.proof import attributes_of, misfits, scene_of
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.engine import Method, Settings
 from mbds_xsim.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Trajectory
+from mbds_xsim.state import STATES, Trajectory
 
-__all__ = ["FileReport", "reaudit"]
+__all__ = ["FileReport", "making_of", "reaudit"]
 
 _SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
 _SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
@@ -32,90 +33,78 @@ _ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
 _SAME_MOTION = 1e-6  # of a state's scale; rounding that chaos has amplified
 _SAME_AT_FIRST = 1e-10  # the same, up to the frame _EARLY
 _EARLY = 5
-_STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
-@dataclass(frozen=True)
+@dataclass
 class FileReport:
     """What became of one file."""
 
     file: str
     kind: str
-    trajectories: int
-    problems: tuple[str, ...] = ()
+    trajectories: int = 0
+    problems: list[str] = field(default_factory=list)
     """What is wrong; nothing: it holds what it says."""
-    notes: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
     """What else there is to know."""
 
 
-def reaudit(path: Path, resimulated: int, seed: int = 0) -> FileReport:
-    """Check layout, checksums, numbers, draws, points and every check; make some again.
+def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None:
+    """Check layout, numbers, draws, points and every check; make some again.
 
     Args:
         path: A shard, or a file of rejected trajectories.
+        report: What is added to.
         resimulated: How many trajectories are simulated again, if the engine is here.
         seed: Chooses which.
     """
-    try:
-        wrong = check_content(path)
-        if wrong is not None:
-            return FileReport(str(path), "unknown", 0, (f"checksum: {wrong}",))
-        kind, problems = _layout(path)
-        if problems:
-            return FileReport(str(path), kind, 0, problems)
-        held = Held.read(path)
-        problems = (*_numbers(held), *_draws(held), *_orientations(held))
-        problems = (*problems, *_points(held), *_checks(held))
-        more, notes = _again(held, resimulated, seed)
-    except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
-        return FileReport(str(path), "unknown", 0, (f"cannot be read: {error}",))
-    return FileReport(str(path), held.attributes["kind"], len(held), (*problems, *more), notes)
+    attributes = attributes_of(path)
+    scene, report.kind = scene_of(attributes["scene"], path), attributes["kind"]
+    with open_hdf5(path) as file:
+        report.problems += misfits(file, report.kind, scene)
+    if report.problems:
+        return
+    data = load_dataset(path)
+    for check in (_numbers, _draws, _orientations, _points, _checks):
+        report.problems += check(data)
+    if report.kind == "shard" and min(resimulated, len(data)):
+        _simulate_again(data, report, min(resimulated, len(data)), seed)
+    report.trajectories = len(data)
 
 
-def _layout(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Give the kind of a file, and what is wrong with its datasets."""
-    told = attributes_of(path)
-    scene = scene_of(told["scene"], path)
-    with opened(path) as file:
-        return told["kind"], tuple(misfits(file, told["kind"], scene))
-
-
-def _numbers(held: Held) -> Iterator[str]:
+def _numbers(data: Dataset) -> Iterator[str]:
     """The numbering of the trajectories, and what repeats what the scene says."""
-    told, index = held.attributes, held.arrays["index"]
+    told, index = data.attributes, data.index
     first, count = told["first"], told["count"]
     if len(index) and (
         index[0] < first or index[-1] >= first + count or (np.diff(index) < 1).any()
     ):
         yield f"index: not ascending from {first} to {first + count - 1}"
-    if not np.array_equal(held.arrays["interval"], index % 3):
+    if not np.array_equal(data["interval"][:], index % 3):
         yield "interval: not index mod 3"
     own = "published" if told["kind"] == "shard" else "rejected"
     if told[own] != len(index) or told["published"] + told["rejected"] != count:
         yield f"counts: {own} is {told[own]} with {len(index)} trajectories of {count} here"
-    clock = held.scene.clock
+    clock = data.scene.clock
     if (told["steps"], told["frame_s"]) != (clock.steps, clock.frame):
         yield "clock: steps and frame_s are not the scene's"
     time = clock.frame * np.arange(clock.steps + 1)
-    if not np.allclose(held.arrays["time"], time, rtol=1e-12, atol=0):
+    if not np.allclose(data.time, time, rtol=1e-12, atol=0):
         yield "time: not that of the scene's frames"
 
 
-def _draws(held: Held) -> Iterator[str]:
+def _draws(data: Dataset) -> Iterator[str]:
     """Starts and inputs must be those of seed and index: so engines are paired."""
-    told = held.attributes
+    told, batch = data.attributes, data.batch()
     drawn = draw_batch(
-        held.scene, held.arrays["index"].tolist(), seed=told["seed"], noise=bool(told["noise"])
+        data.scene, data.index.tolist(), seed=told["seed"], noise=bool(told["noise"])
     )
     for key in drawn.__dataclass_fields__:
-        wanted, got = getattr(drawn, key), getattr(held.batch, key)
-        if len(held) and not _close(got, wanted, _SAME_DRAW):
+        wanted, got = getattr(drawn, key), getattr(batch, key)
+        if len(data) and not _close(got, wanted, _SAME_DRAW):
             yield f"pairing: {key} is not what seed {told['seed']} and index give"
-    if "input/known_force" in held.arrays and len(held):
-        known = draw_batch(
-            held.scene, held.arrays["index"].tolist(), seed=told["seed"], noise=False
-        )
-        if not _close(held.arrays["input/known_force"], known.force, _SAME_DRAW):
+    if "input/known_force" in data and len(data):
+        known = draw_batch(data.scene, data.index.tolist(), seed=told["seed"], noise=False)
+        if not _close(data["input/known_force"][:], known.force, _SAME_DRAW):
             yield "pairing: known_force is not what seed and index give"
 
 
@@ -124,62 +113,64 @@ def _close(got: NDArray[np.float64], wanted: NDArray[np.float64], relative: floa
     return bool((np.abs(got - wanted) <= relative * scale).all())
 
 
-def _orientations(held: Held) -> Iterator[str]:
+def _orientations(data: Dataset) -> Iterator[str]:
     """Quaternions must go on with the sign that they have at the start."""
-    given = held.arrays["body/orientation"]
-    turned = rotation.continuous(given, held.arrays["start/orientation"])
+    given = data["body/orientation"][:]
+    turned = rotation.continuous(given, data["start/orientation"][:])
     off = (turned != given) & np.isfinite(given)
     for row, frame in zip(*np.nonzero(off.any(axis=(2, 3))), strict=True):
         yield (
             f"body/orientation: changes its sign at frame {frame} of trajectory "
-            f"{held.batch.index[row]}; what is learned from it would see a jump"
+            f"{data.index[row]}; what is learned from it would see a jump"
         )
         return
 
 
-def _points(held: Held) -> Iterator[str]:
+def _points(data: Dataset) -> Iterator[str]:
     """Positions and velocities of the particles follow from the bodies' states."""
-    points = Points.of(held.scene)
-    for name, wanted in zip(("position", "velocity"), points.motion(held.trajectory), strict=True):
-        got = held.arrays[name]
+    points = Points.of(data.scene)
+    for name, wanted in zip(
+        ("position", "velocity"), points.motion(data.trajectory()), strict=True
+    ):
+        got = data[name][:]
         off = np.abs(got - wanted) > _ROUNDED * np.abs(wanted) + 1e-14
         if off.any() or not np.array_equal(np.isnan(got), np.isnan(wanted)):
             row = int(np.flatnonzero((off | (np.isnan(got) != np.isnan(wanted))).any((1, 2, 3)))[0])
-            yield f"{name}: not that of the bodies, first of trajectory {held.batch.index[row]}"
+            yield f"{name}: not that of the bodies, first of trajectory {data.index[row]}"
     for name, values in points.graph().items():
-        if not np.array_equal(held.arrays[name], values):
+        if not np.array_equal(data[name][:], values):
             yield f"{name}: not that of the scene"
 
 
-def _checks(held: Held) -> Iterator[str]:
+def _checks(data: Dataset) -> Iterator[str]:
     """Every check must find what it found, and the verdict be what it was.
 
     Checks that are newer than the file were not measured then; they judge all the same.
     """
-    if not set(held.arrays["check/name"].tolist()) <= set(CHECKS):
+    if not set(data["check/name"][:].tolist()) <= set(CHECKS):
         yield "checks: another version's; install the version that the file names"
         return
-    if not len(held):
+    if not len(data):
         return
-    verdict = judge_rows(held.scene, held.batch, held.trajectory, held.making)
-    yield from _figures(held, verdict)
-    passed = verdict.published(certified=held.attributes["certification"] == "certified")
-    if held.attributes["kind"] == "shard":
+    verdict = judge_rows(data.scene, data.batch(), data.trajectory(), making_of(data))
+    yield from _figures(data, verdict)
+    passed = verdict.published(certified=data.attributes["certification"] == "certified")
+    if data.attributes["kind"] == "shard":
         for row in np.flatnonzero(~passed):
-            yield f"published trajectory {held.batch.index[row]} fails: {verdict.reason(int(row))}"
+            yield f"published trajectory {data.index[row]} fails: {verdict.reason(int(row))}"
     else:
         of_all = ("read-back", SHARED)
-        misbuilt = np.array([text.startswith(of_all) for text in held.arrays["reason"]])
+        misbuilt = np.array([text.startswith(of_all) for text in data["reason"][:]])
         for row in np.flatnonzero(passed & ~misbuilt):
-            yield f"rejected trajectory {held.batch.index[row]} passes every check"
+            yield f"rejected trajectory {data.index[row]} passes every check"
 
 
-def _figures(held: Held, verdict: Verdict) -> Iterator[str]:
-    names = held.arrays["check/name"].tolist()
+def _figures(data: Dataset, verdict: Verdict) -> Iterator[str]:
+    names = data["check/name"][:].tolist()
     columns = [list(CHECKS).index(name) for name in names]
     allowed = verdict.allowed[:, columns]
     for key in ("figure", "allowed"):
-        stored, found = held.arrays[f"check/{key}"], getattr(verdict, key)[:, columns]
+        stored, found = data[f"check/{key}"][:], getattr(verdict, key)[:, columns]
         scale = np.fmax(np.abs(stored), np.where(np.isfinite(found), np.abs(found), 0.0))
         scale = np.fmax(scale, np.where(np.isfinite(allowed), allowed, 0.0))
         same = (stored == found) | (np.abs(stored - found) <= _SAME_FIGURE * scale)
@@ -187,40 +178,61 @@ def _figures(held: Held, verdict: Verdict) -> Iterator[str]:
         same |= np.isnan(stored) | np.isnan(found)
         for row, column in np.argwhere(~same)[:3]:
             yield (
-                f"checks: {names[column]} of trajectory {held.batch.index[row]} is stored "
+                f"checks: {names[column]} of trajectory {data.index[row]} is stored "
                 f"as {key} {stored[row, column]:.9g} and found as {found[row, column]:.9g}"
             )
 
 
-def _again(held: Held, count: int, seed: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Simulate some of the trajectories again, where the engine is here in the same version.
+def making_of(data: Dataset) -> Making:
+    """Give what a file says of how it was made."""
+    told = data.attributes
+    method = Method(
+        name=told["method"],
+        family=told["method_family"],
+        order=told["method_order"],
+        velocity_lag=told["velocity_lag_s"] / told["step_s"],
+    )
+    return Making(method, told["step_s"], told["contact_time_s"])
 
-    Returns:
-        What is wrong, and what else there is to know.
-    """
-    told = held.attributes
-    count = min(count, len(held))
-    if not count or told["kind"] != "shard":
-        return (), ()
+
+def _settings(data: Dataset) -> Settings:
+    """Give the settings to make it again."""
+    told = data.attributes
+    try:
+        options = msgspec.json.decode(told["options"], type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeError) as error:
+        msg = f"{data.path}: attribute options: got {told['options']!r}: {error}"
+        raise InputError(msg) from error
+    return Settings(told["method"], told["step_s"], options)
+
+
+def _simulate_again(data: Dataset, report: FileReport, count: int, seed: int) -> None:
+    """Simulate some of the trajectories again, where the engine is here in the same version."""
+    told = data.attributes
     here = _version(told["engine"])
     if here != told["engine_version"]:
         note = f"not simulated again: {told['engine']} {told['engine_version']} is not here"
-        return (), (note + (f", but {here}" if here else ""),)
+        report.notes.append(note + (f", but {here}" if here else ""))
+        return
     rng = np.random.default_rng([seed, told["first"]])
-    rows = np.sort(rng.choice(len(held), count, replace=False)).tolist()
-    made = simulate(held.scene, held.batch[rows], told["engine"], held.settings).trajectory
-    return _compared(made, held.trajectory[rows], held.batch.index[rows], held.scene.length)
+    rows = np.sort(rng.choice(len(data), count, replace=False)).tolist()
+    made = simulate(data.scene, data.batch(rows), told["engine"], _settings(data)).trajectory
+    _compare(made, data.trajectory(rows), data.index[rows], data.scene.length, report)
 
 
-def _compared(
-    made: Trajectory, stored: Trajectory, index: NDArray[np.int64], length: float
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _compare(
+    made: Trajectory,
+    stored: Trajectory,
+    index: NDArray[np.int64],
+    length: float,
+    report: FileReport,
+) -> None:
     """Compare all states: the same bits, or what another processor's last digit may grow to.
 
     A difference that is there from the first frames on has not grown: it is no rounding.
     """
-    problems, largest = [], 0.0
-    for key in _STATE:
+    largest, differing = 0.0, False
+    for key in STATES:
         new, old = getattr(made, key), getattr(stored, key)
         scale = length if key == "position" else max(1.0, float(np.abs(old).max(initial=0.0)))
         off = np.where(new == old, 0.0, np.abs(new - old) / scale).max(axis=(2, 3))
@@ -228,13 +240,14 @@ def _compared(
         largest = max(largest, float(off.max()))
         allowed = np.where(np.arange(off.shape[1]) <= _EARLY, _SAME_AT_FIRST, _SAME_MOTION)
         for row in np.flatnonzero((off > allowed).any(axis=1))[:1]:
-            frame = int(np.argmax(off[row] > allowed))
-            problems.append(
+            frame, differing = int(np.argmax(off[row] > allowed)), True
+            report.problems.append(
                 f"simulated again: {key} of trajectory {index[row]} differs by "
                 f"{off[row, frame]:.2g} of its scale at frame {frame}"
             )
     same = "the same bits" if largest == 0.0 else f"within {largest:.1g} of their scale, rounding"
-    return tuple(problems), () if problems else (f"{len(made)} simulated again: {same}",)
+    if not differing:
+        report.notes.append(f"{len(made)} simulated again: {same}")
 
 
 def _version(engine: str) -> str | None:

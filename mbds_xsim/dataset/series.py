@@ -1,18 +1,115 @@
-"""A dataset of trajectories over all files of a data set, as numpy has arrays."""
+"""Datasets over all files of a data set, as numpy has arrays, and windows of their frames."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+import math
+import mmap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.mapped import Part
+from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
+from mbds_xsim.errors import InputError
 
-__all__ = ["Series"]
+__all__ = ["MappedFile", "Series", "Windows"]
+
+_OPEN = 256  # files that are mapped at a time
+
+Stamp = tuple[int, int, int]
+"""Of a file: its number in the file system, its size, and when it was changed."""
+
+
+@dataclass(frozen=True)
+class MappedFile:
+    """A file with some of the trajectories of a data set."""
+
+    path: Path
+    rows: int
+    stamp: Stamp
+    """Of the file when it was opened: what is there later may be another."""
+
+    @staticmethod
+    def of(path: Path, rows: int) -> MappedFile:
+        """Note what a file is now."""
+        refuse_other(path)
+        return MappedFile(path, rows, _stamp(path))
+
+    def values(self, name: str, like: NDArray[Any]) -> NDArray[Any]:
+        """Map a dataset, or read it where it cannot be mapped; it cannot be written to.
+
+        Args:
+            name: Of the dataset.
+            like: An array of its type, and of its shape but for the number of rows.
+
+        Raises:
+            InputError: It is another than expected, or the file was changed.
+        """
+        values = _values(self, name)
+        wanted = (self.rows, *like.shape[1:])
+        if (values.shape, values.dtype) != (wanted, like.dtype):
+            msg = (
+                f"{self.path}: {name} is {values.dtype} of shape {values.shape}, expected is "
+                f"{like.dtype} of {wanted}; get it again, or generate it anew"
+            )
+            raise InputError(msg)
+        return values
+
+
+@functools.lru_cache(maxsize=2 * _OPEN)
+def _values(part: MappedFile, name: str) -> NDArray[Any]:
+    with open_hdf5(part.path) as file:
+        if _stamp(part.path) != part.stamp:
+            msg = f"{part.path} was changed since the data set was opened; open it again"
+            raise InputError(msg)
+        dataset = file.get(name)
+        if not isinstance(dataset, h5py.Dataset):
+            msg = f"{part.path} has no dataset {name!r}"
+            raise InputError(msg)
+        offset = _offset(dataset, part.stamp)
+        if offset is None:
+            values = values_of(dataset)
+            values.flags.writeable = False
+            return values
+        shape, dtype = dataset.shape, dataset.dtype
+    return np.frombuffer(_bytes_of(part), dtype, math.prod(shape), offset).reshape(shape)
+
+
+def _offset(dataset: Any, stamp: Stamp) -> int | None:
+    """Where values are in a file as one run of bytes that numpy has alike; None: they are not.
+
+    Every layout of HDF5 but the contiguous one keeps values in another form or place: chunks, which
+    alone may have filters, the header (compact), other files (external, virtual). A type may also
+    be stored as no type of numpy.
+    """
+    creation = dataset.id.get_create_plist()
+    contiguous = creation.get_layout() == h5py.h5d.CONTIGUOUS
+    if not contiguous or creation.get_nfilters() or creation.get_external_count():
+        return None
+    if not dataset.dtype.isnative or not dataset.id.get_type().equal(
+        h5py.h5t.py_create(dataset.dtype, logical=True)
+    ):
+        return None
+    offset: int | None = dataset.id.get_offset()  # None: nothing was ever written
+    size = math.prod(dataset.shape) * dataset.dtype.itemsize
+    inside = offset is not None and size and offset + size <= stamp[1]
+    return offset if inside else None
+
+
+@functools.lru_cache(maxsize=_OPEN)
+def _bytes_of(part: MappedFile) -> mmap.mmap:
+    with part.path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _stamp(path: Path) -> Stamp:
+    found = path.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -23,7 +120,7 @@ class Series:
     `series[mask]`. One trajectory is mapped, and cannot be written to; several are read.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[MappedFile, ...]
     name: str
     like: NDArray[Any]
     """An array of its type and shape without a trajectory."""
@@ -101,3 +198,77 @@ class Series:
             here = shard == k
             found[here] = self.shard(int(k))[rows[here] - self.first[k]]
         return found
+
+
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """All windows of some trajectories, numbered trajectory by trajectory.
+
+    It is what torch calls a map-style dataset: `len`, `windows[k]`, and `__getitems__`, by which
+    `torch.utils.data.DataLoader` fetches a batch at once. `take` is the quickest way.
+    """
+
+    series: tuple[Series, ...]
+    rows: Indices
+    """Trajectories that the windows come from."""
+    length: int
+    """Frames of a window."""
+
+    def __post_init__(self) -> None:
+        frames = self.series[0].shape[1]
+        if not 1 <= self.length <= frames:
+            msg = f"length: got {self.length}, allowed is 1 to {frames} frames"
+            raise InputError(msg)
+
+    @property
+    def per_trajectory(self) -> int:
+        """Windows of one trajectory."""
+        return self.series[0].shape[1] - self.length + 1
+
+    def __len__(self) -> int:
+        return len(self.rows) * self.per_trajectory
+
+    def where(self, numbers: Indices) -> tuple[Indices, Indices]:
+        """Row of the trajectory and first frame of each window."""
+        return self.rows[numbers // self.per_trajectory], numbers % self.per_trajectory
+
+    def take(self, numbers: Indices | Sequence[int]) -> tuple[NDArray[Any], ...]:
+        """Read windows, one array a dataset, of shape (window, frame, …).
+
+        Raises:
+            IndexError: A number is not one of `len(windows)`.
+        """
+        numbers = np.asarray(numbers, dtype=np.int64)
+        wrong = numbers[(numbers < 0) | (numbers >= len(self))]
+        if len(wrong):
+            msg = f"window {wrong[0]} of {len(self)}"
+            raise IndexError(msg)
+        row, frame = self.where(numbers)
+        shard = np.searchsorted(self.series[0].first, row, side="right") - 1
+        return tuple(self._gather(series, shard, row, frame) for series in self.series)
+
+    def __getitem__(self, number: int) -> tuple[NDArray[Any], ...]:
+        """Read one window, one array a dataset, of shape (frame, …)."""
+        number = range(len(self))[number]
+        return tuple(values[0] for values in self.take([number]))
+
+    def __getitems__(self, numbers: Sequence[int]) -> list[tuple[NDArray[Any], ...]]:
+        """Read several windows at once."""
+        return list(zip(*self.take(numbers), strict=True))
+
+    def _gather(self, series: Series, shard: Indices, row: Indices, frame: Indices) -> NDArray[Any]:
+        shape = (len(row), self.length, *series.shape[2:])
+        found = np.empty(shape, series.shard(0).dtype)
+        for k in np.unique(shard):
+            here = np.flatnonzero(shard == k)
+            first = (row[here] - series.first[k]) * series.shape[1] + frame[here]
+            frames = series.shard(int(k)).reshape(-1, *series.shape[2:])
+            found[here] = frames[first[:, None] + self._steps]
+        return found
+
+    @functools.cached_property
+    def _steps(self) -> Indices:
+        return np.arange(self.length)

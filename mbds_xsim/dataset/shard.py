@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mbds_xsim import isolate
 from mbds_xsim.campaign import reference_of
 from mbds_xsim.dataset.audit_sample import limit_faults, sampled
-from mbds_xsim.dataset.content import Datasets, encode
-from mbds_xsim.dataset.durable import put
+from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.gate import SHARED, Making, Verdict, judge_rows
-from mbds_xsim.dataset.layout import CHECKS, known_names
+from mbds_xsim.dataset.hdf5 import Datasets, encode
+from mbds_xsim.dataset.layout import CHECKS, FIELDS
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.engine import Readback
@@ -28,7 +28,7 @@ from mbds_xsim.readback import compare
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import Wind
 from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.state import STATES, Batch, Failure, Trajectory
 
 __all__ = [
     "LOG",
@@ -132,7 +132,7 @@ def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajec
     if not runs:
         return _with_failures(whole, batch, crashes, {}), []
     done = simulate(scene, batch[runs], contender.engine, contender.settings)
-    for key in ("position", "orientation", "velocity", "angular_velocity"):
+    for key in STATES:
         getattr(whole, key)[runs] = getattr(done.trajectory, key)
     own = dict(zip(runs, done.trajectory.failures, strict=True))
     whole = _with_failures(whole, batch, crashes, own)
@@ -189,7 +189,7 @@ def _datasets(
         "check/frame": verdict.frame,
         **points.graph(),
     }
-    for key in ("position", "orientation", "velocity", "angular_velocity"):
+    for key in STATES:
         found[f"body/{key}"] = getattr(trajectory, key)
         found[f"start/{key}"] = getattr(batch, key)
     if _has_known_force(variant):
@@ -205,9 +205,8 @@ def _has_known_force(variant: Variant) -> bool:
 
 def _rows(datasets: Datasets, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Some of the trajectories, with what belongs to all."""
-    fields = known_names()
     return {
-        name: values[rows] if fields[name].per_trajectory and not rows.all() else values
+        name: values[rows] if FIELDS[name].per_trajectory and not rows.all() else values
         for name, values in datasets.items()
     }
 

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.found import joined_files
 from mbds_xsim.dataset.join import cause_of, causes
-from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.dataset.split import NAMES
+from mbds_xsim.dataset.layout import SPLITS
+from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.sampling_terms import INTERVALS
 
 __all__ = ["Range", "Summary", "counts_of", "rejected_beside", "summaries", "summary_of"]
@@ -128,7 +127,7 @@ def counts_of(data: Dataset) -> dict[str, dict[str, int]]:
     parts: dict[str, NDArray[Any]] = (
         {"all": np.ones(len(data), dtype=bool)}
         if split is None
-        else {name: split == k for k, name in enumerate(NAMES)}
+        else {name: split == k for k, name in enumerate(SPLITS)}
     )
     return {
         part: {name: int((chosen & (interval == k)).sum()) for k, name in enumerate(INTERVALS)}

@@ -1,4 +1,4 @@
-"""What a set of trajectories is made by, and the shards that it comes in."""
+"""What a set of trajectories is made by, the shards it comes in, and which are to be made."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from typing import Any
 
 from mbds_xsim.choice import Contender
 from mbds_xsim.dataset.audit_sample import AUDIT_SAMPLE
-from mbds_xsim.dataset.layout import FORMAT, SUFFIX, VERSION
+from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.engine import Method
+from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_adapter, package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 
-__all__ = ["Item", "Variant", "folder_name"]
+__all__ = ["Item", "Variant", "check_same_draws", "folder_name", "pending"]
 
 _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300
@@ -121,3 +123,72 @@ class Variant:
 def folder_name(scene_name: str) -> str:
     """Give a name that is safe for a folder."""
     return re.sub(r"[^\w.-]", "_", scene_name).lstrip(".") or "_"
+
+
+def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
+    """Shards that are not there yet.
+
+    Raises:
+        InputError: The folder holds something else than the beginning of this data.
+    """
+    folder = variant.folder(out)
+    items = list(variant.items(trajectories))
+    there = {path.name for path in folder.glob(f"*{SUFFIX}")}
+    beyond = sorted(there - {item.file_name for item in items})
+    if beyond:
+        msg = (
+            f"{folder} holds {beyond[0]}, which {trajectories} trajectories do not have; ask for "
+            "as many as before, or name another --out"
+        )
+        raise InputError(msg)
+    return [
+        item
+        for item in items
+        if item.file_name not in there or not _is_complete(variant, item, folder)
+    ]
+
+
+def check_same_draws(variant: Variant, out: Path) -> None:
+    """Raise InputError where another variant in the folder has other starts."""
+    folder = variant.folder(out).parent
+    others = {path.parent: path for path in folder.glob(f"*/*{SUFFIX}")}
+    for path in others.values():
+        found = _attributes(path)
+        for key in SHARED:
+            if found.get(key) != variant.recipe[key]:
+                msg = (
+                    f"{folder} holds trajectories that cannot be paired with those asked for: "
+                    f"{_difference(key, found.get(key), variant.recipe[key])}; name another --out"
+                )
+                raise InputError(msg)
+
+
+def _is_complete(variant: Variant, item: Item, folder: Path) -> bool:
+    """Whether a file is this shard; a shorter one, of a smaller set, is made anew."""
+    path = folder / item.file_name
+    found = _attributes(path)
+    for key, wanted in variant.recipe.items():
+        if found.get(key) != wanted:
+            msg = (
+                f"{path} was made otherwise: {_difference(key, found.get(key), wanted)}; name "
+                "another --out"
+            )
+            raise InputError(msg)
+    if found.get("count", 0) > item.count:
+        msg = f"{path} holds more trajectories than asked for; ask for as many as before"
+        raise InputError(msg)
+    return bool(found["count"] == item.count)
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    try:
+        return attributes_of(path)
+    except InputError as error:
+        msg = f"{error}; delete it to have it made anew, or name another --out"
+        raise InputError(msg) from error
+
+
+def _difference(key: str, got: Any, wanted: Any) -> str:
+    if isinstance(wanted, str) and "\n" in wanted:
+        return f"its {key} differs from the one given"
+    return f"its {key} is {got!r}, now asked for is {wanted!r}"

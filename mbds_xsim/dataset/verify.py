@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mbds_xsim.campaign import ProgressSink
-from mbds_xsim.dataset.card import CARD, CROISSANT
-from mbds_xsim.dataset.facts import attributes_of
-from mbds_xsim.dataset.layout import SUFFIX
-from mbds_xsim.dataset.opened import refuse_other
+from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
+from mbds_xsim.dataset.hdf5 import CONTENT, check_content, open_hdf5, refuse_other, values_of
+from mbds_xsim.dataset.join import JOINT, valid_numbers
+from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX, split_of
+from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
-from mbds_xsim.dataset.redescribe import described, recheck_card, recheck_metadata
-from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import LIMIT, Crash, Task, run_tasks
+from mbds_xsim.registry import package_version
 from mbds_xsim.silence import Silent
 
-__all__ = ["Verified", "verify"]
+__all__ = ["Verified", "recheck", "verify"]
 
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
+_FILES = "distribution"  # entry of the metadata that lists files
 _AGAIN = 3  # trajectories of a shard that are simulated again
 _SHARDS_AGAIN = 3  # shards of a variant of which some are
+_OWN = ("kind", "first", "count", "published", "rejected", CONTENT)
+"""Attributes that a joined file does not share with its shards."""
 
 
 @dataclass(frozen=True)
@@ -78,35 +82,42 @@ def verify(
     files = _files(path)
     kinds = {file: _kind(file) for file in files}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
+    joined = [file for file, kind in kinds.items() if kind == "joined"]
     seed = secrets.randbits(32) if seed is None else seed
     again = _resimulated(shards, seed)
-    tasks = [_task(file, kinds[file], again, seed, limit) for file in files]
+    tasks = [
+        Task(recheck, (file.resolve(), kind, _AGAIN if file in again else 0, seed), limit)
+        for file, kind in kinds.items()
+    ]
     progress.begin(len(tasks))
     answers = run_tasks(
         tasks, workers=workers, finished=lambda place, _: progress.advance(files[place].name)
     )
-    reports = [
-        FileReport(str(file), kinds[file], 0, (f"cannot be read: {answer.reason}",))
+    reports = tuple(
+        FileReport(str(file), kinds[file], problems=[f"cannot be read: {answer.reason}"])
         if isinstance(answer, Crash)
         else answer
         for file, answer in zip(files, answers, strict=True)
-    ]
-    joined = [file for file, kind in kinds.items() if kind == "joined"]
+    )
     loose = _loose(shards, joined) if path.is_dir() else set()
-    reports = [_with_loose(report, loose) for report in reports]
+    for report in reports:
+        if report.file in loose:
+            note = "not joined yet: run mbds-xsim generate again to finish the set"
+            report.notes.append(note)
     about = tuple(_about(file) for file in joined or shards[:1])
-    return Verified(str(path), tuple(reports), about, time.perf_counter() - begin, seed)
+    return Verified(str(path), reports, about, time.perf_counter() - begin, seed)
 
 
 def _files(path: Path) -> list[Path]:
     """Give the files to look at: all of a folder, or one and what it joins."""
     if path.is_dir():
-        found = sorted(path.rglob(f"*{SUFFIX}"))
-        if not found:
+        files = sorted(path.rglob(f"*{SUFFIX}"))
+        if not files:
             msg = f"{path} holds no {SUFFIX} file; name a folder that mbds-xsim generate has made"
             raise InputError(msg)
-        joined = [file for file in found if _kind(file) == "joined"]
-        return [*found, *described(joined)]
+        folders = dict.fromkeys(file.parent for file in files if _kind(file) == "joined")
+        texts = (folder / name for folder in folders for name in _TEXTS)
+        return [*files, *(text for text in texts if text.is_file())]
     refuse_other(path)
     if _kind(path) != "joined":
         return [path]
@@ -127,25 +138,12 @@ def _kind(path: Path) -> str:
 
 def _resimulated(shards: list[Path], seed: int) -> set[Path]:
     """Of each variant some shards, drawn at random."""
-    rng, found = np.random.default_rng(seed), set[Path]()
+    rng, drawn = np.random.default_rng(seed), set[Path]()
     for folder in dict.fromkeys(shard.parent for shard in shards):
         own = [shard for shard in shards if shard.parent == folder]
         chosen = rng.choice(len(own), min(_SHARDS_AGAIN, len(own)), replace=False)
-        found |= {own[k] for k in chosen}
-    return found
-
-
-def _task(file: Path, kind: str, again: set[Path], seed: int, limit: float) -> Task:
-    others: dict[str, Callable[[Path], FileReport]] = {
-        "joined": recheck_joined,
-        "joint": recheck_joint,
-        "card": recheck_card,
-        "metadata": recheck_metadata,
-    }
-    path = file.resolve()
-    if kind in others:
-        return Task(others[kind], (path,), limit)
-    return Task(reaudit, (path, _AGAIN if file in again else 0, seed), limit)
+        drawn |= {own[k] for k in chosen}
+    return drawn
 
 
 def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
@@ -159,17 +157,206 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
     return {str(shard.resolve()) for shard in shards if shard.resolve() not in named}
 
 
-def _with_loose(report: FileReport, loose: set[str]) -> FileReport:
-    if report.file not in loose:
-        return report
-    note = "not joined yet: run mbds-xsim generate again to finish the set"
-    return replace(report, notes=(*report.notes, note))
-
-
 def _about(file: Path) -> dict[str, Any]:
     keys = (
         "scene_name", "engine", "engine_version", "profile", "certification", "method", "step_s",
         "seed", "noise", "count", "published", "rejected", "audit_sample", "mbds_xsim_version",
     )  # fmt: skip
-    told = attributes_of(file)
-    return {"file": str(file), **{key: told.get(key) for key in keys}}
+    attributes = attributes_of(file)
+    return {"file": str(file), **{key: attributes.get(key) for key in keys}}
+
+
+def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:
+    """Check one file.
+
+    Args:
+        path: The file.
+        kind: What it says it is: "joined", "joint", "card", "metadata"; others hold trajectories.
+        resimulated: How many trajectories are simulated again, if the engine is here.
+        seed: Chooses which.
+    """
+    report = FileReport(str(path), kind if kind in _CHECKS else "unknown")
+    is_text = kind in _TEXTS.values()
+    try:
+        wrong = None if is_text else check_content(path)
+        if wrong is not None:
+            report.problems.append(f"checksum: {wrong}")
+        elif kind in _CHECKS:
+            _CHECKS[kind](path, report)
+        else:
+            reaudit(path, report, resimulated, seed)
+    except (InputError, OSError, KeyError, ValueError, RuntimeError) as error:
+        problem = f"cannot be {'compared' if is_text else 'read'}: {error}"
+        return FileReport(report.file, report.kind, problems=[problem])
+    return report
+
+
+def _recheck_joined(path: Path, report: FileReport) -> None:
+    """Check a file that joins the shards of a variant; the shards themselves are not looked at."""
+    attributes = attributes_of(path)
+    with open_hdf5(path) as file:
+        index, split = file["index"][()], file["split"][()]
+        report.problems += [*_shards(path, file, attributes), *_virtual(file)]
+    if not np.array_equal(split, split_of(index, attributes["count"])):
+        report.problems.append("split: not the one of the index")
+    report.problems += _rejected(path, index, attributes["count"])
+    counts = zip(SPLITS, np.bincount(split, minlength=len(SPLITS)), strict=True)
+    report.notes.append(", ".join(f"{name} {count}" for name, count in counts))
+    report.trajectories = len(index)
+
+
+def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
+    """Its shards must be there, be the ones that were joined, and make up its index."""
+    parts = []
+    names, rows = values_of(file["shard/file"]), file["shard/rows"][()]
+    for name, count, content in zip(names, rows, values_of(file["shard/content"]), strict=True):
+        part = path.parent / name
+        if not part.is_file():
+            yield f"shard {name} is missing"
+            continue
+        other = attributes_of(part)
+        if other.get(CONTENT) != content:
+            yield f"shard {name} is not the one that was joined"
+        differing = [k for k in attributes if k not in _OWN and other.get(k) != attributes[k]]
+        if differing:
+            yield f"shard {name} was made otherwise: {', '.join(differing)}"
+        with open_hdf5(part) as shard:
+            parts.append(shard["index"][()])
+        if len(parts[-1]) != count:
+            yield f"shard {name} has {len(parts[-1])} trajectories, not {count}"
+    index, drawn = file["index"][()], attributes["count"]
+    if not parts or not np.array_equal(np.concatenate(parts), index):
+        yield "index: not that of the shards"
+    published = attributes["published"]
+    if published != len(index) or published + attributes["rejected"] != drawn:
+        yield "counts: published and rejected do not make up count"
+
+
+def _rejected(path: Path, index: Any, drawn: int) -> Iterator[str]:
+    """What is published and what is rejected must make up what was drawn, each once."""
+    folder = path.parents[1] / "rejected" / path.parent.name / path.stem
+    if not folder.is_dir():
+        return
+    parts = [index]
+    for part in sorted(folder.glob(f"*{SUFFIX}")):
+        with open_hdf5(part) as file:
+            parts.append(file["index"][()])
+    if not np.array_equal(np.sort(np.concatenate(parts)), np.arange(drawn)):
+        yield f"published and rejected trajectories do not make up 0 to {drawn - 1}"
+
+
+def _virtual(file: Any) -> Iterator[str]:
+    """Every dataset must take its rows from the shards, in order."""
+    names, rows = values_of(file["shard/file"]), file["shard/rows"][()]
+    ends = np.cumsum(rows)
+    wanted = [
+        (name, int(end - count), int(end) - 1)
+        for name, count, end in zip(names, rows, ends, strict=True)
+        if count
+    ]
+    for field in FIELDS.values():
+        if not field.per_trajectory or field.name in ("index", "split") or field.name not in file:
+            continue
+        dataset = file[field.name]
+        if not dataset.is_virtual or len(dataset) != ends[-1]:
+            yield f"{field.name}: does not join the shards"
+        elif dataset.dtype != np.dtype(field.dtype):
+            yield f"{field.name}: has the type {dataset.dtype}, not {field.dtype}"
+        elif 0 not in dataset.shape and _sources(dataset) != wanted:
+            yield f"{field.name}: takes its rows from elsewhere than the shards"
+
+
+def _sources(dataset: Any) -> list[tuple[str, int, int]]:
+    """File, first and last row of each source; empty where one is not a whole dataset."""
+    sources = []
+    for source in dataset.virtual_sources():
+        low, high = source.vspace.get_select_bounds()
+        whole = (*low[1:], *high[1:]) == (
+            *(0,) * (dataset.ndim - 1),
+            *(n - 1 for n in dataset.shape[1:]),
+        )
+        if not whole or f"/{source.dset_name}".replace("//", "/") != dataset.name:
+            return []
+        sources.append((source.file_name, low[0], high[0]))
+    return sources
+
+
+def _recheck_joint(path: Path, report: FileReport) -> None:
+    """Check which trajectories are said to be valid in all variants beside a file."""
+    with open_hdf5(path) as file:
+        valid, names = file["valid"][()], values_of(file["variant"]).tolist()
+        in_all = file["valid_in_all"][()]
+    beside = sorted(p for p in path.parent.glob(f"*{SUFFIX}") if p.name != JOINT)
+    there = [other.stem for other in beside]
+    if there != names:
+        what = f"is about {', '.join(names)}; beside it are {', '.join(there)}"
+        report.problems.append(what)
+    else:
+        report.problems += [
+            f"valid: not what {other.name} holds"
+            for other, stored in zip(beside, valid, strict=True)
+            if not np.array_equal(valid_numbers(other)[: len(stored)], stored)
+        ]
+    if not np.array_equal(in_all, valid.all(axis=0)):
+        report.problems.append("valid_in_all: not what the variants have in common")
+    report.trajectories = int(in_all.sum())
+
+
+def _recheck_card(path: Path, report: FileReport) -> None:
+    """Find each line that the data give, in order; a publisher may have added others."""
+    wanted = descriptions(path.parent)
+    differing = [
+        f"does not say what the data give, first line {number}: {line[:100]!r}"
+        for number, line in missing_lines(path.read_bytes().decode(), wanted[CARD].decode())
+    ]
+    _tell_differing(report, differing, wanted)
+
+
+def _recheck_metadata(path: Path, report: FileReport) -> None:
+    """Find each entry that the data give; a publisher may have added others beside them."""
+    metadata, wanted = json.loads(path.read_bytes()), descriptions(path.parent)
+    if not isinstance(metadata, dict):
+        report.problems.append("is no Croissant metadata")
+        return
+    differing = [*_differing_entries(metadata, json.loads(wanted[CROISSANT]))]
+    _tell_differing(report, differing, wanted)
+
+
+def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, bytes]) -> None:
+    """Tell what differs; another version may word it otherwise, but not the files' checksums."""
+    here = f"mbds-xsim {package_version('mbds-xsim')}"
+    if differing and here not in wanted[CARD].decode():
+        differing = [each for each in differing if each.startswith(_FILES)]
+        note = f"{report.kind}: words not compared, for the data are not of {here}, which is here"
+        report.notes.append(note)
+    report.problems += differing
+
+
+def _differing_entries(metadata: dict[str, Any], wanted: dict[str, Any]) -> Iterator[str]:
+    for key, value in wanted.items():
+        if key not in metadata:
+            yield f"{key} is missing"
+        elif key == _FILES and isinstance(metadata[key], list):
+            yield from _differing_files(metadata[key], value)
+        elif metadata[key] != value:
+            yield f"{key}: not what the data give"
+
+
+def _differing_files(listed: list[Any], wanted: list[dict[str, Any]]) -> Iterator[str]:
+    """Hold names, sizes and checksums of the files against the files."""
+    for node in wanted:
+        same = [one for one in listed if isinstance(one, dict) and one.get("@id") == node["@id"]]
+        if same == [node]:
+            continue
+        what = ", ".join(key for key in node if not same or same[0].get(key) != node[key])
+        yield f"{_FILES}: {node['@id']}: {what}: not what the data give"
+    if len(listed) != len(wanted):
+        yield f"{_FILES}: lists {len(listed)} files, here are {len(wanted)}"
+
+
+_CHECKS: dict[str, Callable[[Path, FileReport], None]] = {
+    "joined": _recheck_joined,
+    "joint": _recheck_joint,
+    "card": _recheck_card,
+    "metadata": _recheck_metadata,
+}

@@ -19,8 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mbds_xsim.dataset.found import joined_files
-from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.sampling_terms import INTERVALS

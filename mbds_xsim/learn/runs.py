@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import torch
 
-from mbds_xsim.dataset.content import CONTENT
+from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve

@@ -14,12 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim.choice import Choice
-from mbds_xsim.dataset import streams
+from mbds_xsim.dataset import foreign
 from mbds_xsim.dataset.audit import Audited, Told, audit_file
 from mbds_xsim.dataset.columns import groups
-from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.dataset.recover import recover
 from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
@@ -325,7 +324,7 @@ def test_pieces_of_a_file_are_as_the_whole(
         (np.savez_compressed if form == "compressed" else np.savez)(path, **arrays)
     at_once = audit_file(path, scene, told)
     # Of fewer trajectories than are compared with the reference.
-    monkeypatch.setattr(streams, "_AT_ONCE", 2 * 11)
+    monkeypatch.setattr(foreign, "_AT_ONCE", 2 * 11)
     pieces = audit_file(path, scene, told)
     assert [len(finding.figures) for finding in pieces.findings] == [
         len(finding.figures) for finding in at_once.findings
@@ -351,7 +350,7 @@ def test_a_bad_trajectory_is_found_in_any_piece(
         arrays["time"] = file["time"][()]
     arrays["body/position"][57, 4] += 0.01
     np.savez(tmp_path / "it.npz", **arrays)
-    monkeypatch.setattr(streams, "_AT_ONCE", 7 * 11)
+    monkeypatch.setattr(foreign, "_AT_ONCE", 7 * 11)
     told = Told(index=tuple(range(600, 700)), seed=0)
     found = audit_file(tmp_path / "it.npz", rod, told)
     assert found.verdict == "fail"

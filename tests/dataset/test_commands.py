@@ -95,7 +95,7 @@ def test_a_set_goes_out_and_is_audited(made: Ended, folder: Path) -> None:
     file.write_text("\n".join([*lines[:-1], ",".join(cells)]))
     ended = _run(folder, "audit", str(file), "--scene", "rod.toml")
     assert ended.returncode == 1
-    assert "✗ gap: " in ended.stdout
+    assert "out of budget on 1 trajectory of 1pendulum: gap, " in ended.stdout
 
 
 def test_inspect_tells_and_draws(made: Ended, folder: Path) -> None:

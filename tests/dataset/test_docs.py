@@ -18,7 +18,7 @@ BEGIN, END = "<!-- fields -->\n", "<!-- end of fields -->"
 def _tree() -> str:
     """The annotated tree: python tests/dataset/test_docs.py writes it into the page."""
     lines, group = [], ""
-    for field in FIELDS:
+    for field in FIELDS.values():
         head, _, name = field.name.rpartition("/")
         if head and head != group:
             lines.append(f"{head}/")

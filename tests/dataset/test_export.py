@@ -11,10 +11,8 @@ import pytest
 from mbds_xsim.dataset.audit import Told, audit_file
 from mbds_xsim.dataset.export import LOST, Form, export
 from mbds_xsim.dataset.foreign import read_foreign
-from mbds_xsim.dataset.held import Held
-from mbds_xsim.dataset.layout import known_names
-from mbds_xsim.dataset.numbers import parse_numbers
-from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.layout import FIELDS
+from mbds_xsim.dataset.read import Dataset, load_dataset, parse_numbers
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene_file import read_scene
 
@@ -61,8 +59,8 @@ def test_what_is_not_carried_is_said(whole: Path, data: Dataset, tmp_path: Path)
     folder = _exported(whole, tmp_path, "npz", [0])
     there = set(np.load(folder / "0000000000.npz").files)
     lost = " ".join(LOST["npz"])
-    missing = set(Held.read(data.files[0]).arrays) - there
-    assert missing == {name for name in known_names() if name.startswith(("check/", "start/"))}
+    missing = set(load_dataset(data.files[0])) - there
+    assert missing == {name for name in FIELDS if name.startswith(("check/", "start/"))}
     assert all(f"({name.split('/')[0]}/…" in lost for name in missing)
     readme = (folder / "README.md").read_text()
     assert all(line in readme for line in LOST["npz"])

@@ -18,9 +18,9 @@ from typing import Any
 import h5py
 import pytest
 
-from mbds_xsim.dataset import disk, durable, shard
-from mbds_xsim.dataset.content import check_content
-from mbds_xsim.dataset.lock import locked
+from mbds_xsim.dataset import files, shard
+from mbds_xsim.dataset.files import locked
+from mbds_xsim.dataset.hdf5 import check_content
 from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
@@ -59,10 +59,10 @@ def _die_at(call: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
         return counted
 
-    write = disk.write_through
-    monkeypatch.setattr(durable, "write_through", count(write))
+    write = files._write
+    monkeypatch.setattr(files, "_write", count(write))
     monkeypatch.setattr(os, "replace", count(os.replace))
-    monkeypatch.setattr(durable, "_flush_folder", count(durable._flush_folder))
+    monkeypatch.setattr(files, "_flush_folder", count(files._flush_folder))
     monkeypatch.setattr(shard, "_log", count(shard._log))
 
 

@@ -14,8 +14,7 @@ from mbds_xsim import cost
 from mbds_xsim.checks import audit
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import audit_sample, shard
-from mbds_xsim.dataset.layout import CHECKS
-from mbds_xsim.dataset.split import split_of
+from mbds_xsim.dataset.layout import CHECKS, split_of
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError

@@ -13,8 +13,8 @@ import pytest
 import mbds_xsim
 from mbds_xsim.dataset.audit import Told, audit_file
 from mbds_xsim.dataset.export import export
-from mbds_xsim.dataset.reaudit import reaudit
 from mbds_xsim.dataset.summary import summaries
+from mbds_xsim.dataset.verify import recheck
 from mbds_xsim.errors import InputError
 
 from .conftest import Make
@@ -71,7 +71,7 @@ def test_every_layout_has_the_same_numbers(
         data.windows(6).take(numbers), was.windows(6).take(numbers), strict=True
     ):
         assert np.array_equal(got, wanted)
-    assert reaudit(copy / SHARD, 0).problems == ()
+    assert recheck(copy / SHARD, "shard").problems == []
     for read in _readers(copy / SHARD, tmp_path / "out").values():
         read()
 
@@ -83,7 +83,7 @@ def test_values_in_other_files_are_refused(name: str, copy: Path, tmp_path: Path
     for read in _readers(copy / SHARD, tmp_path / "out").values():
         with pytest.raises(InputError, match="another file; put"):
             read()
-    assert "another file" in reaudit(copy / SHARD, 0).problems[0]
+    assert "another file" in recheck(copy / SHARD, "shard").problems[0]
     with pytest.raises(InputError, match="another file; put"):
         np.asarray(mbds_xsim.load_dataset(copy / FILE).position)
 
@@ -94,7 +94,7 @@ def test_other_types_are_refused(name: str, copy: Path, tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"layout: time has the type .*, not <f8"):
         mbds_xsim.load_dataset(copy / SHARD)
-    assert reaudit(copy / SHARD, 0).problems
+    assert recheck(copy / SHARD, "shard").problems
     with pytest.raises(InputError, match=r"0\.h5: position is .*, expected is float32"):
         mbds_xsim.load_dataset(copy / FILE).position[0]
 

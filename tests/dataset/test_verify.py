@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import shutil
@@ -14,24 +13,21 @@ import h5py
 import numpy as np
 import pytest
 
-from mbds_xsim.dataset.content import CONTENT, encode
 from mbds_xsim.dataset.gate import judge_rows
-from mbds_xsim.dataset.held import Held
+from mbds_xsim.dataset.hdf5 import CONTENT, encode
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.dataset.reaudit import reaudit
-from mbds_xsim.dataset.redescribe import recheck_card, recheck_metadata
-from mbds_xsim.dataset.rejoin import recheck_joined, recheck_joint
-from mbds_xsim.dataset.verify import Verified, verify
+from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.reaudit import making_of
+from mbds_xsim.dataset.verify import Verified, recheck, verify
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch
+from mbds_xsim.state import STATES, Batch
 
 from .conftest import Make
 
-STATES = ("position", "orientation", "velocity", "angular_velocity")
 TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
 SHARD = "1pendulum/mujoco-matched/0000000000.h5"
 FILE = "1pendulum/mujoco-matched.h5"
@@ -107,9 +103,9 @@ def test_rejected_ones_are_checked_too(
 
 def _rewrite(path: Path, change: Change) -> None:
     """Change a shard, and make its checksums fit."""
-    held = Held.read(path)
-    attributes = {key: value for key, value in held.attributes.items() if key != CONTENT}
-    arrays = {name: values.copy() for name, values in held.arrays.items()}
+    data = load_dataset(path)
+    attributes = {key: value for key, value in data.attributes.items() if key != CONTENT}
+    arrays = {name: np.array(values) for name, values in data.items()}
     change(arrays, attributes)
     path.write_bytes(encode(arrays, attributes))
 
@@ -180,7 +176,7 @@ def test_a_change_with_fitting_checksums_is_found(change: Change, says: str, cop
     import re
 
     _rewrite(copy / SHARD, change)
-    found = reaudit(copy / SHARD, 3).problems
+    found = recheck(copy / SHARD, "shard", 3).problems
     assert any(re.match(says, problem) for problem in found), found
 
 
@@ -203,16 +199,17 @@ def _turned(arrays: dict[str, Any]) -> None:
 
 def _forge(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     """Change states, and make points, figures and checksums fit."""
-    held = Held.read(path)
-    arrays = {name: values.copy() for name, values in held.arrays.items()}
-    change(arrays)
-    forged = dataclasses.replace(held, arrays=arrays)
-    points = Points.of(held.scene).motion(forged.trajectory)
-    arrays["position"], arrays["velocity"] = points
-    verdict = judge_rows(held.scene, forged.batch, forged.trajectory, held.making)
-    arrays["check/figure"], arrays["check/allowed"] = verdict.figure, verdict.allowed
-    told = {key: value for key, value in held.attributes.items() if key != CONTENT}
-    path.write_bytes(encode(arrays, told))
+    _rewrite(path, lambda arrays, _: change(arrays))
+    forged = load_dataset(path)
+    batch, trajectory = forged.batch(), forged.trajectory()
+    verdict = judge_rows(forged.scene, batch, trajectory, making_of(forged))
+
+    def fit(arrays: dict[str, Any], attributes: dict[str, Any]) -> None:
+        del attributes
+        arrays["position"], arrays["velocity"] = Points.of(forged.scene).motion(trajectory)
+        arrays["check/figure"], arrays["check/allowed"] = verdict.figure, verdict.allowed
+
+    _rewrite(path, fit)
 
 
 _SINGLE = "published trajectory 0 fails: .*precision: .*rounded to 24 significant bits"
@@ -234,9 +231,9 @@ def test_forged_states_with_fitting_figures_are_found(
     import re
 
     _forge(copy / SHARD, change)
-    found = reaudit(copy / SHARD, 0).problems
+    found = recheck(copy / SHARD, "shard").problems
     assert any(re.match(alone, problem) for problem in found) if alone else not found, found
-    more = [each for each in reaudit(copy / SHARD, 3).problems if each not in found]
+    more = [each for each in recheck(copy / SHARD, "shard", 3).problems if each not in found]
     assert any(re.search(again, problem) for problem in more), more
 
 
@@ -268,20 +265,20 @@ def test_a_pipe_is_refused_not_waited_for(tmp_path: Path) -> None:
 
 def test_an_engine_that_is_not_here_is_told(copy: Path) -> None:
     _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
-    report = reaudit(copy / SHARD, 3)
-    assert report.problems == ()
+    report = recheck(copy / SHARD, "shard", 3)
+    assert report.problems == []
     assert report.notes[0].startswith("not simulated again: mujoco 0.1 is not here, but ")
 
 
 def test_a_shard_that_was_exchanged_is_found(copy: Path) -> None:
     _rewrite(copy / SHARD, _tell("engine_version", "0.1"))
-    problems = recheck_joined(copy / FILE).problems
+    problems = recheck(copy / FILE, "joined").problems
     assert f"shard {SHARD.removeprefix('1pendulum/')} is not the one that was joined" in problems
 
 
 def test_a_variant_that_was_taken_away_is_found(copy: Path) -> None:
     shutil.copy(copy / FILE, copy / "1pendulum/dart-matched.h5")
-    (problem,) = recheck_joint(copy / JOINT).problems
+    (problem,) = recheck(copy / JOINT, "joint").problems
     assert problem == "is about mujoco-matched; beside it are dart-matched, mujoco-matched"
 
 
@@ -289,7 +286,7 @@ def test_shards_of_an_unfinished_run_are_told(copy: Path) -> None:
     (copy / FILE).unlink()
     (copy / JOINT).unlink()
     (report,) = _verify(copy).files
-    assert report.problems == ()
+    assert report.problems == []
     assert "not joined yet: run mbds-xsim generate again to finish the set" in report.notes
 
 
@@ -365,11 +362,11 @@ def _flipped(
 
 
 _CHECKS: dict[str, Callable[[Path], Any]] = {
-    SHARD: lambda path: reaudit(path, 0),
-    FILE: recheck_joined,
-    JOINT: recheck_joint,
-    TEXTS[0]: recheck_card,
-    TEXTS[1]: recheck_metadata,
+    SHARD: lambda path: recheck(path, "shard"),
+    FILE: lambda path: recheck(path, "joined"),
+    JOINT: lambda path: recheck(path, "joint"),
+    TEXTS[0]: lambda path: recheck(path, "card"),
+    TEXTS[1]: lambda path: recheck(path, "metadata"),
 }
 
 
@@ -422,7 +419,7 @@ def test_a_publisher_may_add_to_the_texts(copy: Path) -> None:
 
 
 def test_the_table_knows_what_it_is_about(few: Path) -> None:
-    assert Held.read(few / SHARD).arrays["check/name"].tolist() == list(CHECKS)
+    assert list(load_dataset(few / SHARD)["check/name"]) == list(CHECKS)
 
 
 def test_a_file_from_before_a_check_was_added_is_sound(copy: Path) -> None:

@@ -24,8 +24,8 @@ from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest
 from mbds_xsim.dataset.generate import generate
+from mbds_xsim.dataset.layout import SPLITS
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.dataset.split import NAMES
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task, run_tasks
@@ -220,7 +220,7 @@ def test_what_data_are_too_few_or_short_for_is_said_before_any_run(
     lacking = dataclasses.replace(group)
     data = dict(group.data)
     for engine, file in data.items():
-        split = np.where(file.index % 3, file.small["split"], NAMES.index("train"))
+        split = np.where(file.index % 3, file.small["split"], SPLITS.index("train"))
         data[engine] = dataclasses.replace(file, small={**file.small, "split": split})
     vars(lacking)["data"] = data
     request = dataclasses.replace(ask(on="each,by-interval"), groups=[lacking])

@@ -10,17 +10,17 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from mbds_xsim import reference
-from mbds_xsim.dataset.content import CONTENT
-from mbds_xsim.dataset.facts import attributes_of
-from mbds_xsim.dataset.paired import STARTS, STATES, check_alike, check_paired, numbers_in
+from mbds_xsim.dataset.hdf5 import CONTENT
+from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
@@ -28,7 +28,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.window import HISTORY, Inputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.state import STATES, Batch, Trajectory
 from mbds_xsim.write import write_whole
 
 __all__ = [
@@ -164,7 +164,7 @@ def load_paired(
         msg = f"{place}: no data of {', '.join(variants)} settings; generate some"
         raise InputError(msg)
     check_alike(files)
-    lacking = {_name(file): file.lack for file in files if file.lack}
+    lacking = {file.variant: file.lack for file in files if file.lack}
     files = [file for file in files if not file.lack]
     if not files:
         msg = f"{place}: no trajectory was published; generate other data"
@@ -178,7 +178,7 @@ def load_paired(
     index = index[:trajectories]
     rows = [np.flatnonzero(np.isin(file.index, index)) for file in files]
     check_paired(files, rows, _PAIRED)
-    batch, first = _batch(files[0], rows[0]), files[0]
+    batch, first = files[0].batch(rows[0]), files[0]
     known = "input/known_force"
     return Paired(
         scene=first.scene,
@@ -192,10 +192,6 @@ def load_paired(
     )
 
 
-def _name(file: Dataset) -> str:
-    return f"{file.attributes['engine']}-{file.attributes['profile']}"
-
-
 def _is_joined(path: Path) -> bool:
     return attributes_of(path).get("kind") == "joined"
 
@@ -204,13 +200,6 @@ def _recorded(file: Dataset, rows: NDArray[np.int64]) -> Recorded:
     about = file.attributes
     place, chosen = file.path.resolve(), tuple(rows.tolist())
     return Recorded(about["engine"], about["profile"], place, chosen, about[CONTENT])
-
-
-def _batch(file: Dataset, rows: NDArray[np.int64]) -> Batch:
-    names = {name: f"start/{name}" for name in STATES}
-    names |= {name: f"input/{name}" for name in ("force", "torque")}
-    arrays: dict[str, Any] = {key: np.asarray(file[name][rows]) for key, name in names.items()}
-    return Batch(index=file.index[rows], **arrays)
 
 
 @dataclass(frozen=True, eq=False)

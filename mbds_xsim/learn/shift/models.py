@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbds_xsim.dataset.split import NAMES, split_of
+from mbds_xsim.dataset.layout import SPLITS, split_of
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.shift.result import INTERVALS
@@ -111,7 +111,7 @@ def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
     contents = {domain.name: domain.content for domain in test.domains}
     for model in models:
         if model.drawn is not None and model.drawn[0] == test.seed:
-            known = split_of(test.index, model.drawn[1]) != NAMES.index("test")
+            known = split_of(test.index, model.drawn[1]) != SPLITS.index("test")
             if known.any():
                 msg = (
                     f"{model.path}: was trained or chosen by trajectory {test.index[known][0]} of "

@@ -22,8 +22,8 @@ import msgspec
 import numpy as np
 import torch
 
-from mbds_xsim.dataset.facts import attributes_of
 from mbds_xsim.dataset.points import Points
+from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.engine import Settings
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
