@@ -160,8 +160,14 @@ def _shorten(name: str) -> Change:
         (_set("index", 5, 1), "index: not ascending from 0 to 7"),
         (_set("interval", 5, 1), "interval: not index mod 3"),
         (_set("time", 3, 1e-3), "time: not that of the scene's frames"),
-        (_set("check/figure", (2, 2), 1e-3), "checks: gap of trajectory 2 is stored as figure"),
-        (_set("check/allowed", (2, 2), 1e-3), "checks: gap of trajectory 2 is stored as allowed"),
+        (
+            _set("check/figure", (2, list(CHECKS).index("gap")), 1e-3),
+            "checks: gap of trajectory 2 is stored as figure",
+        ),
+        (
+            _set("check/allowed", (2, list(CHECKS).index("gap")), 1e-3),
+            "checks: gap of trajectory 2 is stored as allowed",
+        ),
         (_set("graph/point_body", 0, 1), "graph/point_body: not that of the scene"),
         (_tell("published", 7), "counts: published is 7 with 8 trajectories of 8 here"),
         (_tell("seed", 1), "pairing: position is not what seed 1 and index give"),
