@@ -29,7 +29,7 @@ from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import optimiser
-from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_scene
 
@@ -45,7 +45,7 @@ UNIT = {"cpu": "one thread, by the processor's time", "cuda": "on a GPU, until i
 class ScatterGNS(GNS):
     """Our GNS's weights in a straightforward forward pass."""
 
-    def forward(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def forward(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         batch, count = len(history), self.graph.node_count
         shift = count * torch.arange(batch, device=history.device)[:, None]
         senders = (self.senders + shift).flatten()
@@ -135,7 +135,7 @@ def drawn(graph: Graph, horizon: int) -> Sample:
     torque = torch.randn((BATCH, horizon, len(graph.mechanism.hinges)), generator=generator)
     start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
     after = position[:, HISTORY:]
-    return Sample(start, Inputs(force, torque), after, torch.zeros_like(after))
+    return Sample(start, KnownInputs(force, torque), after, torch.zeros_like(after))
 
 
 def adam_of(kind: str, model: LearnedModel, track: str) -> torch.optim.Adam:
@@ -178,7 +178,7 @@ def mapped(sample: Sample, change: Callable[[Tensor], Tensor]) -> Sample:
     start, inputs = sample.start, sample.inputs
     return Sample(
         Start(change(start.history), change(start.velocity)),
-        Inputs(change(inputs.force), change(inputs.torque)),
+        KnownInputs(change(inputs.force), change(inputs.torque)),
         change(sample.position),
         change(sample.velocity),
     )

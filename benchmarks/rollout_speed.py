@@ -23,7 +23,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, build
 from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
-from mbds_xsim.learn.window import Inputs, Start
+from mbds_xsim.learn.window import KnownInputs, Start
 from mbds_xsim.matched import settings_for
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_adapter, load_scene
@@ -62,7 +62,7 @@ def moved(known: Known, device: str) -> Known:
     body = None if start.body is None else start.body.to(device)
     return Known(
         Start(start.history.to(device), start.velocity.to(device), body),
-        Inputs(inputs.force.to(device), inputs.torque.to(device)),
+        KnownInputs(inputs.force.to(device), inputs.torque.to(device)),
     )
 
 

@@ -108,7 +108,7 @@ def tradeoff(
                 command=command_line(),
             )
             if trained:
-                from mbds_xsim.learn.tradeoff import with_models
+                from mbds_xsim.studies.tradeoff.learned import with_models
 
                 study, more = with_models(
                     study,
@@ -154,8 +154,8 @@ def _models(
     if not places:
         return []
     check_torch("tradeoff --models")
-    from mbds_xsim.learn.tradeoff import models_of
     from mbds_xsim.learn.trained import trained_in
+    from mbds_xsim.studies.tradeoff.learned import models_of
 
     found = trained_in(places)
     for scene in scenes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -33,22 +34,6 @@ class LearningCurve(msgspec.Struct, frozen=True):
     points: list[CurvePoint]
 
 
-class _FilePoint(msgspec.Struct):
-    """JSON has no infinity: an error of a prediction that failed is null there."""
-
-    step: int
-    loss: float | None
-    error: float | None
-    rate: float
-
-
-class _FileCurve(msgspec.Struct):
-    run: str
-    most_steps: int
-    ended: str
-    points: list[_FilePoint]
-
-
 def write_curve(curve: LearningCurve) -> bytes:
     """Give JSON; see `docs/train.md`."""
     return msgspec.json.encode(curve) + b"\n"
@@ -57,16 +42,13 @@ def write_curve(curve: LearningCurve) -> bytes:
 def read_curve(path: Path) -> LearningCurve:
     """Read what `write_curve` wrote, or raise InputError."""
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=_FileCurve)
-    except (OSError, msgspec.MsgspecError) as error:
+        curve = msgspec.json.decode(path.read_bytes())
+        for point in curve["points"]:  # JSON has no infinity, that of a prediction that failed
+            point |= {key: math.inf for key in ("loss", "error") if point[key] is None}
+        return msgspec.convert(curve, LearningCurve)
+    except (OSError, msgspec.MsgspecError, KeyError, TypeError) as error:
         msg = f"{path}: no learning curve, or a damaged one ({error}); remove it"
         raise InputError(msg) from error
-    points = [CurvePoint(p.step, _number(p.loss), _number(p.error), p.rate) for p in found.points]
-    return LearningCurve(found.run, found.most_steps, found.ended, points)
-
-
-def _number(value: float | None) -> float:
-    return float("inf") if value is None else value
 
 
 def check_events(folder: Path) -> None:

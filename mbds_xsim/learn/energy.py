@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from mbds_xsim.learn.layers import keep, mlp
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.sampling import noise_components
@@ -152,10 +152,9 @@ class Potential(nn.Module):
         super().__init__()
         width = shape.width
         kind, kinds = kinds_of(mechanics.points)
-        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
         axes = torch.zeros(3)
         axes[noise_components(mechanics.mechanism.scene)] = 1.0
-        self.register_buffer("axes", axes, persistent=False)
+        keep(self, kind=kind, axes=axes)
         self.embed = nn.Embedding(kinds, width)
         self.of_place = _perceptron(width + 3, 1, shape)
         self.slope = nn.Linear(width, 3)
@@ -182,8 +181,8 @@ class OfDistances(nn.Module):
     def __init__(self, mechanics: Mechanics, shape: EnergyShape) -> None:
         super().__init__()
         width = shape.width
-        for name, values in zip(("edge_map", "ends", "kind"), _edges(mechanics), strict=True):
-            self.register_buffer(name, values, persistent=False)
+        edge_map, ends, law = _edges(mechanics)
+        keep(self, edge_map=edge_map, ends=ends, kind=law)
         self.passes = shape.passes
         self.embed = nn.Embedding(int(self.kind.max()) + 1, width)
         self.of_distance = _perceptron(width + 1, width, shape)
@@ -218,7 +217,7 @@ class EnergyNetwork(nn.Module):
         node_kind, node_kinds = kinds_of(points)
         rods = np.stack([points.rod_mass, points.rod_length], axis=1)
         kind = np.concatenate([node_kind[: points.free], node_kinds + distinct(rods)])
-        self.register_buffer("kind", torch.as_tensor(kind), persistent=False)
+        keep(self, kind=kind)
         self.kinds = int(kind.max()) + 1
         self.length, self.square_speed = _units(mechanics)
         self.unit = self.square_speed * float(points.mass[points.mass > 0].mean())
@@ -272,11 +271,8 @@ def _bend(value: Tensor, first: Tensor, second: Tensor | None) -> tuple[Tensor, 
 
 
 def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
-    sizes = [before, *[shape.width] * shape.hidden_layers]
-    hidden: Sequence[nn.Module] = [
-        part for a, b in itertools.pairwise(sizes) for part in (nn.Linear(a, b), SquarePlus())
-    ]
-    return nn.Sequential(*hidden, nn.Linear(sizes[-1], after))
+    layers = shape.hidden_layers + 1
+    return mlp(before, after, hidden=shape.width, layers=layers, activation=SquarePlus)
 
 
 def _units(mechanics: Mechanics) -> tuple[float, float]:

@@ -38,11 +38,12 @@ from mbds_xsim.learn.energy import (
     potential_force,
 )
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.mechanics import Mechanics, constrained
 from mbds_xsim.learn.model import FlowModel
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import Inputs, Sample, Start
+from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
 __all__ = [
     "HGNN",
@@ -191,14 +192,11 @@ class EnergyModel(FlowModel):
             points.of_body(int(k)).weights(place, points.count)
             for k, place in zip(particles.body, particles.offset, strict=True)
         ]
-        for name, values in (
-            ("carrier", body),
-            # In the published frames, whose orientations are given.
-            ("carried", rotation.rotate(mechanism.native_rotation(upright)[body], offset)),
-            ("particle_map", np.array(weights)),
-            ("spread", statistics.acceleration.spread(graph.moving)),
-        ):
-            self.register_buffer(name, torch.as_tensor(values), persistent=name == "spread")
+        # In the published frames, whose orientations are given.
+        carried = rotation.rotate(mechanism.native_rotation(upright)[body], offset)
+        keep(self, carrier=body, carried=carried, particle_map=np.array(weights))
+        spread = statistics.acceleration.spread(graph.moving)
+        self.register_buffer("spread", torch.as_tensor(spread))
         self.double()
 
     def begin(self, start: Start) -> Tensor:
@@ -227,7 +225,7 @@ class EnergyModel(FlowModel):
         """Velocities of the nodes [m/s], shape (batch, node, 3)."""
         return state[:, 1]
 
-    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
+    def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         q, x = state.unbind(1)
         force, torque = inputs.force.to(q), inputs.torque.to(q)
         return torch.stack(self.dynamics.derivative(q, x, force, torque), dim=1)

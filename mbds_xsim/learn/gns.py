@@ -16,10 +16,11 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.graph import DIMENSION, Graph
+from mbds_xsim.learn.layers import keep, mlp
 from mbds_xsim.learn.model import Change, PointModel, pushed
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Sample
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample
 
 __all__ = ["GNS", "GNSSettings", "Interaction", "random_walk"]
 
@@ -82,7 +83,7 @@ class GNS(PointModel):
         self.node_encoder = _perceptron(self.feature_count, width, depth)
         self.edge_encoder = _perceptron(DIMENSION + 1, width, depth)
         self.interactions = nn.ModuleList(Interaction(width, depth) for _ in range(settings.steps))
-        self.decoder = nn.Sequential(*_hidden(width, width, depth), nn.Linear(width, DIMENSION))
+        self.decoder = mlp(width, DIMENSION, hidden=width, layers=depth + 1, activation=nn.ReLU)
 
     def _remember(self, graph: Graph, statistics: Statistics) -> None:
         """Keep what normalises with the parameters, and the graph beside them."""
@@ -97,15 +98,8 @@ class GNS(PointModel):
         # Found out once: to ask a tensor in every step would hold up a GPU, and CUDA graphs.
         self._masses_differ = bool((own - own[0]).abs().max() > 1e-9 * own[0])
         mass = graph.mass / own.mean()
-        fixed = {
-            "kind": graph.static.long(),
-            "mass": mass.float(),
-            "senders": graph.senders,
-            "receivers": graph.receivers,
-            "moving": graph.moving.float(),
-        }
-        for name, values in fixed.items():
-            self.register_buffer(name, values, persistent=False)
+        keep(self, kind=graph.static.long(), mass=mass.float(), moving=graph.moving.float())
+        keep(self, senders=graph.senders, receivers=graph.receivers)
 
     @property
     def feature_count(self) -> int:
@@ -115,7 +109,7 @@ class GNS(PointModel):
         kinds = 0 if self.embedding is None else _EMBEDDING
         return velocities + channels + kinds + int(self._masses_differ) + int(self.graph.ground)
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         return self(history, inputs) * self.acceleration_std + self.acceleration_mean
 
     def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
@@ -138,17 +132,17 @@ class GNS(PointModel):
         acceleration = moved - 2.0 * noisy[:, -1] + noisy[:, -2]
         return (acceleration - self.acceleration_mean) / self.acceleration_std
 
-    def forward(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def forward(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the normalised acceleration, shape (batch, particle, 3)."""
         # Nodes come first, so that gathering and adding up move whole rows of memory.
         nodes = self.node_encoder(self._node_features(history, inputs))
         edges = self.edge_encoder(self._edge_features(history[:, -1]))
         for interaction in self.interactions:
             nodes, edges = interaction(nodes, edges, self.senders, self.receivers)
-        found: Tensor = self.decoder(nodes[: self.graph.particle_count])
-        return found.transpose(0, 1)
+        acceleration: Tensor = self.decoder(nodes[: self.graph.particle_count])
+        return acceleration.transpose(0, 1)
 
-    def _node_features(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def _node_features(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         """Shape (node, batch, feature)."""
         nodes = self.graph.with_anchors(history).permute(2, 0, 1, 3)
         velocity = (nodes.diff(dim=2) - self.displacement_mean) / self.displacement_std
@@ -207,16 +201,7 @@ def random_walk(history: Tensor, std: float, generator: torch.Generator) -> Tens
     return torch.cat([torch.zeros_like(history[:, :1]), walk], dim=1)
 
 
-def _hidden(inputs: int, width: int, layers: int) -> list[nn.Module]:
-    """Linear layers, each with its activation."""
-    found: list[nn.Module] = []
-    for layer in range(layers):
-        found += [nn.Linear(width if layer else inputs, width), nn.ReLU()]
-    return found
-
-
 def _perceptron(inputs: int, width: int, hidden_layers: int) -> nn.Sequential:
     """Hidden layers, a linear one, and normalisation over the width."""
-    hidden = _hidden(inputs, width, hidden_layers)
-    last = nn.Linear(width if hidden else inputs, width)
-    return nn.Sequential(*hidden, last, nn.LayerNorm(width))
+    layers = hidden_layers + 1
+    return mlp(inputs, width, hidden=width, layers=layers, activation=nn.ReLU, norm=True)

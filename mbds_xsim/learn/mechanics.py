@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from mbds_xsim.errors import Unsupported
-from mbds_xsim.learn.mechanics_points import PointRows, Points, points_of, rows_of
+from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.mechanics_points import NodePoints, PointRows, points_of, rows_of
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 
@@ -158,25 +159,25 @@ class Mechanics(nn.Module):
         coupling, block = _blocks(speed_map)
         hinges = self.mechanism.hinges
         axes = [points.of_body(j.child).vector(j.axis, points.count) for j in hinges]
-        for name, values in (
-            ("fixed", points.fixed),
-            ("mass", mass),
-            ("mass_inverse", mass_inverse),
-            ("first", rows.first),
-            ("second", rows.second),
-            ("goal", rows.goal),
-            ("spring", _table([points.span(s.bodies, s.in_body) for s in springs], points.count)),
-            ("spring_law", _table([(s.stiffness, s.length, s.damping) for s in springs], 3)),
-            ("com", np.array([body.com for body in points.bodies])),
-            ("hinge_axis", _table(axes, points.count)),
-            ("turning", _table(list(_turning(self.mechanism, points)), 4)),
-            ("gravity", np.array(scene.gravity)),
-            ("moved_mass", moved_mass),
-            ("speed_map", speed_map),
-            ("coupling", coupling),
-            ("block", block),
-        ):
-            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+        keep(
+            self,
+            fixed=points.fixed,
+            mass=mass,
+            mass_inverse=mass_inverse,
+            first=rows.first,
+            second=rows.second,
+            goal=rows.goal,
+            spring=_table([points.span(s.bodies, s.in_body) for s in springs], points.count),
+            spring_law=_table([(s.stiffness, s.length, s.damping) for s in springs], 3),
+            com=np.array([body.com for body in points.bodies]),
+            hinge_axis=_table(axes, points.count),
+            turning=_table(list(_turning(self.mechanism, points)), 4),
+            gravity=np.array(scene.gravity),
+            moved_mass=moved_mass,
+            speed_map=speed_map,
+            coupling=coupling,
+            block=block,
+        )
 
     @property
     def row_count(self) -> int:
@@ -260,7 +261,7 @@ def _factor(matrix: Tensor) -> Tensor:
     return torch.where((info > 0)[:, None, None], torch.nan, factor)
 
 
-def _terms(points: Points) -> tuple[Array, Array]:
+def _terms(points: NodePoints) -> tuple[Array, Array]:
     """Masses and velocities of the terms of the kinetic energy: nodes, then rods."""
     rods = np.arange(len(points.rods))
     span = np.zeros((len(rods), points.count))
@@ -284,7 +285,7 @@ def _table(rows: Sequence[ArrayLike], width: int) -> Array:
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _turning(mechanism: Mechanism, points: Points) -> Iterator[tuple[float, ...]]:
+def _turning(mechanism: Mechanism, points: NodePoints) -> Iterator[tuple[float, ...]]:
     """Where torques act: hinge, tip, centre of mass, ±1 / (2 d²)."""
     for k, hinge in enumerate(mechanism.hinges):
         for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
@@ -319,14 +320,14 @@ class Terms(nn.Module):
         weight = weight[:, :free]
         other = np.concatenate([second, first[again]])
         self.row_count = len(rows.goal)
-        for name, values in (
-            ("weight", weight),
-            ("moving", other[:, :free].copy()),
-            ("still", other[:, free:] @ fixed),
-            ("coupling", weight @ mass_inverse @ weight.T),
-            ("again", again),
-        ):
-            self.register_buffer(name, torch.as_tensor(values), persistent=False)
+        keep(
+            self,
+            weight=weight,
+            moving=other[:, :free].copy(),
+            still=other[:, free:] @ fixed,
+            coupling=weight @ mass_inverse @ weight.T,
+            again=again,
+        )
 
     def at(self, q: Tensor) -> Jacobian:
         """Give A at free nodes (batch, node, 3)."""

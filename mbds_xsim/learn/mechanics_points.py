@@ -26,7 +26,7 @@ from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.spin import idle_axes
 
-__all__ = ["BodyPoints", "PointRows", "Points", "distinct", "kinds_of", "points_of", "rows_of"]
+__all__ = ["BodyPoints", "NodePoints", "PointRows", "distinct", "kinds_of", "points_of", "rows_of"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -65,7 +65,7 @@ class BodyPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class NodePoints:
     """Nodes of a mechanism: the free ones, the fixed ones, then the frame of the world."""
 
     bodies: tuple[BodyPoints, ...]
@@ -128,7 +128,7 @@ class _Frame:
         return np.concatenate([np.zeros((1, 3)), self.directions * self.distances[:, None]])
 
 
-def points_of(mechanism: Mechanism) -> Points:
+def points_of(mechanism: Mechanism) -> NodePoints:
     """Choose the points of a mechanism; Unsupported with a body without thickness."""
     axes = _rods(mechanism)
     frames = [_frame(mechanism, k, axes[k]) for k in range(mechanism.body_count)]
@@ -145,7 +145,7 @@ def points_of(mechanism: Mechanism) -> Points:
     # The first point that became a node carries it.
     slot = np.array([int(np.argmax(node == k)) for k in range(free)], dtype=np.int64)
     body_of = np.repeat(np.arange(len(frames)), np.diff(first))
-    return Points(
+    return NodePoints(
         bodies=bodies,
         world=BodyPoints(count, count + np.arange(1, 4), np.eye(3), np.ones(3)),
         free=free,
@@ -168,7 +168,7 @@ def _rods(mechanism: Mechanism) -> Array:
     return axes
 
 
-def kinds_of(points: Points) -> tuple[Indices, int]:
+def kinds_of(points: NodePoints) -> tuple[Indices, int]:
     """Number the nodes by mass and by whether they are fixed, (node,); and count these kinds."""
     mass = points.mass[: points.count - 3]
     moves = np.arange(len(mass)) < points.free
@@ -286,7 +286,7 @@ class PointRows:
     a plane loop one right angle is enough, but at some angle not the one that was at another."""
 
 
-def rows_of(mechanism: Mechanism, points: Points) -> PointRows:
+def rows_of(mechanism: Mechanism, points: NodePoints) -> PointRows:
     """Write down the rows of rigid bodies and joints that hold something that moves."""
     products: list[tuple[Array, Array, float]] = []
     for joint in mechanism.joints:
@@ -323,7 +323,7 @@ def _rigid(body: BodyPoints, count: int) -> list[tuple[Array, Array, float]]:
     ]
 
 
-def _coincidence(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, float]]:
+def _coincidence(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Array, float]]:
     if joint.kind == "slider":
         return []
     gap = points.span((joint.parent, joint.child), (joint.in_parent, joint.in_child))
@@ -331,7 +331,7 @@ def _coincidence(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array,
     return [(gap, points.world.vector(axis, points.count), 0.0) for axis in _AXES if moving]
 
 
-def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, float]]:
+def _aligned(joint: PlacedJoint, points: NodePoints) -> list[tuple[Array, Array, float]]:
     """Right angles between vectors of the two bodies, and a slider's line."""
     parent, child = points.of_body(joint.parent), points.of_body(joint.child)
     pairs: list[tuple[Array, Array]] = []
@@ -346,7 +346,7 @@ def _aligned(joint: PlacedJoint, points: Points) -> list[tuple[Array, Array, flo
     return rows
 
 
-def _rank(mechanism: Mechanism, points: Points, first: Array, second: Array) -> int:
+def _rank(mechanism: Mechanism, points: NodePoints, first: Array, second: Array) -> int:
     """Rank of the Jacobian; the largest at drawn starts, of which some may be singular."""
     start = draw_batch(mechanism.scene, range(_STARTS), noise=False, inputs=False)
     free = points.place(start.position, mechanism.native_rotation(start.orientation))

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from mbds_xsim.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Sample, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 
 __all__ = [
     "Change",
@@ -77,7 +77,7 @@ class LearnedModel(nn.Module, ABC):
         """Give the state at the last known frame, shape (batch, …)."""
 
     @abstractmethod
-    def advance(self, state: Tensor, inputs: Inputs) -> Tensor:
+    def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the state a frame later; inputs are those over the frame to come."""
 
     @abstractmethod
@@ -96,7 +96,7 @@ class PointModel(LearnedModel):
     """What `predict` gives: second or first differences of positions [m]."""
 
     @abstractmethod
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the change to the next frame [m], shape (batch, particle, 3).
 
         From positions, oldest first [m], (batch, 6, particle, 3), and inputs over the frame to
@@ -108,7 +108,7 @@ class PointModel(LearnedModel):
         return start.history
 
     @final
-    def advance(self, state: Tensor, inputs: Inputs) -> Tensor:
+    def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         displacement = self.predict(state, inputs)
         if self.change == "acceleration":  # semi-implicit Euler in units of frames
             displacement = state[:, -1] - state[:, -2] + displacement
@@ -128,11 +128,11 @@ class FlowModel(LearnedModel):
     """Steps of the classical Runge-Kutta method in a frame."""
 
     @abstractmethod
-    def derivative(self, state: Tensor, inputs: Inputs) -> Tensor:
+    def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the state's time derivative [1/s], of the state's shape."""
 
     @final
-    def advance(self, state: Tensor, inputs: Inputs) -> Tensor:
+    def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         step = self.graph.frame_s / self.substeps
         for _ in range(self.substeps):
             first = self.derivative(state, inputs)
@@ -216,7 +216,7 @@ def rollout(
     return torch.cat(parts)
 
 
-def roll(model: LearnedModel, start: Start, inputs: Inputs) -> Tensor:
+def roll(model: LearnedModel, start: Start, inputs: KnownInputs) -> Tensor:
     """Predict frame by frame from what is known, under the inputs of all frames to come.
 
     Returns:
@@ -232,7 +232,7 @@ def roll(model: LearnedModel, start: Start, inputs: Inputs) -> Tensor:
     )
 
 
-def go_on(model: LearnedModel, state: Tensor, inputs: Inputs) -> Tensor:
+def go_on(model: LearnedModel, state: Tensor, inputs: KnownInputs) -> Tensor:
     """Do as `roll` does from states of the model's own, all rows at once."""
     first = state
     alive = torch.ones(len(state), dtype=torch.bool, device=state.device)

@@ -2,7 +2,7 @@
 
 A model gives positions of particles and nothing else, so orientations, velocities and impulses are
 not there to be checked. What can be seen is compared with the truth seen in the same way: one
-motion as engines are judged (`ParticleMotion`), or many rollouts at once (`Figures`).
+motion as engines are judged (`ParticleMotion`), or many rollouts at once (`RolloutFigures`).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from mbds_xsim.write import write_whole
 __all__ = [
     "EXPLODED",
     "LOST",
-    "Figures",
     "ParticleMotion",
     "RigidPairs",
+    "RolloutFigures",
     "figures_on",
     "gap",
     "measure",
@@ -229,7 +229,7 @@ def _energy_floor(graph: Graph) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Figures:
+class RolloutFigures:
     """Of predictions of the same trajectories, all float64, frame 0 the first predicted.
 
     Infinite where the prediction is not finite, not a number where the truth is not known.
@@ -250,15 +250,15 @@ class Figures:
         write_whole(path, sealed(path, vars(self)))
 
 
-def read_figures(path: Path) -> Figures | None:
+def read_figures(path: Path) -> RolloutFigures | None:
     """Read what was kept; None where there is none that is as it was written."""
     arrays = read_sealed(path)
-    return None if arrays is None else Figures(**arrays)
+    return None if arrays is None else RolloutFigures(**arrays)
 
 
 def figures_on(
     model: LearnedModel, motions: Motions, *, horizon: int, stride: int, device: str = "cpu"
-) -> Figures:
+) -> RolloutFigures:
     """Test a model, on its device; trajectories whose first window is not known are left unknown.
 
     Args:
@@ -277,7 +277,7 @@ def figures_on(
     return _spread(measure(known, predicted, step), rows.numpy(), len(motions))
 
 
-def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> Figures:
+def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> RolloutFigures:
     """Hold predictions against what happened, where frames that are not known are not numbers.
 
     Predicted are positions from frame `HISTORY` on [m], shape (trajectory, frame, particle, 3);
@@ -290,7 +290,7 @@ def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) 
     pairs = RigidPairs.of(graph)
     due, scale = _total_energy(graph, truth)
     energy = (_total_energy(graph, rolled)[0] - due).abs() / scale
-    return Figures(
+    return RolloutFigures(
         error=_marked(_squared_distance(rolled, truth), known),
         energy=_marked(energy, due.isfinite()),
         gap=_marked(pairs.gap(graph.with_anchors(rolled)), known & bool(len(pairs))),
@@ -321,13 +321,13 @@ def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride
     return np.asarray((total / count).numpy())
 
 
-def _spread(figures: Figures, rows: NDArray[np.int64], count: int) -> Figures:
+def _spread(figures: RolloutFigures, rows: NDArray[np.int64], count: int) -> RolloutFigures:
     """Put figures of some rows among all."""
     whole = {}
     for name, values in vars(figures).items():
         whole[name] = np.full((count, *values.shape[1:]), np.nan)
         whole[name][rows] = values
-    return Figures(**whole)
+    return RolloutFigures(**whole)
 
 
 def _squared_distance(first: Tensor, second: Tensor) -> Tensor:

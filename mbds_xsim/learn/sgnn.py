@@ -15,11 +15,12 @@ import torch
 from torch import Tensor, nn
 
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.model import Change, PointModel, pushed
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Hierarchy, Network, pool
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Moments, Statistics
-from mbds_xsim.learn.window import Inputs, Sample
+from mbds_xsim.learn.window import KnownInputs, Sample
 
 __all__ = ["SGNN", "SGNNSettings", "nearest_rigid"]
 
@@ -80,10 +81,9 @@ class SGNN(PointModel):
         self.output = Unit(kinds[settings.target])
         self.channels = Channels(graph)
         self.register_buffer("channel_size", unit.channels.float())
-        self.register_buffer("up", torch.tensor(UP), persistent=False)
         heavy = graph.mass / graph.mass.max()
         about = torch.stack([graph.static.to(heavy), heavy], dim=-1).float()
-        self.register_buffer("about", about, persistent=False)
+        keep(self, about=about, up=UP)
         self.network = Network(
             _hierarchy(graph),
             externals=len(CHANNELS) + graph.ground,
@@ -94,7 +94,7 @@ class SGNN(PointModel):
             steps=settings.steps,
         )
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         last = history[:, -1] - history[:, -2]
         given = self.output.restore(self.normalised(history, inputs))
         displacement = given + last if self.settings.target == "change" else given
@@ -127,7 +127,7 @@ class SGNN(PointModel):
         step, last = after - history[:, -1], history[:, -1] - history[:, -2]
         return self.output.normalise(step - last if self.settings.target == "change" else step)
 
-    def normalised(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def normalised(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the network's prediction for the particles, shape (batch, particle, 3)."""
         nodes = self.graph.with_anchors(history[:, -2:])
         now, last = nodes[:, 1], nodes[:, 1] - nodes[:, 0]

@@ -8,13 +8,14 @@ the scene without it is not rotating all of them, and the map may tell up from d
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
+
+from mbds_xsim.learn.layers import keep, mlp
 
 __all__ = [
     "Edges",
@@ -23,7 +24,6 @@ __all__ = [
     "Passing",
     "Scalars",
     "SubequivariantMap",
-    "mlp",
     "pool",
 ]
 
@@ -51,7 +51,7 @@ class Edges(nn.Module):
 
     def __init__(self, senders: Tensor, receivers: Tensor, node_count: int) -> None:
         super().__init__()
-        _keep(self, senders=senders, receivers=receivers, mean=averaging(receivers, node_count))
+        keep(self, senders=senders, receivers=receivers, mean=averaging(receivers, node_count))
 
 
 class Hierarchy(nn.Module):
@@ -82,7 +82,7 @@ class Hierarchy(nn.Module):
         members = averaging(objects, len(names))
         sizes = torch.bincount(objects).to(members)[:, None]
         pooling = averaging(pair_of, len(pairs))
-        _keep(self, object_of=objects, members=members, sizes=sizes, pooling=pooling)
+        keep(self, object_of=objects, members=members, sizes=sizes, pooling=pooling)
 
 
 def pool(weights: Tensor, vectors: Tensor) -> Tensor:
@@ -96,12 +96,6 @@ def averaging(groups: Tensor, group_count: int) -> Tensor:
     belongs = groups == torch.arange(group_count)[:, None]
     sizes = belongs.sum(dim=1, keepdim=True).clamp(min=1)
     return belongs.to(torch.get_default_dtype()) / sizes
-
-
-def _keep(module: nn.Module, **values: Tensor) -> None:
-    """Keep tensors that follow the module's device but are no part of what it learned."""
-    for name, value in values.items():
-        module.register_buffer(name, value, persistent=False)
 
 
 class Scalars(NamedTuple):
@@ -257,15 +251,6 @@ class _Invariants(torch.autograd.Function):
         return (slope + slope.mT) @ vectors
 
 
-def mlp(inputs: int, outputs: int, *, hidden: int, layers: int) -> nn.Sequential:
-    """Linear layers with SiLU between them."""
-    widths = [inputs, *[hidden] * (layers - 1), outputs]
-    parts: list[nn.Module] = [nn.Linear(widths[0], widths[1])]
-    for before, after in pairwise(widths[1:]):
-        parts += [nn.SiLU(), nn.Linear(before, after)]
-    return nn.Sequential(*parts)
-
-
 class Network(nn.Module):
     """Normalised motion of the next frame: between objects, over objects, within objects.
 
@@ -290,7 +275,7 @@ class Network(nn.Module):
         super().__init__()
         size = {"hidden": hidden, "layers": layers}
         self.hierarchy = hierarchy
-        self.register_buffer("down", down, persistent=False)
+        keep(self, down=down)
         self.embedding = nn.Linear(scalars, hidden)
         self.to_particle = nn.Linear(2 * hidden, hidden)
         self.between = Passing(PARTICLE, edge_channels=1, **size, steps=steps)

@@ -16,7 +16,8 @@ from torch import Tensor, nn
 
 from mbds_xsim.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import DIMENSION, Graph
-from mbds_xsim.learn.window import Inputs, Motions
+from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.sampling_terms import HingeTorque
 
@@ -64,12 +65,11 @@ class Channels(nn.Module):
             (("along", len(none)), ("first", len(none)), ("second", len(none)), ("fixed", 3))
         ):
             values = np.array([each[k] for each in weights]).reshape(-1, size)
-            self.register_buffer(name, torch.from_numpy(values).float(), persistent=False)
-        self.register_buffer("acts", _acts(graph).float(), persistent=False)
-        self.register_buffer("share", _share(graph).float(), persistent=False)
-        self.register_buffer("owner", graph.body.clamp(min=0), persistent=False)
+            keep(self, **{name: torch.from_numpy(values).float()})
+        owner = graph.body.clamp(min=0)
+        keep(self, acts=_acts(graph).float(), share=_share(graph).float(), owner=owner)
 
-    def forward(self, particles: Tensor, inputs: Inputs) -> Tensor:
+    def forward(self, particles: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the vectors at the nodes, shape (…, node, channel, 3).
 
         Of positions in W [m], (…, particle, 3), and inputs of one frame.
@@ -231,7 +231,7 @@ def _sizes(motions: Motions) -> Tensor:
     acting = torch.zeros(len(CHANNELS), dtype=torch.float64)
     for k in range(0, len(motions), _ROWS):
         part = motions[k : k + _ROWS]
-        inputs = Inputs(part.inputs.force.float(), part.inputs.torque.float())
+        inputs = KnownInputs(part.inputs.force.float(), part.inputs.torque.float())
         vectors = channels(part.position[:, :-1].float(), inputs).double()
         square += (vectors**2).sum((0, 1, 2, 4)).cpu()
         acting += (vectors != 0).any(-1).sum((0, 1, 2)).cpu()

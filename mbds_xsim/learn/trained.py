@@ -23,7 +23,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
-from mbds_xsim.learn.window import HISTORY, Inputs, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
@@ -198,7 +198,7 @@ class Known:
     """What a model is given of motions: their first frames, and the inputs of those to come."""
 
     start: Start
-    inputs: Inputs
+    inputs: KnownInputs
 
     def repeated(self, rows: int) -> Known:
         """Make a batch of so many out of few, with repetition."""
@@ -208,7 +208,7 @@ class Known:
     def truncated(self, frames: int) -> Known:
         """Keep the inputs of the first frames to come."""
         force, torque = self.inputs.force[:, :frames], self.inputs.torque[:, :frames]
-        return Known(self.start, Inputs(force, torque))
+        return Known(self.start, KnownInputs(force, torque))
 
 
 def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
@@ -235,7 +235,7 @@ def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:
             velocity=graph.embed(velocity[:, last].to(model.dtype), rest=0.0),
             body=torch.from_numpy(body),
         ),
-        Inputs(
+        KnownInputs(
             torch.from_numpy(inputs.force[:, last:]).to(model.dtype),
             torch.from_numpy(inputs.torque[:, last:]).to(model.dtype),
         ),

@@ -10,7 +10,7 @@ from torch import Tensor
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import Change, PointModel
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import Inputs, Sample
+from mbds_xsim.learn.window import KnownInputs, Sample
 
 __all__ = ["ConstantAcceleration", "ConstantVelocity", "Hold"]
 
@@ -23,7 +23,7 @@ class Hold(PointModel):
     def __init__(self, graph: Graph, statistics: Statistics, settings: None) -> None:
         super().__init__(graph, statistics, settings)
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         del inputs
         return torch.zeros_like(history[:, -1])
 
@@ -42,6 +42,6 @@ class ConstantVelocity(Hold):
 class ConstantAcceleration(ConstantVelocity):
     """Every particle goes on accelerating as it last did."""
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         del inputs
         return history[:, -1] - 2.0 * history[:, -2] + history[:, -3]

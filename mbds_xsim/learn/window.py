@@ -15,7 +15,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 
-__all__ = ["HISTORY", "Inputs", "Motions", "Sample", "Start", "names_read"]
+__all__ = ["HISTORY", "KnownInputs", "Motions", "Sample", "Start", "names_read"]
 
 HISTORY = 6
 """Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
@@ -32,7 +32,7 @@ def names_read(*, bodies: bool) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Inputs:
+class KnownInputs:
     """What acts over a frame and is known: never the noise."""
 
     force: Tensor
@@ -40,13 +40,13 @@ class Inputs:
     torque: Tensor
     """About the hinges, on the child and the opposite on the parent [N·m], shape (…, hinge)."""
 
-    def at(self, frame: int) -> Inputs:
+    def at(self, frame: int) -> KnownInputs:
         """Take one frame of inputs of shape (batch, frame, …)."""
         return self[:, frame]
 
-    def __getitem__(self, key: Any) -> Inputs:
+    def __getitem__(self, key: Any) -> KnownInputs:
         """Take a part, as of an array."""
-        return Inputs(self.force[key], self.torque[key])
+        return KnownInputs(self.force[key], self.torque[key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Sample:
     """Starts, and what followed."""
 
     start: Start
-    inputs: Inputs
+    inputs: KnownInputs
     """Over each frame to come, shapes (batch, frame, body, 3) and (batch, frame, hinge)."""
     position: Tensor
     """Of the particles in the frames to come [m], shape (batch, frame, particle, 3)."""
@@ -99,7 +99,7 @@ class Motions:
     """Of the particles in W [m], shape (trajectory, frame, particle, 3)."""
     velocity: Tensor
     """The same [m/s]."""
-    inputs: Inputs
+    inputs: KnownInputs
     """Over each step, shapes (trajectory, step, body, 3) and (trajectory, step, hinge)."""
     body: Tensor | None = None
     """Published states of the bodies, shape (trajectory, frame, body, 13), float64."""
@@ -148,7 +148,7 @@ class Motions:
             index=data.index[chosen],
             position=graph.embed(read("position").to(dtype)),
             velocity=graph.embed(read("velocity").to(dtype), rest=0.0),
-            inputs=Inputs(force.to(dtype), read(_TORQUE).to(dtype)),
+            inputs=KnownInputs(force.to(dtype), read(_TORQUE).to(dtype)),
             body=torch.cat([read(name) for name in _BODIES], dim=-1) if bodies else None,
         ).to(device)
 
@@ -166,7 +166,7 @@ class Motions:
             index=np.concatenate([part.index for part in parts]),
             position=torch.cat([part.position for part in parts]),
             velocity=torch.cat([part.velocity for part in parts]),
-            inputs=Inputs(
+            inputs=KnownInputs(
                 torch.cat([part.inputs.force for part in parts]),
                 torch.cat([part.inputs.torque for part in parts]),
             ),
@@ -179,7 +179,7 @@ class Motions:
             self,
             position=change(self.position),
             velocity=change(self.velocity),
-            inputs=Inputs(change(self.inputs.force), change(self.inputs.torque)),
+            inputs=KnownInputs(change(self.inputs.force), change(self.inputs.torque)),
             body=None if self.body is None else change(self.body),
             **others,
         )

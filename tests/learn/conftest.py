@@ -12,7 +12,7 @@ from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.window import Inputs, Motions
+from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.registry import load_scene
 from mbds_xsim.scene import Clock
 
@@ -45,7 +45,7 @@ def analytic() -> Analytic:
             index=np.arange(rows),
             position=position,
             velocity=position.diff(dim=1, append=position[:, -1:]) / graph.frame_s,
-            inputs=Inputs(
+            inputs=KnownInputs(
                 torch.zeros(rows, frames - 1, graph.body_count, 3, dtype=torch.float64),
                 torch.zeros(rows, frames - 1, hinges, dtype=torch.float64),
             ),

@@ -18,7 +18,7 @@ from mbds_xsim.learn.energy_models import EnergyModel, Hamiltonian, Lagrangian
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Start
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
@@ -219,7 +219,7 @@ def test_a_graph_without_edges_falls_freely(data: Data, name: str) -> None:
     body[..., 10:] = torch.tensor([4.0, 5.0, 6.0])
     still = torch.zeros(2, 1, 3, dtype=torch.float64)
     state = model.begin(Start(still[:, None].expand(-1, HISTORY, -1, -1), still, body))
-    inputs = Inputs(still, torch.zeros(2, 0, dtype=torch.float64))
+    inputs = KnownInputs(still, torch.zeros(2, 0, dtype=torch.float64))
     with torch.no_grad():
         assert model.positions(model.advance(state, inputs)).isfinite().all()
         model.register_module("dynamics", DYNAMICS[name](TrueEnergy(model.mechanics)))

@@ -14,7 +14,7 @@ from mbds_xsim.learn.gns import GNS, GNSSettings, Interaction, random_walk
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build, rollout
 from mbds_xsim.learn.statistics import Moments, Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Motions, Sample, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 from mbds_xsim.registry import PAPER_SCENES, load_scene
 
 SMALL = GNSSettings(width=16, steps=3)
@@ -38,10 +38,10 @@ def _history(graph: Graph, batch: int = 2) -> Tensor:
     return rest + (0.02 * steps * graph.moving).cumsum(1)
 
 
-def _inputs(graph: Graph, batch: int = 2) -> Inputs:
+def _inputs(graph: Graph, batch: int = 2) -> KnownInputs:
     generator = torch.Generator().manual_seed(3)
     hinges = len(graph.mechanism.hinges)
-    return Inputs(
+    return KnownInputs(
         torch.randn(batch, graph.body_count, 3, generator=generator),
         torch.randn(batch, hinges, generator=generator),
     )
@@ -52,7 +52,7 @@ def test_every_scene_gives_finite_predictions_and_gradients(name: str) -> None:
     graph = Graph.of(load_scene(name))
     model, history = _gns(graph), _history(graph)
     inputs = _inputs(graph)
-    steps = Inputs(inputs.force[:, None], inputs.torque[:, None])
+    steps = KnownInputs(inputs.force[:, None], inputs.torque[:, None])
     sample = Sample(Start(history, history[:, -1]), steps, history[:, -1:], history[:, -1:])
     loss = model.loss(sample, torch.Generator().manual_seed(0))
     torch.autograd.backward(loss)
@@ -98,7 +98,7 @@ def test_it_does_not_turn_with_the_frame() -> None:
     graph = Graph.of(load_scene("5pendulum"))
     model, history, inputs = _gns(graph), _history(graph), _inputs(graph)
     quarter = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    turned_inputs = Inputs(inputs.force @ quarter.T, inputs.torque)
+    turned_inputs = KnownInputs(inputs.force @ quarter.T, inputs.torque)
     turned = model.predict(history @ quarter.T, turned_inputs)
     expected = model.predict(history, inputs) @ quarter.T
     assert (turned - expected).abs().max() > 0.1 * expected.std()

@@ -27,7 +27,7 @@ from mbds_xsim.learn.sgnn_network import (
     invariants,
 )
 from mbds_xsim.learn.statistics import Moments, Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Sample, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
 from mbds_xsim.registry import load_scene
 
 torch.set_num_threads(1)
@@ -45,7 +45,7 @@ class Case:
 
     model: SGNN
     history: Tensor
-    inputs: Inputs
+    inputs: KnownInputs
 
     def predict(self) -> Tensor:
         with torch.no_grad():
@@ -61,7 +61,7 @@ class Case:
         return Case(
             model,
             self.history @ matrix.T + shift.to(matrix),
-            Inputs(self.inputs.force @ matrix.T, torque),
+            KnownInputs(self.inputs.force @ matrix.T, torque),
         )
 
 
@@ -93,7 +93,7 @@ def case_of(graph: Graph, settings: SGNNSettings, dtype: torch.dtype = torch.flo
     history = history + STEP * torch.randn(shape, dtype=dtype).cumsum(1)
     force = torch.randn(3, graph.body_count, 3, dtype=dtype)
     torque = torch.randn(3, len(graph.mechanism.hinges), dtype=dtype)
-    return Case(model, history, Inputs(force, torque))
+    return Case(model, history, KnownInputs(force, torque))
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -201,7 +201,7 @@ def test_runs_without_edges_and_with_one_object() -> None:
 def test_everything_at_rest_has_finite_gradients(graph: Graph, settings: SGNNSettings) -> None:
     case = case_of(graph, settings, torch.float32)
     still = case.history[:, :1].expand(-1, HISTORY, -1, -1)
-    none = Inputs(0 * case.inputs.force, 0 * case.inputs.torque)
+    none = KnownInputs(0 * case.inputs.force, 0 * case.inputs.torque)
     loss = case.model.normalised(still, none).square().sum()
     grads = torch.autograd.grad(loss, list(case.model.parameters()), allow_unused=True)
     assert any(grad is not None for grad in grads)
@@ -220,7 +220,7 @@ def sample_of(case: Case) -> Sample:
     """Of one frame to come, anything."""
     frames = case.history[:, -1:] + STEP * torch.randn_like(case.history[:, -1:])
     velocity = torch.zeros_like(frames)
-    inputs = Inputs(case.inputs.force[:, None], case.inputs.torque[:, None])
+    inputs = KnownInputs(case.inputs.force[:, None], case.inputs.torque[:, None])
     return Sample(Start(case.history, velocity[:, 0]), inputs, frames, velocity)
 
 

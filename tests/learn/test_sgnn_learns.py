@@ -15,7 +15,7 @@ from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity
-from mbds_xsim.learn.window import Inputs, Motions
+from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene import Body, Particle, Scene
 from tests.learn.models import squared_error
 
@@ -47,7 +47,7 @@ def flights(split: str, count: int, seed: int) -> Motions:
         index=np.arange(count),
         position=torch.from_numpy(position).float(),
         velocity=torch.zeros(position.shape),
-        inputs=Inputs(torch.zeros(count, FRAMES - 1, 1, 3), torch.zeros(count, FRAMES - 1, 0)),
+        inputs=KnownInputs(torch.zeros(count, FRAMES - 1, 1, 3), torch.zeros(count, FRAMES - 1, 0)),
     )
 
 

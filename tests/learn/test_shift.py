@@ -13,7 +13,14 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.particles import EXPLODED, LOST, Figures, RigidPairs, measure, one_step_error
+from mbds_xsim.learn.particles import (
+    EXPLODED,
+    LOST,
+    RigidPairs,
+    RolloutFigures,
+    measure,
+    one_step_error,
+)
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.domains import Paired, Recorded, ReferenceFrames
 from mbds_xsim.learn.shift.evaluation import (
@@ -178,9 +185,9 @@ def _set(engines: tuple[str, ...]) -> Paired:
     return Paired(scene, batch.index, domains, batch, True, batch.force, seed=0, left_out={})
 
 
-def _figures(error: Array) -> Figures:
+def _figures(error: Array) -> RolloutFigures:
     nothing = np.full_like(error, np.nan)
-    return Figures(error, nothing, nothing, error[:, 0])
+    return RolloutFigures(error, nothing, nothing, error[:, 0])
 
 
 def _entry(training: str, seed: int, engines: tuple[str, ...]) -> TrainedModel:

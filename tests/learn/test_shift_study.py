@@ -29,7 +29,7 @@ from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal
 from mbds_xsim.learn.model_file import save_model
-from mbds_xsim.learn.particles import Figures, figures_on
+from mbds_xsim.learn.particles import RolloutFigures, figures_on
 from mbds_xsim.learn.shift import rollouts, study
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.models import (
@@ -161,7 +161,7 @@ def test_without_the_cache_all_is_done_anew(
     gone_on: list[tuple[Any, ...]] = []
     predicted = rollouts._predicted
 
-    def noted_figures(*words: Any, **more: Any) -> Figures:
+    def noted_figures(*words: Any, **more: Any) -> RolloutFigures:
         tested.append(words)
         return figures_on(*words, **more)
 
@@ -261,7 +261,7 @@ def test_memory_holds_one_domain_and_no_figures(
     test = load_paired(folder / "data", SCENE)
     seen: list[weakref.ref[Motions]] = []
 
-    def watched(model: LearnedModel, motions: Motions, **plan: Any) -> Figures:
+    def watched(model: LearnedModel, motions: Motions, **plan: Any) -> RolloutFigures:
         alive = {id(found) for ref in seen if (found := ref()) is not None}
         assert alive <= {id(motions)}
         seen.append(weakref.ref(motions))

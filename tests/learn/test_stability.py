@@ -22,7 +22,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
 from mbds_xsim.learn.trained import particle_motion, trained_in
-from mbds_xsim.learn.window import HISTORY, Inputs
+from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
@@ -193,7 +193,7 @@ class _Perfect(GNS):
     truth: Tensor
     frame = HISTORY
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         del inputs
         after = self.truth[:, self.frame].to(history)
         self.frame += 1

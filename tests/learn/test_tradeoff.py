@@ -16,16 +16,16 @@ from mbds_xsim import registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.cli import main
 from mbds_xsim.errors import InputError
-from mbds_xsim.learn import tradeoff as measuring
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.model_file import read_model
-from mbds_xsim.learn.tradeoff import AT_ONCE, ModelStarts, with_models
 from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
-from mbds_xsim.learn.window import HISTORY, Inputs
+from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
 from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.studies.tradeoff import learned as measuring
+from mbds_xsim.studies.tradeoff.learned import AT_ONCE, ModelStarts, with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff, read_tradeoff, to_json
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
@@ -78,7 +78,7 @@ class _Perfect(GNS):
 
     truth: Tensor
 
-    def predict(self, history: Tensor, inputs: Inputs) -> Tensor:
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
         del inputs
         frames = torch.tensor([self._frame(one) for one in history])
         after = self.truth[0, frames + 1].to(history)

@@ -12,7 +12,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Channels, Moments, Statistics
-from mbds_xsim.learn.window import HISTORY, Inputs, Motions
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions
 from mbds_xsim.registry import load_scene
 
 Data = Callable[..., Dataset]
@@ -129,7 +129,7 @@ def test_torques_balance_and_forces_add_up_to_those_of_the_bodies() -> None:
     particles = graph.reference[None].float()
     force = torch.randn(1, graph.body_count, 3)
     torque = torch.tensor([[1.0, -2.0, 0.5, 0.25]])
-    vectors = Channels(graph)(particles, Inputs(force, torque))[0]
+    vectors = Channels(graph)(particles, KnownInputs(force, torque))[0]
     total = torch.zeros(graph.body_count, 3).index_add_(0, graph.body, vectors[:, 0])
     torch.testing.assert_close(total, force[0])
     by_body = torch.stack([vectors[graph.body == k, 1][0] for k in range(graph.body_count)])

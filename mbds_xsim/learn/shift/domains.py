@@ -25,7 +25,7 @@ from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.window import HISTORY, Inputs, Motions, names_read
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES, Batch, Trajectory
@@ -102,7 +102,7 @@ class Solved:
             index=known.index,
             position=known.graph.embed(torch.from_numpy(truth.position).to(dtype)),
             velocity=known.graph.embed(torch.from_numpy(truth.velocity).to(dtype), rest=0.0),
-            inputs=Inputs(force[:, : frames - 1], torque[:, : frames - 1]),
+            inputs=KnownInputs(force[:, : frames - 1], torque[:, : frames - 1]),
             body=torch.from_numpy(truth.body),
         )
 

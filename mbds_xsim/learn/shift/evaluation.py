@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mbds_xsim.learn.particles import EXPLODED, LOST, Figures, measure
+from mbds_xsim.learn.particles import EXPLODED, LOST, RolloutFigures, measure
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values
 from mbds_xsim.learn.trained import TrainedModel
@@ -51,11 +51,11 @@ class Evaluation:
     test: Paired
     frames: tuple[int, ...]
     """Counted from 1."""
-    figures: Mapping[tuple[TrainedModel, str], Figures]
+    figures: Mapping[tuple[TrainedModel, str], RolloutFigures]
     """By model and domain."""
-    oracles: Mapping[tuple[str, str], Figures]
+    oracles: Mapping[tuple[str, str], RolloutFigures]
     """By the domain that is taken as the prediction, and the domain it is held against."""
-    restarted: Mapping[tuple[str, str], Figures] = field(default_factory=dict)
+    restarted: Mapping[tuple[str, str], RolloutFigures] = field(default_factory=dict)
     """The same, where engines go on from the domain's last known frame."""
 
     @property
@@ -82,7 +82,7 @@ class Evaluation:
         """Seeds of a training."""
         return [e for e in self.entries if (e.model, e.training) == (model, training)]
 
-    def rolled(self) -> Iterator[tuple[tuple[str, str, int, str], Figures]]:
+    def rolled(self) -> Iterator[tuple[tuple[str, str, int, str], RolloutFigures]]:
         """Give model, training, seed and domain of all figures; engines stand behind as models."""
         for (entry, test), figures in self.figures.items():
             yield (entry.model, entry.training, entry.seed, test), figures
@@ -135,7 +135,7 @@ def cells_of(evaluation: Evaluation) -> Iterator[ErrorCell]:
 def _cell(
     evaluation: Evaluation,
     key: tuple[str, str, int, str, str],
-    figures: Figures,
+    figures: RolloutFigures,
     rows: NDArray[np.bool_],
 ) -> ErrorCell:
     scene, error = evaluation.test.scene, figures.error[rows]
@@ -196,7 +196,7 @@ def _mean(numbers: Array) -> float | None:
     return float(known.mean()) if len(known) and np.isfinite(known).all() else None
 
 
-def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], Figures]:
+def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], RolloutFigures]:
     """Hold every domain against every other, as if it were a prediction.
 
     They share the start at frame 0, not the window: at the first predicted frame they have had

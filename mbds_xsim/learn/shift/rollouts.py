@@ -13,10 +13,10 @@ import dataclasses
 import functools
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.device import process_count, put
 from mbds_xsim.learn.model import LearnedModel
-from mbds_xsim.learn.particles import Figures, figures_on, measure, read_figures
+from mbds_xsim.learn.particles import RolloutFigures, figures_on, measure, read_figures
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions
@@ -71,13 +71,13 @@ class RolloutPlan:
     """Of the models."""
 
 
-class Evaluated(Mapping[tuple[TrainedModel, str], Figures]):
+class Evaluated(Mapping[tuple[TrainedModel, str], RolloutFigures]):
     """Reads figures when they are asked for: those of a large study together fill the memory."""
 
     def __init__(self, paths: Paths, tested: int) -> None:
         self._paths, self.tested = paths, tested
 
-    def __getitem__(self, key: tuple[TrainedModel, str]) -> Figures:
+    def __getitem__(self, key: tuple[TrainedModel, str]) -> RolloutFigures:
         figures = read_figures(self._paths[key])
         if figures is None:
             msg = f"{self._paths[key]}: cannot be read; remove it and run again"
@@ -185,7 +185,7 @@ def restarted(
     cache: bool = True,
     workers: int | None = None,
     meter: RolloutMeter | None = None,
-) -> tuple[dict[tuple[str, str], Figures], dict[str, str]]:
+) -> tuple[dict[tuple[str, str], RolloutFigures], dict[str, str]]:
     """Let every engine go on from every domain; with `cache` what was done is not done again.
 
     Beside the figures stands why there are none, by engine or by engine and domain.
@@ -204,53 +204,38 @@ def restarted(
             restarts += each
     if meter is not None and missing:
         meter.begin(len(missing))
-    lost |= _run(test.batch, missing, workers, meter)
+    lost |= _run(test.batch, list(_shares(missing)), workers, meter)
     kept = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
     return {pair: figures for pair, figures in kept.items() if figures is not None}, lost
 
 
 def _run(
-    inputs: Batch, missing: Sequence[Restart], workers: int | None, meter: RolloutMeter | None
+    inputs: Batch,
+    shares: Sequence[list[Restart]],
+    workers: int | None,
+    meter: RolloutMeter | None,
+    *,
+    alone: bool = False,
 ) -> dict[str, str]:
     """Carry restarts out, and say which could not be.
 
     A process that crashed takes those behind along: each of them is tried once more, alone.
     """
+    lost: dict[Restart, str] = {}
 
-    def tell(restart: Restart) -> None:
-        if meter is not None:
-            meter.advance(restart.name)
-
-    shares = list(_shares(missing))
-    answers = _round(inputs, shares, workers, tell)
-    alone = []
-    for share, answer in zip(shares, answers, strict=True):
-        for restart in share if isinstance(answer, Crash) else ():
-            if read_figures(restart.path) is None:
-                alone.append([restart])
-            else:
-                tell(restart)
-    lost = {}
-    for (restart,), answer in zip(alone, _round(inputs, alone, workers, tell), strict=True):
-        if isinstance(answer, Crash):
-            lost[restart.name] = answer.reason
-            tell(restart)
-    return lost
-
-
-def _round(
-    inputs: Batch,
-    shares: Sequence[list[Restart]],
-    workers: int | None,
-    tell: Callable[[Restart], None],
-) -> list[Any]:
     def finished(place: int, answer: object) -> None:
-        if not isinstance(answer, Crash):
-            for restart in shares[place]:
-                tell(restart)
+        for restart in shares[place]:
+            if isinstance(answer, Crash) and read_figures(restart.path) is None:
+                lost[restart] = answer.reason
+            if meter is not None and (alone or restart not in lost):
+                meter.advance(restart.name)
 
     tasks = [Task(_go_on, (inputs, share), _TIMEOUT) for share in shares]
-    return run_tasks(tasks, workers=workers, finished=finished)
+    run_tasks(tasks, workers=workers, finished=finished)
+    failed = [restart for share in shares for restart in share if restart in lost]
+    if alone or not failed:
+        return {restart.name: lost[restart] for restart in failed}
+    return _run(inputs, [[restart] for restart in failed], workers, meter, alone=True)
 
 
 def _shares(restarts: Sequence[Restart]) -> Iterator[list[Restart]]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbds_xsim.learn.particles import Figures
+from mbds_xsim.learn.particles import RolloutFigures
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import Studied
@@ -32,7 +32,7 @@ def _rows(evaluation: Evaluation, frames: Sequence[int]) -> Iterator[list[object
 
 
 def _figures(
-    evaluation: Evaluation, key: list[object], figures: Figures, frames: Sequence[int]
+    evaluation: Evaluation, key: list[object], figures: RolloutFigures, frames: Sequence[int]
 ) -> Iterator[list[object]]:
     series = (figures.error, figures.energy, figures.gap)
     length = figures.error.shape[1]

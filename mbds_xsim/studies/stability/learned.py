@@ -45,15 +45,7 @@ from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.studies.stability.definition import Case, Study, Value
 from mbds_xsim.studies.stability.rows import LEARNED, Options, Outcome
-
-# The limits are the engines'; their names stay as they are, because the file's source is in the
-# keys of all cells that were ever kept.
-from mbds_xsim.studies.stability.verdict import _ENERGY as ENERGY
-from mbds_xsim.studies.stability.verdict import _FROZEN as FROZEN
-from mbds_xsim.studies.stability.verdict import _OFF as OFF
-from mbds_xsim.studies.stability.verdict import _OPEN as OPEN
-from mbds_xsim.studies.stability.verdict import _SUNK as SUNK
-from mbds_xsim.studies.stability.verdict import Judged, Verdict
+from mbds_xsim.studies.stability.verdict import Judged, Signs, Verdict, part_of_way
 from mbds_xsim.versions import CHECKS, MODELS
 
 __all__ = ["LearnedContender", "judge_particles", "models_in", "run_model", "run_models"]
@@ -200,49 +192,25 @@ def judge_particles(motion: ParticleMotion, truth: ParticleMotion) -> Verdict:
     """
     length, frame = motion.graph.length, motion.graph.frame_s
     with np.errstate(all="ignore"):
-        open_by, deep = gap(motion) / length, sunk(motion) / length
-        energy = unexplained_energy(motion, truth)
-        due = way(truth)
-        gone = np.where(due > OFF * length, way(motion) / due, np.nan)
-        error = particle_error(motion, truth) / length
+        signs = Signs(
+            unexplained_energy(motion, truth),
+            gap(motion) / length,
+            sunk(motion) / length,
+            part_of_way(way(motion), way(truth), length),
+            particle_error(motion, truth) / length,
+        )
     finite = np.asarray(np.isfinite(motion.position).all(axis=(1, 2)))
     ended = len(finite) if finite.all() else int(finite.argmin())
-    broken: dict[Outcome, NDArray[np.bool_]] = {
-        "comes apart": open_by > OPEN,
-        "sinks in": deep > SUNK,
-        "gains energy": energy > ENERGY,
-        "loses energy": energy < -ENERGY,
-        "stuck": _to_the_end(gone, gone < FROZEN),
-        "blows up": ~finite,
-    }
-    first: dict[Outcome, int] = {
-        what: int(flags[HISTORY:].argmax()) + HISTORY
-        for what, flags in broken.items()
-        if flags[HISTORY:].any()
-    }
-    if not first and (error > OFF).any():
-        first = {"off course": int((error > OFF).argmax())}
-    outcome = min(first, key=lambda what: first[what], default="stable")
+    broken = {what: flags[HISTORY:] for what, flags in signs.broken().items()}
+    broken["blows up"] = ~finite[HISTORY:]
+    first = {what: int(flags.argmax()) + HISTORY for what, flags in broken.items() if flags.any()}
+    first = first or signs.off_course()
+    outcome: Outcome = min(first, key=lambda what: first[what]) if first else "stable"
     return Verdict(
-        outcome=cast(Outcome, outcome),
+        outcome=outcome,
         told="nobody",
         reason="",
-        broke_s=first[cast(Outcome, outcome)] * frame if first else None,
+        broke_s=first[outcome] * frame if first else None,
         ended_s=(ended - 1) * frame,
-        energy=_extreme(energy),
-        gap=_extreme(open_by),
-        sunk=_extreme(deep),
-        way=float(gone[-1]) if np.isfinite(gone[-1]) else None,
-        error=_extreme(error),
+        **signs.figures(),
     )
-
-
-def _to_the_end(known: Array, flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Keep what is seen from some frame to the last one that is known."""
-    kept = np.logical_and.accumulate((flags | np.isnan(known))[::-1])[::-1]
-    return np.asarray(kept & flags)
-
-
-def _extreme(series: Array) -> float | None:
-    known = series[np.isfinite(series)]
-    return float(known[np.abs(known).argmax()]) if len(known) else None

@@ -70,6 +70,48 @@ class Verdict:
     error: float | None
 
 
+@dataclass(frozen=True, eq=False)
+class Signs:
+    """What may tell that a run broke, each (frame,), NaN where nothing is known."""
+
+    energy: Array
+    """Deviation over its scale, with its sign."""
+    gap: Array
+    """Over the scene's length, or [rad]."""
+    sunk: Array
+    """Over the scene's length."""
+    way: Array
+    """Over that which is due."""
+    error: Array
+    """Of the particles, over the scene's length."""
+
+    def broken(self) -> dict[Outcome, NDArray[np.bool_]]:
+        """Say at which frames which limit is passed, in the order of gravity."""
+        return {
+            "comes apart": self.gap > _OPEN,
+            "sinks in": self.sunk > _SUNK,
+            "gains energy": self.energy > _ENERGY,
+            "loses energy": self.energy < -_ENERGY,
+            "stuck": _to_the_end(self.way, self.way < _FROZEN),
+        }
+
+    def off_course(self) -> dict[Outcome, int]:
+        """Give the first frame at which the particles are too far off, if any."""
+        off = self.error > _OFF
+        return {"off course": int(off.argmax())} if off.any() else {}
+
+    def figures(self) -> dict[str, float | None]:
+        """Give the worst of each, and the way at the end, by their names in a verdict."""
+        worst = {k: _extreme(getattr(self, k)) for k in ("energy", "gap", "sunk", "error")}
+        end = float(self.way[-1])
+        return {**worst, "way": end if np.isfinite(end) else None}
+
+
+def part_of_way(gone: Array, due: Array, length: float) -> Array:
+    """Give the part of the way due [m] that is gone, where that is worth comparing; (frame,)."""
+    return np.where(due > _OFF * length, gone / due, np.nan)
+
+
 def judge(
     scene: Scene,
     batch: Batch,
@@ -91,27 +133,23 @@ def judge(
     record = Record(scene, batch, trajectory, method, step)
     reference = None if truth is None else Record(scene, batch, truth)
     with np.errstate(all="ignore"):
-        energy, opened = _energy(record, reference), _opened(record)
-        sunk, way, error = _sunk(record), _way(record, reference), _error(record, reference)
-    broken: dict[Outcome, NDArray[np.bool_]] = {
-        "comes apart": opened > _OPEN,
-        "sinks in": sunk > _SUNK,
-        "gains energy": energy > _ENERGY,
-        "loses energy": energy < -_ENERGY,
-        "stuck": _to_the_end(way, way < _FROZEN),
-    }
+        signs = Signs(
+            _energy(record, reference),
+            _opened(record),
+            _sunk(record),
+            _way(record, reference),
+            _error(record, reference),
+        )
     failure = trajectory.failures[0]
-    first: dict[Outcome, int] = {
-        what: int(seen.argmax()) for what, seen in broken.items() if seen.any()
-    }
+    first = {what: int(flags.argmax()) for what, flags in signs.broken().items() if flags.any()}
     outcome: Outcome = "stable"
     if first:
         outcome = min(first, key=lambda what: first[what])
     elif failure is not None or not record.finite.all():
         outcome = meaning(failure)
         first = {outcome: int(record.finite[0].sum())}
-    elif (error > _OFF).any():
-        outcome, first = "off course", {"off course": int((error > _OFF).argmax())}
+    elif first := signs.off_course():
+        outcome = "off course"
     time = trajectory.time
     return Verdict(
         outcome=outcome,
@@ -119,11 +157,7 @@ def judge(
         reason="" if failure is None else " ".join(failure.reason.split()),
         broke_s=float(time[min(first[outcome], len(time) - 1)]) if first else None,
         ended_s=float(time[max(0, int(record.finite[0].sum()) - 1)]),
-        energy=_extreme(energy),
-        gap=_extreme(opened),
-        sunk=_extreme(sunk),
-        way=float(way[-1]) if np.isfinite(way[-1]) else None,
-        error=_extreme(error),
+        **signs.figures(),
     )
 
 
@@ -157,8 +191,7 @@ def _way(record: Record, truth: Record | None) -> Array:
     """Way of the particles over that of the reference, where that is worth comparing; (frame,)."""
     if truth is None:
         return _nothing(record)
-    due, gone = _gone(truth), _gone(record)
-    return np.where(due > _OFF * record.scene.length, gone / due, np.nan)
+    return part_of_way(_gone(record), _gone(truth), record.scene.length)
 
 
 def _gone(record: Record) -> Array:

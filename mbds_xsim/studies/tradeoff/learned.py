@@ -13,10 +13,10 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from mbds_xsim import registry
@@ -41,6 +41,9 @@ from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
 from mbds_xsim.studies.tradeoff.rows import Kind, Learned, Row, Tradeoff
 from mbds_xsim.studies.tradeoff.truths import references
 from mbds_xsim.versions import CHECKS, MODELS
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 __all__ = ["AT_ONCE", "ModelStarts", "measure_model", "models_of", "with_models"]
 
@@ -153,6 +156,8 @@ def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[
 
     Figures are put into the rows expected: of each start alone, then of each in the batch.
     """
+    import torch
+
     torch.set_num_threads(1)
     begin = time.perf_counter()
     model, _ = read_model(trained.file, trial.scene)
@@ -173,7 +178,7 @@ def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[
     ]
 
 
-def _timed(model: LearnedModel, known: Known) -> tuple[Seconds, Seconds, torch.Tensor]:
+def _timed(model: LearnedModel, known: Known) -> tuple[Seconds, Seconds, Tensor]:
     """Wall and processor times per simulated second of one trajectory, and the last prediction."""
     carry_on(model, known.truncated(_WARM_UP))
     rows, frames = known.inputs.force.shape[:2]
