@@ -136,7 +136,7 @@ def _profiles(
     words: tuple[str, ...], engines: tuple[str, ...]
 ) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
     """Tell profiles from files of settings, and read these."""
-    paths = [word for word in words if word.endswith(".toml") or os.sep in word]
+    paths = [word for word in words if Path(word).suffix or os.sep in word]
     if len(paths) > 1 or (paths and "matched" in words):
         msg = f"--settings: got {','.join(words)}, allowed is one of matched and a file"
         raise InputError(msg)

@@ -19,8 +19,9 @@ class UnknownName(InputError):
     @classmethod
     def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
         """Say what was asked for and what there is."""
-        near = difflib.get_close_matches(got, allowed, n=1)
-        hint = f"; did you mean {near[0]!r}? There are: " if near else "; there are: "
+        plain = {name.casefold(): name for name in reversed(allowed)}
+        near = difflib.get_close_matches(got.casefold(), plain, n=1)
+        hint = f"; did you mean {plain[near[0]]!r}? There are: " if near else "; there are: "
         return cls(f"no {what} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
 
 

@@ -114,6 +114,10 @@ def load_scene(name: str) -> Scene:
     if match and match[2] in families:
         family: Callable[[int], Scene] = families[match[2]].load()
         return family(int(match[1]))
+    digits = re.match(r"[0-9]*", name)[0]  # type: ignore[index]  # matches any text
+    if name[len(digits) :] in families:
+        msg = f"no scene is called {name!r}: N of N{name[len(digits) :]} is a number from 1 to 9999"
+        raise UnknownName(msg)
     sized = [f"N{family}" for family in sorted(families)]
     raise UnknownName.of("scene", name, [*scene_names(), *sized, "a path to a .toml file"])
 

@@ -29,7 +29,7 @@ _FIRST_STEP = 0.1  # of a frame
 _SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
-_USUAL_STEPS, _SINGULAR_STEPS = 100, 100
+_USUAL_STEPS, _SINGULAR_STEPS = 50, 50
 # Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
 # a step costs tens of others, and a motion that passes a singular pose is through it in a few.
 

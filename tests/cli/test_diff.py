@@ -454,6 +454,15 @@ def test_bad_files_are_one_line(run: CommandLine, here: Path, kind: str) -> None
     assert not (here / "diff.json").exists()
 
 
+def test_what_has_no_end_is_not_read_to_it(run: CommandLine) -> None:
+    ended = run("diff", "/dev/zero", "/dev/zero")
+
+    assert ended.code == 2
+    assert ended.err == (
+        "mbds-xsim: /dev/zero: got more than 100 MB, the largest results take 10 MB\n"
+    )
+
+
 def test_a_scene_of_other_physics_is_refused(compare: CommandLine) -> None:
     told = _match() | {"fingerprint": "a" * 16}
 

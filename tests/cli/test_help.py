@@ -44,6 +44,8 @@ def test_no_help_speaks_of_types_of_python(run: CommandLine, name: str) -> None:
             ["validate", "2pendulum", "--engines", "mujoco", "--method", "RK5"],
             "did you mean 'RK4'?",
         ),
+        (["validate", "2pendulum", "--engines", "MuJoCo"], "did you mean 'mujoco'?"),
+        (["validate", "2pendulum", "--settings", "my.json"], "--settings my.json: cannot be read"),
         (["stability", "mass-rato"], "did you mean 'mass-ratio'?"),
     ],
 )

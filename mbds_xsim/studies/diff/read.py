@@ -27,6 +27,7 @@ _RESULT = re.compile("mbds-xsim/[a-z]+/1")
 _VERDICTS = {"pass": 0, "warn": 1, "fail": FAILING}
 _POINTS = {"failed": FAILING + 1, "crashed": FAILING + 1, "refused": FAILING + 1}
 """Points that were too slow or timed out tell of the machine: they have no rank."""
+_LARGEST = 100 * 10**6  # bytes of a file
 _OUTCOMES = {"stable": 0, "off course": FAILING, "refused": None}
 
 
@@ -57,7 +58,12 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
 
 def _content(path: Path) -> object:
     try:
-        return msgspec.json.decode(path.read_bytes())
+        with path.open("rb") as file:
+            text = file.read(_LARGEST + 1)
+        if len(text) > _LARGEST:
+            msg = f"{path}: got more than {_LARGEST // 10**6} MB, the largest results take 10 MB"
+            raise InputError(msg)
+        return msgspec.json.decode(text)
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}"
         raise InputError(msg) from error
