@@ -97,7 +97,10 @@ class Exudyn(Adapter):
         ),
         "impact_steps": Option(12, "such steps that an impact lasts, at least"),
         "slip_speed": Option(
-            1e-2, "[m/s]: below it friction is proportional to the slip, above it Coulomb's"
+            1e-2,
+            "[m/s]: below it friction is proportional to the slip, above it Coulomb's; 1e-4 is as "
+            "stable as 1e-2 (14 and 15 of 36 cells of `stability throw`) and has Exudyn report "
+            "15 of 22 failures, not 1 of 21",
         ),
     }
     sweeps: ClassVar = {

@@ -15,7 +15,7 @@ from mbds_xsim.isolate import LIMIT
 from mbds_xsim.matched import Matched, read_matched, settings_for
 from mbds_xsim.scene import Scene
 
-__all__ = ["Choice", "Contender", "words_of"]
+__all__ = ["Choice", "Contender", "is_file", "words_of"]
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,16 @@ class Choice:
         return f"{reason}; {hint}"
 
 
+def is_file(word: str) -> bool:
+    """Tell whether a word for settings names a file, and no profile."""
+    return bool(Path(word).suffix) or os.sep in word
+
+
 def _profiles(
     words: tuple[str, ...], engines: tuple[str, ...]
 ) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
     """Tell profiles from files of settings, and read these."""
-    paths = [word for word in words if Path(word).suffix or os.sep in word]
+    paths = [word for word in words if is_file(word)]
     if len(paths) > 1 or (paths and "matched" in words):
         msg = f"--settings: got {','.join(words)}, allowed is one of matched and a file"
         raise InputError(msg)

@@ -58,6 +58,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
         "validate 2pendulum --settings fast",
         ["no settings profile is called 'fast'", "matched, native"],
     ),
+    "a file of settings for a map": (
+        "stability throw --settings found.toml",
+        ["--settings found.toml", "of one scene", "matched, native"],
+    ),
     "unknown profile to show": (
         "show 2pendulum --native mujoco --settings fast",
         ["no settings profile is called 'fast'", "matched, native"],

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from mbds_xsim import registry
 from mbds_xsim.catalogue import as_profile
+from mbds_xsim.choice import is_file
 from mbds_xsim.engine import Adapter, Profile, Settings
 from mbds_xsim.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.isolate import Task
@@ -194,6 +195,12 @@ def contenders_of(
 
 def profiles_of(words: str) -> tuple[Profile, ...]:
     """Read the profiles from a user's words, each once."""
+    if paths := [word for word in words.split(",") if is_file(word)]:
+        msg = (
+            f"--settings {paths[0]}: a file has the settings of one scene, and a map makes scenes "
+            "and steps of its own; allowed are matched, native, or both"
+        )
+        raise InputError(msg)
     return tuple(dict.fromkeys(as_profile(word.strip()) for word in words.split(",")))
 
 
