@@ -85,7 +85,7 @@ def shift(
     from mbds_xsim.learn.device import check_device
     from mbds_xsim.learn.shift.models import Selection
     from mbds_xsim.learn.shift.result import to_json
-    from mbds_xsim.learn.shift.study import asked, samples_of, study
+    from mbds_xsim.learn.shift.study import question_of, samples_of, study
     from mbds_xsim.report.files import link, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.shift.figures import to_png
@@ -99,7 +99,7 @@ def shift(
     part = Selection.parse(settings, on, seeds)
     names = map(folder_name, scene or _scenes(models, data))
     # All at once: what the last is lacking is said before the first has taken its time.
-    questions = [asked(models, data, n, trajectories=trajectories, part=part) for n in names]
+    questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
     studies = []
     for question in questions:
         with progress_on(console) as meter:

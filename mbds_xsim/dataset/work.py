@@ -159,20 +159,29 @@ class ProgressSink(Protocol):
 def watched(folders: Sequence[Path], progress: ProgressSink) -> Iterator[None]:
     """Tell what is added to the logs of some folders while the block runs."""
     tails = [_Tail(folder / LOG) for folder in folders]
+    try:
+        with repeating(lambda: _tell(tails, progress)):
+            yield
+    finally:
+        _tell(tails, progress)
+
+
+@contextmanager
+def repeating(look: Callable[[], None]) -> Iterator[None]:
+    """Look again and again while the block runs."""
     ended = threading.Event()
 
-    def look() -> None:
+    def go_on() -> None:
         while not ended.wait(_INTERVAL):
-            _tell(tails, progress)
+            look()
 
-    thread = threading.Thread(target=look, daemon=True)
+    thread = threading.Thread(target=go_on, daemon=True)
     thread.start()
     try:
         yield
     finally:
         ended.set()
         thread.join()
-        _tell(tails, progress)
 
 
 def _tell(tails: Sequence[_Tail], progress: ProgressSink) -> None:

@@ -240,7 +240,7 @@ def _choose(chosen: list[Array], arm: Array, second: Array, length: float) -> No
 def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Indices) -> tuple[Indices, Array]:
     """Number the points of all bodies by node, free ones first, and place the fixed ones."""
     group = np.arange(first[-1])
-    held: dict[int, Array] = {}
+    anchored: dict[int, Array] = {}
     near = _SAME * mechanism.scene.length
 
     def slot(body: int, point: Array) -> int | None:
@@ -257,8 +257,8 @@ def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Indices) -> tuple[
             group[group == group[b]] = group[a]
         end = b if joint.parent == WORLD_INDEX else a
         if end is not None and WORLD_INDEX in (joint.parent, joint.child):
-            held[end] = joint.anchor
-    fixed = {int(group[end]): place for end, place in held.items()}
+            anchored[end] = joint.anchor
+    fixed = {int(group[end]): place for end, place in anchored.items()}
     free = [k for k in dict.fromkeys(group.tolist()) if k not in fixed]
     number = {root: k for k, root in enumerate([*free, *fixed])}
     node = np.array([number[root] for root in group.tolist()], dtype=np.int64)

@@ -300,9 +300,11 @@ class _Checkpoint(msgspec.Struct, frozen=True):
     cpu_s: float
 
 
-def check_identity(path: Path, what: str, found: Mapping[str, str], own: Mapping[str, str]) -> None:
+def check_identity(
+    path: Path, what: str, stated: Mapping[str, str], own: Mapping[str, str]
+) -> None:
     """Raise InputError where a file is of another run, saying what differs."""
-    differing = [key for key in own if found.get(key) != own[key]]
+    differing = [key for key in own if stated.get(key) != own[key]]
     if differing:
         msg = (
             f"{path}: {what} of another {', '.join(differing)}; name another place, or remove it "

@@ -6,7 +6,6 @@ Progress is told from the curves that runs write, wherever they run.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.dataset.work import Carrier
+from mbds_xsim.dataset.work import Carrier, repeating
 from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.curves import read_curve
@@ -45,7 +44,6 @@ Facts = dict[str, dict[str, str]]
 LONG = 1000
 """Steps of a run from which its cost is to be told first."""
 _MEASURING = 600.0  # of one model [s]
-_INTERVAL = 0.5  # of looking at the curves [s]
 _TRACKS = {"smoke": "lite", "lite": "lite", "paper": "paper"}
 _ENDS = {
     "level": "level after {steps} steps",
@@ -263,7 +261,6 @@ def watched(runs: Sequence[TrainingRun], progress: TrainingSink) -> Iterator[Non
     """Tell what is added to the curves of some runs while the block runs."""
     # A curve without a checkpoint is of a run that was removed, and is made anew.
     known = {run.name: 0 if run.checkpoint.exists() else _changed(run) for run in runs}
-    over = threading.Event()
 
     def look(*, before: bool = False) -> None:
         """Tell of the runs whose files are newer than when they were looked at last [ns]."""
@@ -275,18 +272,9 @@ def watched(runs: Sequence[TrainingRun], progress: TrainingSink) -> Iterator[Non
                 if points:
                     progress.reached(run.name, points[-1].step, points[-1].error, before=before)
 
-    def go_on() -> None:
-        while not over.wait(_INTERVAL):
-            look()
-
     look(before=True)
-    thread = threading.Thread(target=go_on, daemon=True)
-    thread.start()
-    try:
+    with repeating(look):
         yield
-    finally:
-        over.set()
-        thread.join()
 
 
 def _changed(run: TrainingRun) -> int:

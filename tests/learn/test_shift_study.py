@@ -95,7 +95,9 @@ def cache(folder: Path) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def shift(folder: Path, cache: None) -> Shift:
     del cache
-    return study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
+    return study.study(
+        study.question_of(folder / "models", folder / "data", SCENE), workers=0
+    ).shift
 
 
 def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
@@ -149,7 +151,9 @@ def test_what_was_tested_is_not_tested_again(
         raise AssertionError
 
     monkeypatch.setattr(rollouts, "figures_on", refuse)
-    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
+    again = study.study(
+        study.question_of(folder / "models", folder / "data", SCENE), workers=0
+    ).shift
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
 
@@ -171,7 +175,7 @@ def test_without_the_cache_all_is_done_anew(
 
     monkeypatch.setattr(rollouts, "figures_on", noted_figures)
     monkeypatch.setattr(rollouts, "_predicted", noted_restart)
-    question = study.asked(folder / "models", folder / "data", SCENE)
+    question = study.question_of(folder / "models", folder / "data", SCENE)
     again = study.study(question, cache=False, workers=0).shift
     assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
     assert len(gone_on) == 2 * 3
@@ -200,7 +204,9 @@ def test_restarts_that_were_interrupted_go_on(
         return predicted(job, motions, inputs)
 
     monkeypatch.setattr(rollouts, "_predicted", noted)
-    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
+    again = study.study(
+        study.question_of(folder / "models", folder / "data", SCENE), workers=0
+    ).shift
     assert done == [(one.name, two.name)]
     assert again.gaps == shift.gaps
 
@@ -251,7 +257,9 @@ def test_a_restart_that_crashes_takes_no_other_along(
         (one.name, one.name)
     }
     assert (meter.whole, meter.done) == (2, 2)
-    again = study.study(study.asked(folder / "models", folder / "data", SCENE), workers=0).shift
+    again = study.study(
+        study.question_of(folder / "models", folder / "data", SCENE), workers=0
+    ).shift
     assert again.gaps == shift.gaps
 
 
@@ -279,7 +287,7 @@ def test_memory_holds_one_domain_and_no_figures(
 def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift: Shift) -> None:
     def studied(at: int) -> Shift:
         places = folder / "models", folder / "data"
-        return study.study(study.asked(*places, SCENE), at=at, workers=0).shift
+        return study.study(study.question_of(*places, SCENE), at=at, workers=0).shift
 
     early = studied(1)
     assert (shift.at, early.at) == (10, 1)
@@ -333,14 +341,14 @@ def test_a_part_of_the_models_and_domains(folder: Path) -> None:
     models, data = folder / "models", folder / "data"
     part = Selection.parse("native", "each", 1)
     shift = study.study(
-        study.asked(models, data, SCENE, trajectories=2, part=part), workers=0
+        study.question_of(models, data, SCENE, trajectories=2, part=part), workers=0
     ).shift
     trained = [model for model in shift.models if model.engines]
     assert trained
     assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
     assert {domain.variant for domain in shift.domains} == {"native", ""}
     with pytest.raises(InputError, match="no data of matched settings"):
-        study.asked(models, data, SCENE, part=Selection.parse("matched", None, None))
+        study.question_of(models, data, SCENE, part=Selection.parse("matched", None, None))
     with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
         find_models(models, SCENE, Selection.parse(None, "leave-one-out", None))
 
@@ -353,7 +361,9 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
         _train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
     parts = find_models(tmp_path / "models", SCENE, Selection.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
-    found = study.study(study.asked(tmp_path / "models", tmp_path / "data", SCENE), workers=0).shift
+    found = study.study(
+        study.question_of(tmp_path / "models", tmp_path / "data", SCENE), workers=0
+    ).shift
     assert {gap.training for gap in found.gaps} == {"exudyn-native", "mujoco-native", "all-native"}
     answer = next(answer for answer in found.answers if answer.kind == "speed")
     assert answer.question == "What does a change of speed cost (mujoco-native)?"

@@ -52,14 +52,22 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import package_version
 
-__all__ = ["Asked", "SampleRollout", "Samples", "Studied", "asked", "samples_of", "study"]
+__all__ = [
+    "SampleRollout",
+    "Samples",
+    "ShiftQuestion",
+    "ShiftStudy",
+    "question_of",
+    "samples_of",
+    "study",
+]
 
 Array = NDArray[np.float64]
 _AT = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class ShiftQuestion:
     """Models and data of one scene that belong together."""
 
     test: Paired
@@ -67,21 +75,21 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class Studied:
+class ShiftStudy:
     """A study, and the raw figures that it was made from."""
 
     shift: Shift
     evaluation: Evaluation
 
 
-def asked(
+def question_of(
     models: Path,
     data: Path,
     scene: str,
     *,
     trajectories: int | None = None,
     part: Selection = WHOLE,
-) -> Asked:
+) -> ShiftQuestion:
     """Find what is to be studied: models and data of a scene that belong together.
 
     InputError says what is missing or does not belong.
@@ -90,11 +98,11 @@ def asked(
     trained = find_models(models, scene, part)
     check_budget(trained)
     check_data(trained, test)
-    return Asked(test, tuple(trained))
+    return ShiftQuestion(test, tuple(trained))
 
 
 def study(
-    question: Asked,
+    question: ShiftQuestion,
     *,
     at: int | None = None,
     cache: bool = True,
@@ -102,7 +110,7 @@ def study(
     device: str = "cpu",
     meter: RolloutMeter | None = None,
     command: str = "",
-) -> Studied:
+) -> ShiftStudy:
     """Test all models of a scene on all domains, and say what a change of engine does.
 
     Args:
@@ -147,7 +155,9 @@ def study(
         models=tuple(map(_facts, models)),
         kept=len(models) - figures.tested,
     )
-    return Studied(msgspec.structs.replace(shift, wall_s=time.perf_counter() - began), evaluation)
+    return ShiftStudy(
+        msgspec.structs.replace(shift, wall_s=time.perf_counter() - began), evaluation
+    )
 
 
 def _shift(
@@ -190,14 +200,14 @@ def _shift(
     )
 
 
-def _frame_of(frames: tuple[int, ...], asked: int | None) -> int:
+def _frame_of(frames: tuple[int, ...], chosen: int | None) -> int:
     """Choose the frame of the answers: early enough not to be chaos everywhere."""
-    if asked is None:
+    if chosen is None:
         return _AT if _AT in frames else frames[-1]
-    if asked not in frames:
-        msg = f"--at: got {asked}, allowed is {', '.join(map(str, frames))}"
+    if chosen not in frames:
+        msg = f"--at: got {chosen}, allowed is {', '.join(map(str, frames))}"
         raise InputError(msg)
-    return asked
+    return chosen
 
 
 def _lost(evaluation: Evaluation) -> dict[str, str]:

@@ -9,13 +9,13 @@ import numpy as np
 from mbds_xsim.learn.particles import RolloutFigures
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.result import INTERVALS
-from mbds_xsim.learn.shift.study import Studied
+from mbds_xsim.learn.shift.study import ShiftStudy
 from mbds_xsim.safe_text import csv_text
 
 __all__ = ["to_csv"]
 
 
-def to_csv(studies: Sequence[Studied]) -> bytes:
+def to_csv(studies: Sequence[ShiftStudy]) -> bytes:
     """Give the rows of all studies; `inf` is a lost prediction, empty what is not known."""
     frames = list(dict.fromkeys(f for studied in studies for f in studied.shift.frames))
     kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
