@@ -79,22 +79,26 @@ def test_what_distances_that_nothing_changes_store_moves_nothing(
     assert apart < 1e-10 * without.abs().max()
 
 
+@pytest.mark.parametrize("kind", [Lagrangian, Hamiltonian])
 @pytest.mark.parametrize(("name", "steps"), [("6pendulum", 10), ("3ladder", 20)])
-def test_a_learned_energy_is_kept(name: str, steps: int) -> None:
+def test_a_learned_energy_is_kept(
+    name: str, steps: int, kind: type[Lagrangian | Hamiltonian]
+) -> None:
     """Of fourth order, as the method: what is lost is the integrator's."""
     energy = random_energy(name)
-    model = Lagrangian(energy)
+    model = kind(energy)
     q, v = drawn_states(energy.mechanics, 3)
-    force, torque = no_inputs(energy.mechanics, len(q))
+    x = model.momentum(v) if isinstance(model, Hamiltonian) else v
+    inputs = no_inputs(energy.mechanics, len(q))
 
     def rate(state: Tensor) -> Tensor:
-        q, v = state.unbind(1)
-        return torch.stack([v, model.acceleration(q, v, force, torque)], dim=1)
+        q, x = state.unbind(1)
+        return torch.stack(model.derivative(q, x, *inputs), dim=1)
 
     with torch.no_grad():
-        before = model.total_energy(q, v)
+        before = model.total_energy(q, x)
         speed = energy.kinetic(v).total.abs().max()
-        start = torch.stack([q, v], dim=1)
+        start = torch.stack([q, x], dim=1)
         drifts = []
         for count in (steps, 2 * steps):
             end = march(rate, start, count, 0.05)

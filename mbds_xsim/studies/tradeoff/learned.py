@@ -37,7 +37,7 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.studies.tradeoff.bench import Meter
 from mbds_xsim.studies.tradeoff.curves import point_of
-from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
+from mbds_xsim.studies.tradeoff.point import WARM_UP, Seconds, Truth, horizon_of, timed
 from mbds_xsim.studies.tradeoff.rows import Kind, Learned, Row, Tradeoff
 from mbds_xsim.studies.tradeoff.truths import references
 from mbds_xsim.versions import CHECKS, MODELS
@@ -48,16 +48,12 @@ if TYPE_CHECKING:
 __all__ = ["AT_ONCE", "ModelStarts", "measure_model", "models_of", "with_models"]
 
 Array = NDArray[np.float64]
-Seconds = tuple[float, ...]
 
 AT_ONCE = 64
 """Trajectories of a batch."""
 
 _ALONE, _BATCHED = "", f"{AT_ONCE} at a time"
 _LIMIT = 1800.0  # of a model, all starts [s]
-_ENOUGH = 0.2  # of timing [s]
-_MOST_REPEATS = 7
-_WARM_UP = 2  # frames
 _TIMED = 25  # frames of a batch
 _GUESS = 10.0  # time of a model before any is measured [s]
 
@@ -165,32 +161,24 @@ def measure_model(trained: TrainedModel, trial: ModelStarts, expected: Sequence[
     alone = []
     for k, (bare, truth) in enumerate(zip(expected, trial.truths, strict=False)):
         starts, quiet, solution = trial.starts[[k]], trial.quiet[[k]], truth.trajectory
-        walls, cpus, predicted = _timed(model, known_start(model, solution, quiet))
+        predicted, walls, cpus = _predicted(model, known_start(model, solution, quiet))
         motion = particle_motion(model.graph, quiet, solution, predicted)
         row = msgspec.structs.replace(bare, wall_s=walls, cpu_s=cpus, setup_s=setup)
         alone.append(_judged(row, motion, particle_motion(model.graph, starts, solution), truth))
     whole = Trajectory.joined([truth.trajectory for truth in trial.truths])
     batch = known_start(model, whole, trial.quiet).repeated(AT_ONCE).truncated(_TIMED)
-    walls, cpus, _ = _timed(model, batch)
+    _, walls, cpus = _predicted(model, batch)
     return alone + [
         msgspec.structs.replace(row, key=bare.key, variation=_BATCHED, wall_s=walls, cpu_s=cpus)
         for row, bare in zip(alone, expected[len(alone) :], strict=True)
     ]
 
 
-def _timed(model: LearnedModel, known: Known) -> tuple[Seconds, Seconds, Tensor]:
-    """Wall and processor times per simulated second of one trajectory, and the last prediction."""
-    carry_on(model, known.truncated(_WARM_UP))
+def _predicted(model: LearnedModel, known: Known) -> tuple[Tensor, Seconds, Seconds]:
+    """Predict, and time it by the simulated second of one trajectory."""
+    carry_on(model, known.truncated(WARM_UP))
     rows, frames = known.inputs.force.shape[:2]
-    duration = rows * frames * model.graph.frame_s
-    walls: list[float] = []
-    cpus: list[float] = []
-    while not walls or (sum(walls) < _ENOUGH and len(walls) < _MOST_REPEATS):
-        wall, cpu = time.perf_counter(), time.process_time()
-        predicted = carry_on(model, known)
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
-    return tuple(w / duration for w in walls), tuple(c / duration for c in cpus), predicted
+    return timed(lambda: carry_on(model, known), rows * frames * model.graph.frame_s)
 
 
 def _judged(row: Row, motion: ParticleMotion, due: ParticleMotion, truth: Truth) -> Row:

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import isolate, registry
 from mbds_xsim.checks import Finding, agreement, audit
-from mbds_xsim.engine import Adapter, ModelSize, Run, Settings
+from mbds_xsim.engine import Adapter, ModelSize, Settings
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["INSTANT", "Measured", "Timing", "Truth", "horizon_of", "measure"]
+__all__ = ["INSTANT", "WARM_UP", "Measured", "Timing", "Truth", "horizon_of", "measure", "timed"]
 
 Array = NDArray[np.float64]
+Made = TypeVar("Made")
+Seconds = tuple[float, ...]
 
 INSTANT = 1.0
 """Time of the error that is charted, where the reference lasts so long [s]."""
 
-_WARM_UP = 2  # frames
+WARM_UP = 2
+"""Frames before those that are timed."""
 _ENOUGH = 0.2  # of timing [s]
 _MOST_REPEATS = 7
 
@@ -85,10 +89,10 @@ def measure(scene: Scene, start: Batch, engine: str, settings: Settings, truth: 
     begin = time.perf_counter()
     with adapter.open(scene, settings) as run:
         setup = time.perf_counter() - begin
-        run.rollout(start.truncated(_WARM_UP))
-        trajectory, walls, cpus = _timed(run, start)
+        run.rollout(start.truncated(WARM_UP))
+        duration = scene.clock.frame * start.steps
+        trajectory, walls, cpus = timed(lambda: run.rollout(start), duration)
         size = run.size
-    duration = scene.clock.frame * start.steps
     failure = trajectory.failures[0]
     found = {} if failure else _findings(scene, start, trajectory, adapter, settings)
     error = agreement.particle_error(Mechanism.of(scene), trajectory, truth.trajectory)
@@ -99,9 +103,7 @@ def measure(scene: Scene, start: Batch, engine: str, settings: Settings, truth: 
     return Measured(
         version=adapter.version(),
         size=size,
-        timing=Timing(
-            tuple(wall / duration for wall in walls), tuple(cpu / duration for cpu in cpus), setup
-        ),
+        timing=Timing(walls, cpus, setup),
         failure=failure,
         error_m=float(error[0, frame]) if told else None,
         error_weighted_m=float(weighted) if told else None,
@@ -121,15 +123,19 @@ def horizon_of(truth: Trajectory) -> float:
     return float(before[-1]) if len(before) else 0.0
 
 
-def _timed(run: Run, start: Batch) -> tuple[Trajectory, list[float], list[float]]:
+def timed(work: Callable[[], Made], duration: float) -> tuple[Made, Seconds, Seconds]:
+    """Repeat short work; give what it made last, and wall and processor times.
+
+    Times are per second of the duration that it simulates [s], one entry a repeat.
+    """
     walls: list[float] = []
     cpus: list[float] = []
     while not walls or (sum(walls) < _ENOUGH and len(walls) < _MOST_REPEATS):
         wall, cpu = time.perf_counter(), time.process_time()
-        trajectory = run.rollout(start)
+        made = work()
         walls.append(time.perf_counter() - wall)
         cpus.append(time.process_time() - cpu)
-    return trajectory, walls, cpus
+    return made, tuple(w / duration for w in walls), tuple(c / duration for c in cpus)
 
 
 def _known(error: Array, truth: Truth) -> tuple[Array, Array]:
