@@ -20,7 +20,7 @@ from statistics import median
 
 from mbds_xsim.campaign import reference_of
 from mbds_xsim.choice import Choice
-from mbds_xsim.dataset.audit_sample import limit_faults, sample_findings
+from mbds_xsim.dataset.gate import limit_faults, sample_findings
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.registry import load_scene

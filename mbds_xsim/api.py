@@ -187,10 +187,10 @@ def audit(
     Raises:
         InputError: The file, or what is told of it, cannot be used.
     """
-    from mbds_xsim.dataset.audit import Told, audit_file
+    from mbds_xsim.dataset.audit import Provenance, audit_file
     from mbds_xsim.dataset.read import parse_numbers
 
-    told = Told(
+    told = Provenance(
         index=tuple(parse_numbers(index, "--index")) if isinstance(index, str) else _tuple(index),
         seed=seed,
         noise=noise,

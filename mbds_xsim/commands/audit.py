@@ -59,14 +59,14 @@ def audit(
     opened: Opened = False,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
-    from mbds_xsim.dataset.audit import Told, audit_file
+    from mbds_xsim.dataset.audit import Provenance, audit_file
     from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit.present import present
 
     console = console_for(json)
     check_targets(json=json, html=html)
-    told = Told(
+    told = Provenance(
         index=None if index is None else tuple(parse_numbers(index, "--index")),
         seed=seed,
         noise=noise,

@@ -29,7 +29,7 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES, Batch, Trajectory
 
-__all__ = ["Audited", "Told", "audit_file"]
+__all__ = ["Audited", "Provenance", "audit_file"]
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _SAME_START = 1e-12
 
 
 @dataclass(frozen=True)
-class Told:
+class Provenance:
     """What the user says; it goes before what the file says."""
 
     index: tuple[int, ...] | None = None
@@ -80,13 +80,13 @@ class Audited:
         return frame_of(self.findings)
 
 
-def audit_file(path: Path, scene: Scene | None, told: Told) -> Audited:
+def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
     """Check a file of trajectories.
 
     Args:
         path: npz, HDF5 or CSV; `docs/data-commands.md` lists names and columns.
         scene: What moves; None: what the file says.
-        told: What else is known.
+        origin: What else is known.
 
     Raises:
         InputError: The file, or what is told of it, cannot be used.
@@ -94,7 +94,7 @@ def audit_file(path: Path, scene: Scene | None, told: Told) -> Audited:
     pooled, taken, not_checked = Pooled(), dict[str, None](), dict[str, str]()
     first: _Case | None = None
     for foreign in read_foreign(path, scene):
-        case = _Case.of(foreign, told)
+        case = _Case.of(foreign, origin)
         first = first or case
         pooled.add(case.batch, case.findings())
         taken |= dict.fromkeys(case.taken)
@@ -124,32 +124,36 @@ class _Case:
     batch: Batch
     named: bool
     """Whether seed and index name the start."""
-    told: Told
+    origin: Provenance
     taken: list[str]
     not_checked: dict[str, str]
 
     @staticmethod
-    def of(foreign: Foreign, told: Told) -> _Case:
+    def of(foreign: Foreign, origin: Provenance) -> _Case:
         """Settle starts and inputs."""
-        told = _completed(told, foreign)
+        origin = _completed(origin, foreign)
         taken: list[str] = []
-        index = _index(foreign, told)
+        index = _index(foreign, origin)
         if index is None:
             batch = _unnamed(foreign, taken)
         else:
-            batch = _drawn(foreign, foreign.asked, index, told)
-        return _Case(foreign, batch, index is not None, told, taken, {})
+            batch = _drawn(foreign, foreign.asked, index, origin)
+        return _Case(foreign, batch, index is not None, origin, taken, {})
+
+    @property
+    def states(self) -> dict[str, Array | None]:
+        """States of the bodies, as far as the file has them."""
+        return {key: self.foreign.arrays.get(f"body/{key}") for key in STATES}
 
     def findings(self) -> list[Finding]:
         """Run every check that the file allows."""
         arrays, found = self.foreign.arrays, list[Finding]()
         points = arrays.get("position")
         if "body/position" in arrays:
-            states = {key: arrays.get(f"body/{key}") for key in STATES}
             blur = {key: self.foreign.rounding.get(f"body/{key}", 0.0) for key in STATES}
-            found += self._of_bodies(states, max(blur.values()), blur["orientation"])
+            found += self._of_bodies(self.states, max(blur.values()), blur["orientation"])
             if points is not None:
-                found.append(self._points(points, states))
+                found.append(self._points(points))
         elif points is not None:
             found += self._of_points(points, arrays.get("velocity"))
         if self.named:
@@ -178,7 +182,7 @@ class _Case:
                 filled,
                 method,
                 step=step,
-                contact_time=self.told.contact_time_s,
+                contact_time=self.origin.contact_time_s,
             )
         else:
             record = Record(self.foreign.scene, self.batch, filled, method, step)
@@ -228,9 +232,7 @@ class _Case:
         """Hold the particles at frame 0 against the start that is named."""
         if not self.named:
             return []
-        batch = self.batch
-        first = {key: getattr(batch, key)[:, None] for key in STATES}
-        drawn = Trajectory(np.zeros(1), **first, failures=(None,) * len(batch))
+        drawn = self._trajectory({})
         parts = np.full((*position.shape[:2], 1), np.nan)
         pairs = zip((position, velocity), Points.of(self.foreign.scene).motion(drawn), strict=True)
         off = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
@@ -239,10 +241,10 @@ class _Case:
         coarse = max(rounding["position"], rounding.get("velocity", 0.0))
         return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=np.float64(coarse))]
 
-    def _points(self, position: Array, states: dict[str, Array | None]) -> Finding:
+    def _points(self, position: Array) -> Finding:
         """Hold particles against the bodies that carry them."""
         points = Points.of(self.foreign.scene)
-        wanted, _ = points.motion(self._trajectory(states))
+        wanted, _ = points.motion(self._trajectory(self.states))
         off = np.linalg.norm(position - wanted, axis=-1)
         scene = self.foreign.scene
         names = tuple(scene.bodies[body].name for body in points.body)
@@ -255,12 +257,12 @@ class _Case:
 
     def _method(self) -> tuple[Method | None, float | None]:
         """What is known of how it was made."""
-        told = self.told
-        if told.method_order is None and told.velocity_lag_s is None:
+        origin = self.origin
+        if origin.method_order is None and origin.velocity_lag_s is None:
             self.taken.append("method: unknown, so budgets are those of first order")
-            return None, told.step_s
-        step = told.step_s or self.foreign.scene.clock.frame
-        order, lag = told.method_order or 1, (told.velocity_lag_s or 0.0) / step
+            return None, origin.step_s
+        step = origin.step_s or self.foreign.scene.clock.frame
+        order, lag = origin.method_order or 1, (origin.velocity_lag_s or 0.0) / step
         when = f"{lag:g} steps off the frames" if lag else "at the frames"
         self.taken.append(f"method: of order {order}, velocities {when}")
         return Method("told", "semi-implicit Euler", order, velocity_lag=lag), step
@@ -311,8 +313,7 @@ class _Case:
         arrays = self.foreign.arrays
         if "body/position" not in arrays:
             return arrays["position"]
-        states = {key: arrays.get(f"body/{key}") for key in STATES}
-        return Points.of(self.foreign.scene).motion(self._trajectory(states))[0]
+        return Points.of(self.foreign.scene).motion(self._trajectory(self.states))[0]
 
 
 _CONTACT_CHECKS = tuple(
@@ -332,41 +333,41 @@ def _positional(scene: Scene) -> list[str]:
     return [name for name, does in applies.items() if does]
 
 
-def _completed(told: Told, foreign: Foreign) -> Told:
+def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
     """Add what the file says where the user says nothing."""
     said = {
         field.name: foreign.facts.get(field.name)
-        for field in dataclasses.fields(told)
-        if getattr(told, field.name) is None
+        for field in dataclasses.fields(origin)
+        if getattr(origin, field.name) is None
     }
-    if told.index is not None and told.seed is None and said["seed"] is None:
+    if origin.index is not None and origin.seed is None and said["seed"] is None:
         said["seed"] = 0
-    return dataclasses.replace(told, **said)
+    return dataclasses.replace(origin, **said)
 
 
-def _index(foreign: Foreign, told: Told) -> list[int] | None:
+def _index(foreign: Foreign, origin: Provenance) -> list[int] | None:
     """Numbers of the starts, where they are named: by the user, or with a seed by the file."""
-    if told.index is None:
-        named = foreign.index is not None and told.seed is not None
+    if origin.index is None:
+        named = foreign.index is not None and origin.seed is not None
         return foreign.index.tolist() if named and foreign.index is not None else None
-    if len(told.index) != foreign.total:
+    if len(origin.index) != foreign.total:
         msg = (
-            f"--index: got {len(told.index)} numbers, allowed for {foreign.source} are "
+            f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
             f"{foreign.total}, one a trajectory"
         )
         raise InputError(msg)
-    return list(told.index[foreign.first : foreign.first + foreign.count])
+    return list(origin.index[foreign.first : foreign.first + foreign.count])
 
 
 def _names_of(first: _Case, last: _Case) -> str:
     """Say which starts they are, from the first trajectory to the last."""
-    told, ends = first.told, (int(first.batch.index[0]), int(last.batch.index[-1]))
-    noise = "with" if told.noise is not False else "without"
+    origin, ends = first.origin, (int(first.batch.index[0]), int(last.batch.index[-1]))
+    noise = "with" if origin.noise is not False else "without"
     numbers = f"{ends[0]}" if first.foreign.total == 1 else f"{ends[0]} … {ends[1]}"
-    return f"start and inputs: those of seed {told.seed}, index {numbers}, {noise} noise"
+    return f"start and inputs: those of seed {origin.seed}, index {numbers}, {noise} noise"
 
 
-def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], told: Told) -> Batch:
+def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], origin: Provenance) -> Batch:
     """Draw the starts; the file may have fewer frames, but the same ones."""
     clock, own = scene.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
@@ -376,7 +377,7 @@ def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], told: Told) -> 
             "inputs are held; leave --index away, or record at the scene's frames"
         )
         raise InputError(msg)
-    batch = draw_batch(scene, index, seed=told.seed or 0, noise=told.noise is not False)
+    batch = draw_batch(scene, index, seed=origin.seed or 0, noise=origin.noise is not False)
     return batch.truncated(own.steps)
 
 

@@ -107,17 +107,17 @@ class Cluster:
         mark = out / f".seen-{uuid.uuid4().hex}"
         mark.touch()
         try:
-            seen = self._asked(mark.is_file)
+            sight = self._asked(mark.is_file)
         finally:
             mark.unlink()
-        if not seen:
+        if not sight:
             msg = f"--scheduler: {address} has no workers; start some with `dask worker {address}`"
             raise InputError(msg)
-        blind = [worker for worker, sees in seen.items() if sees is not True]
+        blind = [worker for worker, sees in sight.items() if sees is not True]
         if blind:
             msg = (
                 f"--scheduler: the worker {blind[0]} does not see {out} ({len(blind)} of "
-                f"{len(seen)}); --out must be a folder that all workers share under one path"
+                f"{len(sight)}); --out must be a folder that all workers share under one path"
             )
             raise InputError(msg)
         self._alike("python", self._asked(platform.python_version), platform.python_version())
@@ -126,8 +126,8 @@ class Cluster:
 
     def _alike(self, package: str, theirs: dict[str, Any], here: str) -> None:
         """Compare versions, which decide what data come out."""
-        for worker, told in theirs.items():
-            there = "not installed" if isinstance(told, PackageNotFoundError) else told
+        for worker, answer in theirs.items():
+            there = "not installed" if isinstance(answer, PackageNotFoundError) else answer
             if there != here:
                 msg = (
                     f"--scheduler: on the worker {worker} {package} is {there}, here it is {here}; "
@@ -152,7 +152,7 @@ class Cluster:
             InputError: None can: the scheduler is gone, or all workers are.
         """
         pending = dict(enumerate(futures))
-        seen = time.monotonic()
+        last = time.monotonic()
         while pending:
             ended = [place for place, future in pending.items() if future.status not in _AWAITED]
             came = False
@@ -166,8 +166,8 @@ class Cluster:
                 yield place, answer
             if not came:
                 time.sleep(_LOOK)
-                seen = time.monotonic() if self.workers else seen
-                if time.monotonic() - seen > _GRACE:
+                last = time.monotonic() if self.workers else last
+                if time.monotonic() - last > _GRACE:
                     msg = (
                         f"--scheduler: no worker has been left for {_GRACE:g} s; see their logs, "
                         f"start some with `dask worker {self._address}`, and run the same command "
@@ -197,9 +197,9 @@ class Cluster:
         raise InputError(" ".join(msg.split()))
 
     def _lost(self, why: object) -> InputError:
-        told = f"{type(why).__name__}: {why}" if isinstance(why, Exception) else why
+        reason = f"{type(why).__name__}: {why}" if isinstance(why, Exception) else str(why)
         return InputError(
-            f"--scheduler: {self._address} is gone ({' '.join(str(told).split())}); start it again "
+            f"--scheduler: {self._address} is gone ({' '.join(reason.split())}); start it again "
             "with `dask scheduler`, and run the same command again, it goes on"
         )
 

@@ -139,12 +139,13 @@ def _column(
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
     if per_step:
         texts[-1] = "0"
-    try:
-        decimals = [Decimal(text).as_tuple().exponent for text in texts]
-    except ArithmeticError:
-        bad = next(k for k, text in enumerate(texts) if not _is_number(text))
-        msg = f"{path}: frame {bad}, column {name}: got {texts[bad]!r}, allowed is a number"
-        raise InputError(msg) from None
+    decimals = []
+    for frame, text in enumerate(texts):
+        try:
+            decimals.append(Decimal(text).as_tuple().exponent)
+        except ArithmeticError:
+            msg = f"{path}: frame {frame}, column {name}: got {text!r}, allowed is a number"
+            raise InputError(msg) from None
     last = min((digit for digit in decimals if isinstance(digit, int)), default=0)
     numbers = np.array([float(text) for text in texts])
     return numbers, max(0.5 * 10.0**last, _coarse(numbers))
@@ -154,14 +155,6 @@ def _coarse(numbers: Array) -> float:
     """Rounding of numbers that are float32 written as short as they can be; 0 of others."""
     short = numbers.astype(np.float32)
     return rounding_of(short) if (short.astype(str).astype(np.float64) == numbers).all() else 0.0
-
-
-def _is_number(text: str) -> bool:
-    try:
-        Decimal(text)
-    except ArithmeticError:
-        return False
-    return True
 
 
 def rounding_of(values: NDArray[Any]) -> float:

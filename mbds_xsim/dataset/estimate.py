@@ -6,7 +6,6 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,24 +14,23 @@ import numpy as np
 
 from mbds_xsim.campaign import ProgressSink
 from mbds_xsim.choice import Choice
+from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED
 from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.scene import Scene
 
-__all__ = ["Estimate", "Measured", "Plan", "estimate", "plan"]
+__all__ = ["CostPlan", "Estimate", "ShardCost", "estimate", "plan"]
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
-_AUDIT_EVERY = 15_000
-_AUDITED = 3
 _JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split
 _HOUR = 3600.0
 
 
 @dataclass(frozen=True)
-class Measured:
+class ShardCost:
     """What a few trajectories cost, made as `generate` makes them."""
 
     sample: int
@@ -63,7 +61,7 @@ class Estimate:
     variant: str
     method: str
     step_s: float
-    measured: Measured | None
+    measured: ShardCost | None
     failure: str
     """Why nothing could be measured, empty otherwise."""
     shards: int
@@ -74,7 +72,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CostPlan:
     """What a data set will cost."""
 
     scene: str
@@ -94,7 +92,7 @@ def plan(
     seed: int = 0,
     noise: bool = True,
     progress: ProgressSink,
-) -> Plan:
+) -> CostPlan:
     """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
 
     Args:
@@ -121,18 +119,18 @@ def plan(
     answers = run_tasks(
         tasks, workers=1, finished=lambda place, _: progress.advance(variants[place].name)
     )
-    audit_s = next((a.audit_s for a in answers if isinstance(a, Measured) and a.audit_s), 0.0)
+    audit_s = next((a.audit_s for a in answers if isinstance(a, ShardCost) and a.audit_s), 0.0)
     cores = core_count() if workers is None else workers
     estimates = [
         estimate(variant, answer, trajectories, audit_s=audit_s, workers=cores)
         for variant, answer in zip(variants, answers, strict=True)
     ]
-    return Plan(scene.name, trajectories, cores, tuple(estimates), left_out)
+    return CostPlan(scene.name, trajectories, cores, tuple(estimates), left_out)
 
 
 def estimate(
     variant: Variant,
-    answer: Measured | Crash,
+    answer: ShardCost | Crash,
     trajectories: int,
     *,
     audit_s: float,
@@ -141,8 +139,8 @@ def estimate(
     """Extrapolate what was measured: shards and trajectories cost what they cost, each alike."""
     shards = math.ceil(trajectories / variant.shard_size)
     hours = size = None
-    if isinstance(answer, Measured):
-        audits = math.ceil(trajectories / _AUDIT_EVERY)
+    if isinstance(answer, ShardCost):
+        audits = math.ceil(trajectories / AUDIT_EVERY)
         seconds = shards * answer.shard_s + trajectories * answer.trajectory_s + audits * audit_s
         hours = seconds / _HOUR
         size = shards * answer.shard_bytes
@@ -151,7 +149,7 @@ def estimate(
         variant=variant.name,
         method=variant.method.name,
         step_s=variant.contender.settings.step,
-        measured=answer if isinstance(answer, Measured) else None,
+        measured=answer if isinstance(answer, ShardCost) else None,
         failure=answer.reason if isinstance(answer, Crash) else "",
         shards=shards,
         core_hours=hours,
@@ -160,13 +158,13 @@ def estimate(
     )
 
 
-def measure(variant: Variant, sample: int, audit: bool) -> Measured:
+def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
     """Make a shard of one trajectory and two of several, after one that loads everything.
 
     None of them is of the audit sample, which is measured by itself.
     """
     with tempfile.TemporaryDirectory() as folder:
-        first = _AUDITED
+        first = AUDITED
         _make(variant, Item(first, 1), Path(folder, "cold"))
         one = _make(variant, Item(first, 1), Path(folder, "one"))
         runs = [
@@ -181,15 +179,16 @@ def measure(variant: Variant, sample: int, audit: bool) -> Measured:
         added = (float(np.mean([run["bytes"] for run in runs])) - one["bytes"]) / max(sample - 1, 1)
         audit_s = None
         if audit:
-            held = _make(variant, Item(0, _AUDITED), Path(folder, "audit"))
-            audit_s = max(held["seconds"] - alone - _AUDITED * each, 0.0)
-    return Measured(
+            audited = _make(variant, Item(0, AUDITED), Path(folder, "audit"))
+            audit_s = max(audited["seconds"] - alone - AUDITED * each, 0.0)
+    total = sum(run[stage] for run in runs for stage in STAGES) or 1.0
+    return ShardCost(
         sample=sample,
         published=sum(run["published"] for run in runs),
         shard_s=alone,
         trajectory_s=each,
         spread=abs(seconds[0] - seconds[1]) / mean,
-        shares=_shares(runs),
+        shares={stage: sum(run[stage] for run in runs) / total for stage in STAGES},
         shard_bytes=max(one["bytes"] - added, 0.0),
         trajectory_bytes=added,
         audit_s=audit_s,
@@ -205,8 +204,3 @@ def _make(variant: Variant, item: Item, out: Path) -> dict[str, Any]:
     size = sum(file.stat().st_size for folder in folders for file in folder.glob("*.h5"))
     facts: dict[str, Any] = json.loads((variant.folder(out) / LOG).read_text("utf-8"))
     return {**facts, "seconds": seconds, "bytes": size}
-
-
-def _shares(runs: Sequence[dict[str, Any]]) -> dict[str, float]:
-    total = sum(run[stage] for run in runs for stage in STAGES) or 1.0
-    return {stage: sum(run[stage] for run in runs) / total for stage in STAGES}

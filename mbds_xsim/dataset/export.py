@@ -24,16 +24,16 @@ __all__ = ["LOST", "Exported", "Form", "export"]
 
 Form = Literal["npz", "csv"]
 
+_FIGURES = "figures of the checks (check/…), starts as drawn (start/…; frame 0 has them)"
+_ATTRIBUTES = "checksums, units and axes as attributes"
+_REJECTED = "rejected trajectories"
+
 LOST: dict[Form, tuple[str, ...]] = {
-    "npz": (
-        "figures of the checks (check/…), starts as drawn (start/…; frame 0 has them)",
-        "checksums, units and axes as attributes; windows without reading the whole file",
-        "rejected trajectories",
-    ),
+    "npz": (_FIGURES, f"{_ATTRIBUTES}; windows without reading the whole file", _REJECTED),
     "csv": (
-        "figures of the checks (check/…), starts as drawn (start/…; frame 0 has them)",
-        "checksums, units and axes as attributes; any access but reading the whole file",
-        "rejected trajectories",
+        _FIGURES,
+        f"{_ATTRIBUTES}; any access but reading the whole file",
+        _REJECTED,
         "the scene and its graph (scene.toml has the scene), forces without the noise "
         "(input/known_force)",
     ),
@@ -101,7 +101,7 @@ def export(
         put(folder / _README, _readme(data, form).encode())
         for shard in data.files:
             part = load_dataset(shard)
-            rows = _rows(part, numbers)
+            rows = np.flatnonzero(np.isin(part.index, part.index if numbers is None else numbers))
             for name, content in _WRITERS[form](data, part, rows):
                 put(folder / name, content)
                 files, size = files + 1, size + len(content)
@@ -116,14 +116,10 @@ def _folder(data: Dataset, out: Path) -> Path:
     return out / folder_name(data.attributes["scene_name"]) / variant
 
 
-def _rows(part: Dataset, numbers: Sequence[int] | None) -> NDArray[np.int64]:
-    return np.flatnonzero(np.isin(part.index, part.index if numbers is None else numbers))
-
-
 def _absent(data: Dataset, numbers: Sequence[int] | None) -> list[int]:
     """Give those of the numbers that were drawn and rejected; refuse those never drawn."""
-    told = data.attributes
-    first, end = told["first"], told["first"] + told["count"]
+    attrs = data.attributes
+    first, end = attrs["first"], attrs["first"] + attrs["count"]
     beyond = [number for number in numbers or () if not first <= number < end]
     if beyond:
         msg = f"--indices: got {beyond[0]}, allowed for {data.path} is {first} … {end - 1}"
@@ -223,7 +219,7 @@ _WRITERS = {"npz": _npz, "csv": _csv}
 
 def _readme(data: Dataset, form: Form) -> str:
     """Say in the folder what the files are, and what they lack."""
-    told = in_markdown(data.attributes)
+    attrs = in_markdown(data.attributes)
     command = f"mbds-xsim audit FILE.{form}" + (f" --scene {_SCENE}" if form == "csv" else "")
     lost = "".join(f"- {line}\n" for line in LOST[form])
     if form == "npz":
@@ -240,10 +236,10 @@ def _readme(data: Dataset, form: Form) -> str:
             f"| `{group.span}` | {FIELDS[group.name].unit} | {FIELDS[group.name].meaning} |\n"
             for group in groups(data.scene)
         )
-    return f"""# {told["scene_name"]} in {told["engine"]} {told["engine_version"]}: {form} files
+    return f"""# {attrs["scene_name"]} in {attrs["engine"]} {attrs["engine_version"]}: {form} files
 
-Exported from an mbds-xsim data set: method {told["method"]} at {told["step_s"]:.6g} s, seed
-{told["seed"]}, {told["certification"]}. Bodies, points and hinges are numbered in the order of
+Exported from an mbds-xsim data set: method {attrs["method"]} at {attrs["step_s"]:.6g} s, seed
+{attrs["seed"]}, {attrs["certification"]}. Bodies, points and hinges are numbered in the order of
 `{_SCENE}`, W has z up, quaternions are w, x, y, z.
 
 {names}

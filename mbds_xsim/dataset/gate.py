@@ -1,26 +1,38 @@
-"""Which trajectories are published: those of which every check holds."""
+"""Which trajectories are published: those of which every check holds.
+
+A few of them are held against the reference too, which costs too much for all.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.campaign import ReferenceOutcome, reference_of
-from mbds_xsim.checks import Finding, Record, audited
+from mbds_xsim import reference
+from mbds_xsim.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
+from mbds_xsim.checks import Finding, Record, agreement, audited
+from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.shared import Evidence, evidence_of, shared_faults
 from mbds_xsim.choice import Contender
-from mbds_xsim.dataset.audit_sample import sample_findings, sampled
-from mbds_xsim.dataset.layout import CHECKS, INTEGRITY
-from mbds_xsim.engine import Method
+from mbds_xsim.convergence import convergence, further_step, smooth
+from mbds_xsim.dataset.layout import CHECKS, INTEGRITY, sampled
+from mbds_xsim.engine import Method, Settings
+from mbds_xsim.isolate import Crash
+from mbds_xsim.judge import error_findings, failed_lines
+from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.state import STATES, Batch, Trajectory
 
-__all__ = ["SHARED", "Making", "Verdict", "judge_rows"]
+__all__ = ["SHARED", "CheckTable", "Making", "judge_rows", "limit_faults", "sample_findings"]
 
 Array = NDArray[np.float64]
 
@@ -33,6 +45,12 @@ _BODY_FRAMES = 100_000
 _SPARSE = 96
 _MANY = 192  # steps; of shorter trajectories all frames are looked at
 
+_BRIEF = LEAST_SPAN
+"""Steps over which one trajectory of any other shard is held against the reference, which over all
+steps costs as much as simulating a whole shard does in the fastest engine."""
+_GROWTH = 10.0
+"""Taken for the sensitivity over so few steps: of the paper's scenes it is 3 at most."""
+
 SHARED = "together"
 """How a reason begins that trajectories give together and none of them by itself."""
 
@@ -40,7 +58,7 @@ _COLUMNS = {name: k for k, name in enumerate(CHECKS)}
 
 
 @dataclass(eq=False)
-class Verdict:
+class CheckTable:
     """What the checks make of some trajectories, as it is stored."""
 
     figure: Array
@@ -58,10 +76,10 @@ class Verdict:
     """What the engine's model has otherwise than the scene: all trajectories are wrong then."""
 
     @staticmethod
-    def empty(count: int) -> Verdict:
+    def empty(count: int) -> CheckTable:
         """Nothing has been checked yet."""
         shape = (count, len(CHECKS))
-        return Verdict(
+        return CheckTable(
             figure=np.full(shape, np.nan),
             allowed=np.full(shape, np.nan),
             frame=np.full(shape, -1, dtype=np.int32),
@@ -118,7 +136,7 @@ def judge_rows(
     trajectory: Trajectory,
     making: Making,
     truth: ReferenceOutcome | None = None,
-) -> Verdict:
+) -> CheckTable:
     """Check every trajectory; what a figure is depends on the trajectory and its number alone.
 
     Args:
@@ -128,7 +146,7 @@ def judge_rows(
         making: How.
         truth: The reference of the audit sample's rows; solved here where it is left out.
     """
-    verdict = Verdict.empty(len(batch))
+    verdict = CheckTable.empty(len(batch))
     for row, failure in enumerate(trajectory.failures):
         if failure is not None:
             verdict.ended[row] = True
@@ -149,8 +167,8 @@ def judge_rows(
     verdict.misbuilt += [f"{SHARED}: {line}" for line in shared_faults(evidence)]
     rows = sampled(batch.index)
     if len(rows):
-        held = truth or reference_of(scene, batch[rows], False)
-        verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()], held))
+        solved = truth or reference_of(scene, batch[rows], False)
+        verdict.add(rows, sample_findings(scene, batch[rows], trajectory[rows.tolist()], solved))
     return verdict
 
 
@@ -181,3 +199,85 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
 
 def _reason(finding: Finding, row: int) -> str:
     return f"{finding.line(row)}, frame {finding.frame[row]}"
+
+
+def sample_findings(
+    scene: Scene, batch: Batch, trajectory: Trajectory, solved: ReferenceOutcome
+) -> list[Finding]:
+    """Hold trajectories against the reference, as `mbds-xsim validate` does.
+
+    Stored solutions would save time but not be the same to the last bit.
+    """
+    truth = solved.trajectory
+    error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
+    return error_findings(scene, batch, error, truth, solved.growth)
+
+
+def limit_faults(
+    scene: Scene,
+    contender: Contender,
+    batch: Batch,
+    trajectory: Trajectory,
+    solved: ReferenceOutcome | None = None,
+) -> list[str]:
+    """Say in a line each where runs at other steps converge to anything but the reference.
+
+    Args:
+        scene: What was simulated.
+        contender: By which engine, at which settings.
+        batch: Starts and inputs of trajectories that came to their end.
+        trajectory: What was recorded of them.
+        solved: Their reference; left out, that of their first steps is solved here, and no more
+            of them is looked at.
+    """
+    if solved is None:
+        scene, batch, trajectory = _beginning(scene, batch, trajectory)
+        solved = _briefly(scene, batch)
+    if not any(smooth(scene, solved)):
+        return []
+    rows, settings = list(range(len(batch))), contender.settings
+    outcome = Outcome(contender, rows=[rows], sample=rows)
+
+    def run(step: float) -> None:
+        other = Settings(settings.method, step, settings.options)
+        made = _made(scene, batch, contender.engine, other)
+        outcome.keep_step(step, batch, made)
+        if isinstance(made, Crash):
+            return
+        own = made.rollout_s * step / settings.step
+        outcome.parts[:] = [dataclasses.replace(made, trajectory=trajectory, rollout_s=own)]
+
+    for step in other_steps(scene, settings):
+        run(step)
+    while (finer := further_step(scene, batch, outcome, solved)) is not None:
+        run(finer)
+    return failed_lines(batch, convergence(scene, batch, outcome, solved))
+
+
+def _made(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation | Crash:
+    """Run an engine at a step that nobody asked for: where it cannot, the shard is none the worse.
+
+    The check then says what it can without.
+    """
+    try:
+        return simulate(scene, batch, engine, settings)
+    except Exception as error:
+        return Crash(f"{type(error).__name__}: {error}")
+
+
+def _beginning(
+    scene: Scene, batch: Batch, trajectory: Trajectory
+) -> tuple[Scene, Batch, Trajectory]:
+    """Give the first steps of trajectories, as of a scene that ends then."""
+    steps = min(_BRIEF, batch.steps)
+    clock = msgspec.structs.replace(scene.clock, steps=steps)
+    kept = {key: getattr(trajectory, key)[:, : steps + 1] for key in STATES}
+    brief = dataclasses.replace(trajectory, time=trajectory.time[: steps + 1], **kept)
+    return msgspec.structs.replace(scene, clock=clock), batch.truncated(steps), brief
+
+
+def _briefly(scene: Scene, batch: Batch) -> ReferenceOutcome:
+    begin = time.perf_counter()
+    truth = reference.solve(scene, batch, rtol=RTOL, cache=False)
+    growth = np.full(truth.position.shape[:2], _GROWTH)
+    return ReferenceOutcome(truth, growth, RTOL, 0, time.perf_counter() - begin)

@@ -14,7 +14,7 @@ from mbds_xsim.dataset.files import clean, locked
 from mbds_xsim.dataset.join import VariantCount, join
 from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
-from mbds_xsim.dataset.work import Carrier, ProgressSink, make, watched
+from mbds_xsim.dataset.work import Carrier, ShardProgress, make, watched
 from mbds_xsim.errors import InputError
 from mbds_xsim.frame import frame_of
 from mbds_xsim.isolate import core_count, run_tasks
@@ -61,7 +61,7 @@ def generate(
     request: Request,
     *,
     workers: int | None = None,
-    progress: ProgressSink | None = None,
+    progress: ShardProgress | None = None,
     carry_out: Carrier = run_tasks,
 ) -> Generated:
     """Make what is missing of the data asked for; run again after any interruption to go on.
@@ -80,8 +80,14 @@ def generate(
     with locked(request.out):
         for variant in variants:
             check_same_draws(variant, request.out)
-            _clean(variant, request.out)
-        todo = _todo(variants, request)
+            folder = variant.folder(request.out)
+            for written in (folder, folder.parent, rejected_folder(variant, request.out)):
+                clean(written)  # of what a run left that was killed
+        todo = [
+            (variant, item)
+            for variant in variants
+            for item in pending(variant, request.trajectories, request.out)
+        ]
         missing = sum(item.count for _, item in todo)
         total = request.trajectories * len(variants)
         for variant in dict.fromkeys(variant for variant, _ in todo):
@@ -102,7 +108,7 @@ def generate(
 
 
 def _variants(
-    request: Request, workers: int | None, progress: ProgressSink
+    request: Request, workers: int | None, progress: ShardProgress
 ) -> tuple[list[Variant], dict[str, str]]:
     names = [folder_name(scene.name) for scene in request.scenes]
     twice = [name for name in names if names.count(name) > 1]
@@ -122,7 +128,7 @@ def _variants(
 class _Found:
     """Tells of settings that are found as of trajectories that are made."""
 
-    def __init__(self, progress: ProgressSink) -> None:
+    def __init__(self, progress: ShardProgress) -> None:
         self._progress = progress
 
     def begin(self, total: int) -> None:
@@ -163,18 +169,3 @@ def _check_drawn(scene: Scene, request: Request) -> None:
                 f"{row}"
             )
             raise InputError(msg)
-
-
-def _clean(variant: Variant, out: Path) -> None:
-    """Remove what a run left that was killed."""
-    folder = variant.folder(out)
-    for written in (folder, folder.parent, rejected_folder(variant, out)):
-        clean(written)
-
-
-def _todo(variants: list[Variant], request: Request) -> list[tuple[Variant, Item]]:
-    return [
-        (variant, item)
-        for variant in variants
-        for item in pending(variant, request.trajectories, request.out)
-    ]

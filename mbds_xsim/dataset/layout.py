@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 __all__ = [
     "ATTRIBUTES",
+    "AUDITED",
+    "AUDIT_EVERY",
+    "AUDIT_SAMPLE",
     "CHECKS",
     "FIELDS",
     "FORMAT",
@@ -24,6 +27,7 @@ __all__ = [
     "VERSION",
     "Field",
     "Kind",
+    "sampled",
     "split_of",
 ]
 
@@ -207,6 +211,17 @@ need the reference and are known of the audit sample alone."""
 
 INTEGRITY = ("finite", "start")
 """What even an uncertified trajectory must pass."""
+
+AUDIT_EVERY = 15_000
+AUDITED = 3  # one of each interval
+AUDIT_SAMPLE = f"index mod {AUDIT_EVERY} < {AUDITED}"
+"""Trajectories that are held against the reference too, which costs too much for all."""
+
+
+def sampled(index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of the trajectories of the audit sample."""
+    return np.flatnonzero(index % AUDIT_EVERY < AUDITED)
+
 
 SPLITS = ("train", "validation", "test")
 """Parts of a data set by index, the same in every engine."""

@@ -114,18 +114,19 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
     speed = None if velocity is None else _lifted(points, velocity, np.zeros((len(points.body), 3)))
     fixed = np.zeros((0, 3)) if scene.dimension == 3 else np.array([[0.0, 1.0, 0.0]])
     fits = [_fit(_known(points, body), fixed, place, speed) for body in range(len(scene.bodies))]
-    native = np.stack([fit.native for fit in fits], axis=2)
+
+    def stacked(key: str) -> Array:
+        return np.stack([getattr(fit, key) for fit in fits], axis=2)
+
     moving = speed is not None
-    names = [body.name for body in scene.bodies]
+    pairs = zip(scene.bodies, fits, strict=True)
     return Recovered(
-        position=np.stack([fit.position for fit in fits], axis=2),
-        orientation=mechanism.body_orientation(native),
-        velocity=np.stack([fit.velocity for fit in fits], axis=2) if moving else None,
-        angular_velocity=np.stack([fit.rate for fit in fits], axis=2) if moving else None,
-        residual=np.stack([fit.residual for fit in fits], axis=2),
-        undetermined=tuple(
-            name for name, fit in zip(names, fits, strict=True) if not fit.determined
-        ),
+        position=stacked("position"),
+        orientation=mechanism.body_orientation(stacked("native")),
+        velocity=stacked("velocity") if moving else None,
+        angular_velocity=stacked("rate") if moving else None,
+        residual=stacked("residual"),
+        undetermined=tuple(body.name for body, fit in pairs if not fit.determined),
     )
 
 
@@ -176,23 +177,23 @@ def _point_at(points: Points, mechanism: Mechanism, body: int, offset: Array) ->
 
 def _fit(known: _Known, fixed: Array, place: Array, speed: Array | None) -> _Fit:
     """Fit one body; directions that stay fixed in it and in W are like points at no distance."""
-    seen = np.where((known.source < 0)[:, None], known.place, place[..., known.source, :])
-    middle, centre = known.offset.mean(axis=0), seen.mean(axis=-2)
+    given = np.where((known.source < 0)[:, None], known.place, place[..., known.source, :])
+    middle, centre = known.offset.mean(axis=0), given.mean(axis=-2)
     arms = known.offset - middle
     reach = float(np.sqrt((arms**2).sum(axis=1).max(initial=0.0)))
-    held = fixed * max(reach, 1e-12)
-    spread = np.linalg.svd(np.concatenate([arms, held]), compute_uv=False)
+    still = fixed * max(reach, 1e-12)
+    spread = np.linalg.svd(np.concatenate([arms, still]), compute_uv=False)
     determined = int((spread > 1e-6 * max(reach, 1e-12)).sum()) >= 2 and reach > 0
-    inside = seen - centre[..., None, :]
-    turn = _nearest_turn(np.einsum("...ki,kj->...ij", inside, arms) + held.T @ held)
+    inside = given - centre[..., None, :]
+    turn = _nearest_turn(np.einsum("...ki,kj->...ij", inside, arms) + still.T @ still)
     native = rotation.from_matrix(turn)
     position = centre - rotation.rotate(native, middle)
-    apart = seen - position[..., None, :] - rotation.rotate(native[..., None, :], known.offset)
+    apart = given - position[..., None, :] - rotation.rotate(native[..., None, :], known.offset)
     residual = np.linalg.norm(apart, axis=-1).max(axis=-1)
     velocity = rate = np.zeros_like(position)
     if speed is not None:
         moved = np.where((known.source < 0)[:, None], 0.0, speed[..., known.source, :])
-        rate = _twist(inside, held, moved - moved.mean(axis=-2, keepdims=True))
+        rate = _twist(inside, still, moved - moved.mean(axis=-2, keepdims=True))
         velocity = moved.mean(axis=-2) + rotation.cross(rate, position - centre)
     return _Fit(position, native, velocity, rate, residual, determined)
 
@@ -205,9 +206,9 @@ def _nearest_turn(covariance: Array) -> Array:
     return np.asarray((left * sign[..., None, :]) @ right)
 
 
-def _twist(inside: Array, held: Array, moved: Array) -> Array:
+def _twist(inside: Array, still: Array, moved: Array) -> Array:
     """Give the angular velocities that match best [rad/s], shape (…, 3)."""
-    arms = np.concatenate([inside, np.broadcast_to(held, (*inside.shape[:-2], *held.shape))], -2)
+    arms = np.concatenate([inside, np.broadcast_to(still, (*inside.shape[:-2], *still.shape))], -2)
     square = np.einsum("...k,...k->...", arms, arms).sum(axis=-1)
     inertia = square[..., None, None] * np.eye(3) - np.einsum("...ki,...kj->...ij", arms, arms)
     momentum = rotation.cross(inside, moved).sum(axis=-2)

@@ -105,10 +105,11 @@ class Dataset:
         return len(self.index)
 
     def __repr__(self) -> str:
-        told = self.attributes
+        attrs = self.attributes
+        made = f"{attrs['engine']} {attrs['profile']} ({attrs['certification']})"
         return (
-            f"<{told['scene_name']} {told['engine']} {told['profile']} ({told['certification']}): "
-            f"{len(self)} trajectories of {told['steps']} steps of {told['frame_s']} s>"
+            f"<{attrs['scene_name']} {made}: "
+            f"{len(self)} trajectories of {attrs['steps']} steps of {attrs['frame_s']} s>"
         )
 
     def __getitem__(self, name: Any) -> NDArray[Any] | Series:
@@ -311,8 +312,10 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
     if not path.exists():
         msg = f"{path}: there is no such file or folder"
         raise InputError(msg)
-    kinds = {file: attributes_of(file) for file in _candidates(path)}
-    found = [file for file, told in kinds.items() if path.is_file() or told["kind"] == "joined"]
+    # Files beside folders of their own name are joined; shards need not be opened.
+    beside = (file for file in sorted(path.rglob(f"*{SUFFIX}")) if file.with_suffix("").is_dir())
+    kinds = {file: attributes_of(file) for file in ([path] if path.is_file() else beside)}
+    found = [file for file, attrs in kinds.items() if path.is_file() or attrs["kind"] == "joined"]
     if not found:
         msg = f"{path} holds no data set; name a folder that mbds-xsim generate has finished"
         raise InputError(msg)
@@ -325,13 +328,6 @@ def joined_files(path: Path, engines: str | None = None) -> list[Path]:
         msg = f"--engines: got {strange[0]!r}, allowed for {path} is {', '.join(there)}"
         raise InputError(msg)
     return [file for file in found if kinds[file].get("engine") in wanted]
-
-
-def _candidates(path: Path) -> list[Path]:
-    """Files beside folders of their own name are joined; shards need not be opened."""
-    if path.is_file():
-        return [path]
-    return [file for file in sorted(path.rglob(f"*{SUFFIX}")) if file.with_suffix("").is_dir()]
 
 
 def parse_numbers(text: str, option: str) -> list[int]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
-from mbds_xsim.dataset.gate import SHARED, Making, Verdict, judge_rows
+from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows
 from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.points import Points
@@ -73,19 +73,19 @@ def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None
 
 def _numbers(data: Dataset) -> Iterator[str]:
     """The numbering of the trajectories, and what repeats what the scene says."""
-    told, index = data.attributes, data.index
-    first, count = told["first"], told["count"]
+    attrs, index = data.attributes, data.index
+    first, count = attrs["first"], attrs["count"]
     if len(index) and (
         index[0] < first or index[-1] >= first + count or (np.diff(index) < 1).any()
     ):
         yield f"index: not ascending from {first} to {first + count - 1}"
     if not np.array_equal(data["interval"][:], index % 3):
         yield "interval: not index mod 3"
-    own = "published" if told["kind"] == "shard" else "rejected"
-    if told[own] != len(index) or told["published"] + told["rejected"] != count:
-        yield f"counts: {own} is {told[own]} with {len(index)} trajectories of {count} here"
+    own = "published" if attrs["kind"] == "shard" else "rejected"
+    if attrs[own] != len(index) or attrs["published"] + attrs["rejected"] != count:
+        yield f"counts: {own} is {attrs[own]} with {len(index)} trajectories of {count} here"
     clock = data.scene.clock
-    if (told["steps"], told["frame_s"]) != (clock.steps, clock.frame):
+    if (attrs["steps"], attrs["frame_s"]) != (clock.steps, clock.frame):
         yield "clock: steps and frame_s are not the scene's"
     time = clock.frame * np.arange(clock.steps + 1)
     if not np.allclose(data.time, time, rtol=1e-12, atol=0):
@@ -94,16 +94,16 @@ def _numbers(data: Dataset) -> Iterator[str]:
 
 def _draws(data: Dataset) -> Iterator[str]:
     """Starts and inputs must be those of seed and index: so engines are paired."""
-    told, batch = data.attributes, data.batch()
+    attrs, batch = data.attributes, data.batch()
     drawn = draw_batch(
-        data.scene, data.index.tolist(), seed=told["seed"], noise=bool(told["noise"])
+        data.scene, data.index.tolist(), seed=attrs["seed"], noise=bool(attrs["noise"])
     )
     for key in drawn.__dataclass_fields__:
         wanted, got = getattr(drawn, key), getattr(batch, key)
         if len(data) and not _close(got, wanted, _SAME_DRAW):
-            yield f"pairing: {key} is not what seed {told['seed']} and index give"
+            yield f"pairing: {key} is not what seed {attrs['seed']} and index give"
     if "input/known_force" in data and len(data):
-        known = draw_batch(data.scene, data.index.tolist(), seed=told["seed"], noise=False)
+        known = draw_batch(data.scene, data.index.tolist(), seed=attrs["seed"], noise=False)
         if not _close(data["input/known_force"][:], known.force, _SAME_DRAW):
             yield "pairing: known_force is not what seed and index give"
 
@@ -165,7 +165,7 @@ def _checks(data: Dataset) -> Iterator[str]:
             yield f"rejected trajectory {data.index[row]} passes every check"
 
 
-def _figures(data: Dataset, verdict: Verdict) -> Iterator[str]:
+def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
     names = data["check/name"][:].tolist()
     columns = [list(CHECKS).index(name) for name in names]
     allowed = verdict.allowed[:, columns]
@@ -185,38 +185,38 @@ def _figures(data: Dataset, verdict: Verdict) -> Iterator[str]:
 
 def making_of(data: Dataset) -> Making:
     """Give what a file says of how it was made."""
-    told = data.attributes
+    attrs = data.attributes
     method = Method(
-        name=told["method"],
-        family=told["method_family"],
-        order=told["method_order"],
-        velocity_lag=told["velocity_lag_s"] / told["step_s"],
+        name=attrs["method"],
+        family=attrs["method_family"],
+        order=attrs["method_order"],
+        velocity_lag=attrs["velocity_lag_s"] / attrs["step_s"],
     )
-    return Making(method, told["step_s"], told["contact_time_s"])
+    return Making(method, attrs["step_s"], attrs["contact_time_s"])
 
 
 def _settings(data: Dataset) -> Settings:
     """Give the settings to make it again."""
-    told = data.attributes
+    attrs = data.attributes
     try:
-        options = msgspec.json.decode(told["options"], type=dict[str, Any])
+        options = msgspec.json.decode(attrs["options"], type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeError) as error:
-        msg = f"{data.path}: attribute options: got {told['options']!r}: {error}"
+        msg = f"{data.path}: attribute options: got {attrs['options']!r}: {error}"
         raise InputError(msg) from error
-    return Settings(told["method"], told["step_s"], options)
+    return Settings(attrs["method"], attrs["step_s"], options)
 
 
 def _simulate_again(data: Dataset, report: FileReport, count: int, seed: int) -> None:
     """Simulate some of the trajectories again, where the engine is here in the same version."""
-    told = data.attributes
-    here = _version(told["engine"])
-    if here != told["engine_version"]:
-        note = f"not simulated again: {told['engine']} {told['engine_version']} is not here"
+    attrs = data.attributes
+    here = _version(attrs["engine"])
+    if here != attrs["engine_version"]:
+        note = f"not simulated again: {attrs['engine']} {attrs['engine_version']} is not here"
         report.notes.append(note + (f", but {here}" if here else ""))
         return
-    rng = np.random.default_rng([seed, told["first"]])
+    rng = np.random.default_rng([seed, attrs["first"]])
     rows = np.sort(rng.choice(len(data), count, replace=False)).tolist()
-    made = simulate(data.scene, data.batch(rows), told["engine"], _settings(data)).trajectory
+    made = simulate(data.scene, data.batch(rows), attrs["engine"], _settings(data)).trajectory
     _compare(made, data.trajectory(rows), data.index[rows], data.scene.length, report)
 
 

@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from mbds_xsim import isolate
 from mbds_xsim.campaign import reference_of
-from mbds_xsim.dataset.audit_sample import limit_faults, sampled
 from mbds_xsim.dataset.files import put
-from mbds_xsim.dataset.gate import SHARED, Making, Verdict, judge_rows
+from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows, limit_faults
 from mbds_xsim.dataset.hdf5 import Datasets, encode
-from mbds_xsim.dataset.layout import CHECKS, FIELDS
+from mbds_xsim.dataset.layout import CHECKS, FIELDS, sampled
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
-from mbds_xsim.engine import Readback
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.readback import compare
 from mbds_xsim.sampling import draw_batch
@@ -124,22 +122,29 @@ def _simulated(variant: Variant, batch: Batch, crashes: Crashes) -> tuple[Trajec
     """Run the engine on what does not crash it, and tell what its model has otherwise."""
     contender, scene = variant.contender, variant.scene
     runs = [row for row, index in enumerate(batch.index.tolist()) if index not in crashes]
-    if len(runs) == len(batch):
-        done = simulate(scene, batch, contender.engine, contender.settings)
-        return done.trajectory, _misbuilt(variant, batch, done.readback)
-    time_of_frames = np.asarray(scene.clock.frame * np.arange(batch.steps + 1), dtype=np.float64)
-    whole = Trajectory.empty(time_of_frames, len(batch), len(scene.bodies))
     if not runs:
-        return _with_failures(whole, batch, crashes, {}), []
-    done = simulate(scene, batch[runs], contender.engine, contender.settings)
-    for key in STATES:
-        getattr(whole, key)[runs] = getattr(done.trajectory, key)
-    own = dict(zip(runs, done.trajectory.failures, strict=True))
-    whole = _with_failures(whole, batch, crashes, own)
-    return whole, _misbuilt(variant, batch[runs], done.readback)
+        return _crashed(variant, batch, crashes), []
+    some = batch if len(runs) == len(batch) else batch[runs]
+    done = simulate(scene, some, contender.engine, contender.settings)
+    lines = compare(Mechanism.of(scene), some, contender.settings, done.readback)
+    misbuilt = [f"read-back: {line}" for line in lines]
+    if some is batch:
+        return done.trajectory, misbuilt
+    whole = _crashed(variant, batch, crashes).replaced(np.array(runs), done.trajectory)
+    return whole, misbuilt
 
 
-def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> Verdict:
+def _crashed(variant: Variant, batch: Batch, crashes: Crashes) -> Trajectory:
+    """Give trajectories without numbers, and why some of them have none."""
+    frames = np.asarray(variant.scene.clock.frame * np.arange(batch.steps + 1), dtype=np.float64)
+    empty = Trajectory.empty(frames, len(batch), len(variant.scene.bodies))
+    failures = (
+        Failure(0, crashes[index]) if index in crashes else None for index in batch.index.tolist()
+    )
+    return dataclasses.replace(empty, failures=tuple(failures))
+
+
+def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> CheckTable:
     """Check every trajectory, and where some of them converge to as the step goes to zero."""
     scene, rows = variant.scene, sampled(batch.index)
     truth = reference_of(scene, batch[rows], False) if len(rows) else None
@@ -154,23 +159,8 @@ def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> Verdict:
     return verdict
 
 
-def _misbuilt(variant: Variant, batch: Batch, readback: Readback) -> list[str]:
-    lines = compare(Mechanism.of(variant.scene), batch, variant.contender.settings, readback)
-    return [f"read-back: {line}" for line in lines]
-
-
-def _with_failures(
-    whole: Trajectory, batch: Batch, crashes: Crashes, own: Mapping[int, Failure | None]
-) -> Trajectory:
-    failures = [
-        Failure(0, crashes[index]) if index in crashes else own[row]
-        for row, index in enumerate(batch.index.tolist())
-    ]
-    return dataclasses.replace(whole, failures=tuple(failures))
-
-
 def _datasets(
-    variant: Variant, batch: Batch, trajectory: Trajectory, verdict: Verdict
+    variant: Variant, batch: Batch, trajectory: Trajectory, verdict: CheckTable
 ) -> dict[str, NDArray[Any]]:
     points = Points.of(variant.scene)
     position, velocity = points.motion(trajectory)
@@ -192,15 +182,11 @@ def _datasets(
     for key in STATES:
         found[f"body/{key}"] = getattr(trajectory, key)
         found[f"start/{key}"] = getattr(batch, key)
-    if _has_known_force(variant):
+    scene = variant.scene
+    if scene.forces or any(isinstance(term, Wind) for term in scene.sampling):
         known = draw_batch(variant.scene, batch.index.tolist(), seed=variant.seed, noise=False)
         found["input/known_force"] = known.force
     return found
-
-
-def _has_known_force(variant: Variant) -> bool:
-    scene = variant.scene
-    return bool(scene.forces) or any(isinstance(term, Wind) for term in scene.sampling)
 
 
 def _rows(datasets: Datasets, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:

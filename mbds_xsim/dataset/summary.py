@@ -82,11 +82,13 @@ def summaries(path: Path) -> list[Summary]:
 
 def summary_of(data: Dataset) -> Summary:
     """Sum up a data set."""
-    told, scene = data.attributes, data.scene
+    attrs, scene = data.attributes, data.scene
     rejected = rejected_beside(data)
     files = {data.path, *data.files, *rejected.glob("*.h5")}
     names = [file.name for file in data.files]
-    by = Counter(_first_words(data)) if told["kind"] == "rejected" else causes(rejected, names)
+    by = causes(rejected, names)
+    if attrs["kind"] == "rejected":
+        by = Counter(map(cause_of, data.small["reason"]))
     same = (
         "kind", "engine", "engine_version", "profile", "certification", "method", "step_s",
         "options", "seed", "noise", "mbds_xsim_version", "numpy_version", "published", "rejected",
@@ -98,13 +100,13 @@ def summary_of(data: Dataset) -> Summary:
         description=scene.description,
         bodies=len(scene.bodies),
         points=len(data["graph/point_body"]),
-        drawn=told["count"],
+        drawn=attrs["count"],
         rejected_by=dict(by.most_common()),
         counts=counts_of(data),
         figures=tuple(_ranges(data)),
         shards=len(data.files),
         bytes=sum(file.stat().st_size for file in files),
-        **{key: told[key] for key in same},
+        **{key: attrs[key] for key in same},
     )
 
 
@@ -114,10 +116,6 @@ def rejected_beside(data: Dataset) -> Path:
     if data.attributes["kind"] != "joined":
         return folder
     return folder.parents[1] / "rejected" / folder.parent.name / folder.name
-
-
-def _first_words(data: Dataset) -> Iterable[str]:
-    return map(cause_of, data.small["reason"])
 
 
 def counts_of(data: Dataset) -> dict[str, dict[str, int]]:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.choice import Contender
-from mbds_xsim.dataset.audit_sample import AUDIT_SAMPLE
-from mbds_xsim.dataset.layout import FORMAT, SHARED, SUFFIX, VERSION
+from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
 from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.engine import Method
 from mbds_xsim.errors import InputError

@@ -15,7 +15,7 @@ from mbds_xsim.dataset.shard import LOG, Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.isolate import Crash, Task
 
-__all__ = ["Carrier", "ProgressSink", "make", "watched"]
+__all__ = ["Carrier", "ShardProgress", "make", "watched"]
 
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
@@ -60,7 +60,11 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
             for task, answer in zip(tasks, answers, strict=True):
                 if isinstance(answer, Crash) and answer.refused:
                     failed.setdefault(task.arguments[0], answer.reason)
-            left = [job for job in todo if job[0] not in failed and _missing(*job, out)]
+            left = [
+                (variant, item)
+                for variant, item in todo
+                if variant not in failed and not (variant.folder(out) / item.file_name).exists()
+            ]
             guilty = [job for job in left if not claim(claims, *job)]
         idle = 0 if guilty or len(left) < len(todo) else idle + 1
         if idle > _TRIES:
@@ -119,17 +123,9 @@ def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> 
         guilty = tried(groups)
         found |= {group[0]: reason for group, reason in guilty if len(group) == 1}
         larger = [group for group, _ in guilty if len(group) > 1]
-        groups = [half for group in larger for half in _halves(group)]
+        halves = ((group[: len(group) // 2], group[len(group) // 2 :]) for group in larger)
+        groups = [half for pair in halves for half in pair]
     return found
-
-
-def _halves(group: list[int]) -> tuple[list[int], list[int]]:
-    middle = len(group) // 2
-    return group[:middle], group[middle:]
-
-
-def _missing(variant: Variant, item: Item, out: Path) -> bool:
-    return not (variant.folder(out) / item.file_name).exists()
 
 
 def _despair(variant: Variant, item: Item, tasks: Sequence[Task], answers: Sequence[Any]) -> str:
@@ -142,7 +138,7 @@ def _despair(variant: Variant, item: Item, tasks: Sequence[Task], answers: Seque
 _INTERVAL = 0.3  # [s]
 
 
-class ProgressSink(Protocol):
+class ShardProgress(Protocol):
     """Where progress is told."""
 
     def begin(self, total: int, done: int) -> None:
@@ -156,7 +152,7 @@ class ProgressSink(Protocol):
 
 
 @contextmanager
-def watched(folders: Sequence[Path], progress: ProgressSink) -> Iterator[None]:
+def watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]:
     """Tell what is added to the logs of some folders while the block runs."""
     tails = [_Tail(folder / LOG) for folder in folders]
     try:
@@ -184,7 +180,7 @@ def repeating(look: Callable[[], None]) -> Iterator[None]:
         thread.join()
 
 
-def _tell(tails: Sequence[_Tail], progress: ProgressSink) -> None:
+def _tell(tails: Sequence[_Tail], progress: ShardProgress) -> None:
     facts = [line for tail in tails for line in tail.new()]
     if facts:
         done = sum(line["count"] for line in facts)

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mbds_xsim.counted import counted
-from mbds_xsim.dataset.estimate import Estimate, Plan
+from mbds_xsim.dataset.estimate import CostPlan, Estimate
 from mbds_xsim.report import quantity
 
 __all__ = ["print_plan"]
@@ -17,7 +17,7 @@ _TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3
 _NUMBERS = ("each", "simulate", "check", "core-h", "wall", "size")
 
 
-def print_plan(plan: Plan, console: Console) -> None:
+def print_plan(plan: CostPlan, console: Console) -> None:
     """Print one line an engine."""
     console.print(
         f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on "

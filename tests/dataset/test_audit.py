@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import foreign
-from mbds_xsim.dataset.audit import Audited, Told, audit_file
+from mbds_xsim.dataset.audit import Audited, Provenance, audit_file
 from mbds_xsim.dataset.columns import groups
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.read import load_dataset
@@ -29,7 +29,7 @@ from mbds_xsim.state import Batch, Trajectory
 Arrays = dict[str, NDArray[Any]]
 
 INDEX = (3, 4)
-NAMED = Told(index=INDEX, seed=7)
+NAMED = Provenance(index=INDEX, seed=7)
 STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
@@ -63,7 +63,7 @@ Audit = Callable[..., Audited]
 
 @pytest.fixture
 def audited(tmp_path: Path) -> Audit:
-    def run(scene: Scene, arrays: Arrays, told: Told = NAMED) -> Audited:
+    def run(scene: Scene, arrays: Arrays, told: Provenance = NAMED) -> Audited:
         np.savez(tmp_path / "it.npz", **arrays)  # type: ignore[arg-type]
         return audit_file(tmp_path / "it.npz", scene, told)
 
@@ -124,7 +124,7 @@ def test_planted_faults_are_found(
 
 
 def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: Audit) -> None:
-    found = audited(rod, swing, Told())
+    found = audited(rod, swing, Provenance())
     assert found.verdict == "pass"
     assert {"start", "error at 1 s", "error growth-weighted"} == set(found.not_checked)
     assert "forces: those of the file" in found.taken
@@ -133,10 +133,10 @@ def test_an_unnamed_start_is_the_files_own(rod: Scene, swing: Arrays, audited: A
 def test_forces_that_are_not_told_are_missed(rod: Scene, swing: Arrays, audited: Audit) -> None:
     """Noise that acted but is not in the file must not pass as physics."""
     states = _only(swing, *(f"body/{key}" for key in STATE))
-    found = audited(rod, states, Told())
+    found = audited(rod, states, Provenance())
     assert "forces: none but what the scene lists" in found.taken
     energy = {finding.check: finding.figure for finding in found.findings}["energy"]
-    told = audited(rod, swing, Told())
+    told = audited(rod, swing, Provenance())
     assert energy > 100 * {one.check: one.figure for one in told.findings}["energy"]
 
 
@@ -193,7 +193,7 @@ def test_files_of_each_kind_say_the_same(
     rod: Scene, swing: Arrays, tmp_path: Path, audited: Audit
 ) -> None:
     one = {name: values if name == "time" else values[0] for name, values in swing.items()}
-    told = Told(index=INDEX[:1], seed=7)
+    told = Provenance(index=INDEX[:1], seed=7)
     wanted = audited(rod, one, told)
     _write_csv(tmp_path / "it.csv", rod, one)
     with h5py.File(tmp_path / "it.h5", "w") as file:
@@ -251,7 +251,7 @@ def test_what_cannot_be_used_is_refused(
     with path.open("w", newline="") as file:
         csv.writer(file).writerows(rows)
     with pytest.raises(InputError, match=says.replace("(", r"\(")) as caught:
-        audit_file(path, rod, Told(index=(3,), seed=7))
+        audit_file(path, rod, Provenance(index=(3,), seed=7))
     assert "\n" not in str(caught.value)
 
 
@@ -290,18 +290,18 @@ def test_wrong_facts_are_refused(
 ) -> None:
     arrays = {"seed": np.array(7), "index": np.array(INDEX)} | _only(swing, "position")
     with pytest.raises(InputError, match=rf"{fact}: got .*, allowed is ") as caught:
-        audited(rod, arrays | {fact: np.array(value)}, Told())
+        audited(rod, arrays | {fact: np.array(value)}, Provenance())
     assert "\n" not in str(caught.value)
 
 
 def test_numbers_of_starts_must_fit(rod: Scene, swing: Arrays, audited: Audit) -> None:
     with pytest.raises(InputError, match="--index: got 1 numbers"):
-        audited(rod, swing, Told(index=(3,)))
+        audited(rod, swing, Provenance(index=(3,)))
 
 
 def test_a_data_set_can_be_audited_too(whole: Path) -> None:
     shard = whole / "1pendulum" / "mujoco-matched" / "0000000600.h5"
-    found = audit_file(shard, None, Told())
+    found = audit_file(shard, None, Provenance())
     assert (found.verdict, found.trajectories) == ("pass", 100)
     assert any("seed 0, index 600 … 699" in line for line in found.taken)
 
@@ -312,7 +312,7 @@ def test_pieces_of_a_file_are_as_the_whole(
 ) -> None:
     """Whatever is held in memory at a time."""
     path = whole / "1pendulum" / "mujoco-matched" / "0000000600.h5"
-    told = Told(index=tuple(range(600, 700)), seed=0, method_order=4, step_s=0.005)
+    told = Provenance(index=tuple(range(600, 700)), seed=0, method_order=4, step_s=0.005)
     scene = load_dataset(path).scene
     if form != "h5":
         with h5py.File(path) as file:
@@ -351,7 +351,7 @@ def test_a_bad_trajectory_is_found_in_any_piece(
     arrays["body/position"][57, 4] += 0.01
     np.savez(tmp_path / "it.npz", **arrays)
     monkeypatch.setattr(foreign, "_AT_ONCE", 7 * 11)
-    told = Told(index=tuple(range(600, 700)), seed=0)
+    told = Provenance(index=tuple(range(600, 700)), seed=0)
     found = audit_file(tmp_path / "it.npz", rod, told)
     assert found.verdict == "fail"
     assert any(line.startswith("gap") and "trajectory 657" in line for line in found.reasons)
@@ -366,13 +366,13 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "foreign.npz", "w") as archive:
         archive.writestr("notes.txt", "a text")
     with pytest.raises(InputError, match=r"holds notes\.txt, which is no array"):
-        audit_file(tmp_path / "foreign.npz", None, Told())
+        audit_file(tmp_path / "foreign.npz", None, Provenance())
 
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("position.npy", bytes(2**27))
     with pytest.raises(InputError, match="MB say that they unpack to 134 MB, allowed is 100"):
-        audit_file(tmp_path / "bomb.npz", None, Told())
+        audit_file(tmp_path / "bomb.npz", None, Provenance())
 
     (tmp_path / "wide.csv").write_text("time\n" + "1" * 200_000 + "\n0\n0\n")
     with pytest.raises(InputError, match=r"wide\.csv cannot be read as csv \(field larger"):
-        audit_file(tmp_path / "wide.csv", load_scene("1pendulum"), Told())
+        audit_file(tmp_path / "wide.csv", load_scene("1pendulum"), Provenance())

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from mbds_xsim.dataset.audit import Told, audit_file
+from mbds_xsim.dataset.audit import Provenance, audit_file
 from mbds_xsim.dataset.export import LOST, Form, export
 from mbds_xsim.dataset.foreign import read_foreign
 from mbds_xsim.dataset.layout import FIELDS
@@ -72,7 +72,9 @@ def test_an_export_can_be_audited(form: Form, whole: Path, data: Dataset, tmp_pa
     folder = _exported(whole, tmp_path, form, [300])
     scene = read_scene(folder / "scene.toml")
     assert scene == data.scene
-    found = audit_file(folder / f"0000000300.{form}", scene if form == "csv" else None, Told())
+    found = audit_file(
+        folder / f"0000000300.{form}", scene if form == "csv" else None, Provenance()
+    )
     assert (found.verdict, found.trajectories) == ("pass", 1)
     assert "start and inputs: those of seed 0, index 300, with noise" in found.taken
     row = data.index.tolist().index(300)

@@ -13,7 +13,7 @@ import pytest
 from mbds_xsim import cost
 from mbds_xsim.checks import audit
 from mbds_xsim.choice import Choice
-from mbds_xsim.dataset import audit_sample, shard
+from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.layout import CHECKS, split_of
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.engine import Settings
@@ -239,7 +239,7 @@ def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
             force = batch.force + pull * np.array(rod.gravity)  # of 1 kg
             return simulate(scene, dataclasses.replace(batch, force=force), engine, settings)
 
-        for module in (shard, audit_sample):
+        for module in (shard, gate):
             monkeypatch.setattr(module, "simulate", pulled)
         shard.make_shard(variant, item, tmp_path)
         with h5py.File(variant.folder(tmp_path) / item.file_name) as file:

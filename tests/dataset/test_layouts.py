@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mbds_xsim
-from mbds_xsim.dataset.audit import Told, audit_file
+from mbds_xsim.dataset.audit import Provenance, audit_file
 from mbds_xsim.dataset.export import export
 from mbds_xsim.dataset.summary import summaries
 from mbds_xsim.dataset.verify import recheck
@@ -49,7 +49,7 @@ def _readers(shard: Path, out: Path) -> dict[str, Callable[[], object]]:
         "load": lambda: np.asarray(mbds_xsim.load_dataset(shard).position),
         "inspect": lambda: summaries(shard),
         "export": exported,
-        "audit": lambda: audit_file(shard, None, Told()),
+        "audit": lambda: audit_file(shard, None, Provenance()),
     }
 
 

@@ -10,14 +10,14 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.choice import Choice
-from mbds_xsim.dataset.estimate import STAGES, Measured, Plan, estimate, measure, plan
+from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
 from mbds_xsim.isolate import Crash
 from mbds_xsim.report.planning import print_plan
 from mbds_xsim.scene import Scene
 from tests.dataset.conftest import TRAJECTORIES
 
-KNOWN = Measured(
+KNOWN = ShardCost(
     sample=6,
     published=12,
     shard_s=3.0,
@@ -45,12 +45,12 @@ def variant(rod: Scene) -> Variant:
 
 
 @pytest.fixture(scope="module")
-def measured(variant: Variant) -> Measured:
+def measured(variant: Variant) -> ShardCost:
     return measure(variant, 6, audit=True)
 
 
 def test_bytes_are_those_that_generate_writes(
-    variant: Variant, measured: Measured, whole: Path
+    variant: Variant, measured: ShardCost, whole: Path
 ) -> None:
     """700 trajectories in three shards, foretold from shards of 1 and 6."""
     told = estimate(variant, measured, TRAJECTORIES, audit_s=0.0, workers=1)
@@ -59,7 +59,7 @@ def test_bytes_are_those_that_generate_writes(
     assert told.bytes == pytest.approx(real, rel=0.03)
 
 
-def test_what_is_measured_can_be(measured: Measured) -> None:
+def test_what_is_measured_can_be(measured: ShardCost) -> None:
     assert measured.published == 12
     assert measured.trajectory_s > 0
     assert measured.audit_s is not None
@@ -97,7 +97,7 @@ def test_a_crash_is_told_not_extrapolated(variant: Variant) -> None:
     told = estimate(variant, Crash("the process ended by signal 11"), 5, audit_s=0.0, workers=2)
     assert (told.core_hours, told.bytes, told.measured) == (None, None, None)
     stream = io.StringIO()
-    print_plan(Plan("rod", 5, 2, (told,), {}), Console(file=stream, width=120))
+    print_plan(CostPlan("rod", 5, 2, (told,), {}), Console(file=stream, width=120))
     assert "✗ mujoco-matched: the process ended by signal 11" in stream.getvalue()
 
 
@@ -105,7 +105,7 @@ def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
     told = estimate(variant, KNOWN, 4_000_000_000, audit_s=0.0, workers=1)
     stream = io.StringIO()
     print_plan(
-        Plan("rod", 4_000_000_000, 1, (told,), {"dart": "no"}), Console(file=stream, width=120)
+        CostPlan("rod", 4_000_000_000, 1, (told,), {"dart": "no"}), Console(file=stream, width=120)
     )
     text = stream.getvalue()
     for words in (
@@ -118,6 +118,6 @@ def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
         assert words in text
     small = replace(told, wall_hours=0.5, bytes=2500.0)
     stream = io.StringIO()
-    print_plan(Plan("rod", 5, 1, (small,), {}), Console(file=stream, width=120))
+    print_plan(CostPlan("rod", 5, 1, (small,), {}), Console(file=stream, width=120))
     assert "30 min" in stream.getvalue()
     assert "2.5 kB" in stream.getvalue()

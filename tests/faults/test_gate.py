@@ -15,7 +15,7 @@ import pytest
 
 from mbds_xsim import registry
 from mbds_xsim.choice import Choice
-from mbds_xsim.dataset.gate import Making, Verdict, judge_rows
+from mbds_xsim.dataset.gate import CheckTable, Making, judge_rows
 from mbds_xsim.dataset.shard import make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.registry import load_scene
@@ -79,7 +79,7 @@ def pendulum() -> tuple[Scene, Batch, Making, Trajectory, Trajectory]:
     return scene, batch, Making.of(contender), whole, less
 
 
-def _published(verdict: Verdict) -> int:
+def _published(verdict: CheckTable) -> int:
     return int(verdict.published(certified=True).sum())
 
 
