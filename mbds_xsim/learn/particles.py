@@ -19,7 +19,7 @@ from torch import Tensor
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.mechanism import JointKind, Mechanism, PlacedJoint
+from mbds_xsim.mechanism import JointKind, PlacedJoint
 from mbds_xsim.reference.cache import read_sealed, sealed
 from mbds_xsim.state import Batch
 from mbds_xsim.write import write_whole
@@ -123,11 +123,6 @@ class ParticleMotion:
     """[m], shape (frame, particle, 3)."""
 
     @property
-    def mechanism(self) -> Mechanism:
-        """The scene's arrays."""
-        return self.graph.mechanism
-
-    @property
     def mass(self) -> Array:
         """Of the particles [kg]."""
         return np.asarray(self.graph.mass[: self.graph.particle_count].numpy())
@@ -147,7 +142,7 @@ def gap(motion: ParticleMotion) -> Array:
 
 def sunk(motion: ParticleMotion) -> Array:
     """Deepest overlap with the ground of contact spheres that are at a particle [m], (frame,)."""
-    mechanism, graph = motion.mechanism, motion.graph
+    mechanism, graph = motion.graph.mechanism, motion.graph
     own = mechanism.com[mechanism.sphere_body] + mechanism.sphere_offset
     apart = np.linalg.norm(own[:, None] - graph.reference[: graph.particle_count].numpy(), axis=-1)
     spheres, particles = np.nonzero(apart <= _ON * graph.length)
@@ -173,7 +168,7 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
 
     A velocity is made of frames to either side, so a value stands where the last of them is.
     """
-    mechanism, frames = motion.mechanism, len(motion.position)
+    mechanism, frames = motion.graph.mechanism, len(motion.position)
     hidden = bool(mechanism.springs) or (mechanism.particles_per_body == 0).any()
     if hidden or motion.start.torque.any():
         return np.full(frames, np.nan)
