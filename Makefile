@@ -77,7 +77,7 @@ reports-validate: $(VENV)/ready
 
 reports-contact: $(VENV)/ready
 	mkdir -p $(REPORTS)
-	$(BIN)/python benchmarks/contact_limits.py > $(REPORTS)/contact-limits.md
+	$(BIN)/python -m benchmarks.contact_limits > $(REPORTS)/contact-limits.md
 
 # What is interrupted goes on where it stopped; so do the studies of stability.
 reports-tradeoff: $(VENV)/ready
@@ -203,7 +203,7 @@ made = { $(BIN)/mbds-xsim generate $(2) --trajectories $(3) --out $(call data,$(
 said = mkdir -p $(DATA)/$(1) $(REPORTS) && printf '%s\n' \
 	"mbds-xsim generate $(2) --trajectories $(3) --out data" "mbds-xsim verify data" \
 	$(4) > $(DATA)/$(1)/commands
-page = $(BIN)/python benchmarks/acceptance.py \
+page = $(BIN)/python -m benchmarks.acceptance \
 	$$(for name in each full; do [ ! -f $(DATA)/$$name/verify.json ] || echo $(DATA)/$$name; done) \
 	> $(REPORTS)/data.md
 
@@ -221,8 +221,8 @@ reports-data-full: $(VENV)/ready
 
 # What is told of the reports: how near the validations come to the budgets, and the page of all.
 reports-pages: $(VENV)/ready
-	$(BIN)/python benchmarks/margins.py $(REPORTS) > $(REPORTS)/margins.md
-	$(BIN)/python benchmarks/reports_page.py $(REPORTS) > $(REPORTS)/README.md
+	$(BIN)/python -m benchmarks.margins $(REPORTS) > $(REPORTS)/margins.md
+	$(BIN)/python -m benchmarks.reports_page $(REPORTS) > $(REPORTS)/README.md
 
 # Charts and maps anew, from the results that are stored beside them.
 pictures: $(VENV)/ready
@@ -231,7 +231,7 @@ pictures: $(VENV)/ready
 # The table of README, from the trade-offs that are kept here, and its first picture, for which a
 # Chromium must be there.
 readme: $(VENV)/ready
-	$(BIN)/python benchmarks/choose_table.py reports/tradeoff --into README.md
+	$(BIN)/python -m benchmarks.choose_table reports/tradeoff --into README.md
 	$(BIN)/mbds-xsim validate 3ladder --json out/3ladder.json --html out/3ladder.html
 	$(BIN)/python -m benchmarks.page_picture out/3ladder docs/images/validate-3ladder.png
 

@@ -1,6 +1,6 @@
 """Write reports/data.md: what of generated data was published, and whether it stands up again.
 
-python benchmarks/acceptance.py DIR [DIR …] > reports/data.md
+python -m benchmarks.acceptance DIR [DIR …] > reports/data.md
 
 Each folder is what `make reports-data` leaves: `data`, the results that `generate`, `verify` and
 `export` wrote as JSON, and the commands.
@@ -10,20 +10,16 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness import print_head, print_table
 from mbds_xsim.dataset.shard import LOG
 from mbds_xsim.dataset.summary import Summary, summaries
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
-HEAD = """\
-# Data sets
-
-<!-- Written by: make reports-data reports-data-full -->
-
+TEXT = """\
 Every trajectory that was drawn is checked, and only what passes is published; rejected ones are
 counted by the check that failed first, and not replaced. Times are of one core, from the logs of
 the shards: drawing, simulating, checking (and the reference of the audit sample), writing and
@@ -31,32 +27,31 @@ reading back; `of it engine` is the simulation's part. `verify` reads all of it 
 alone. What is published and how is told in
 [Data sets: files and layout](../docs/dataset-layout.md).
 """
-
-TABLE = """\
-| scene | engine | settings | drawn | published | rejected | rejected by | | core time [s] | \
-of it engine | MB | `verify` |
-| --- | --- | --- | ---: | ---: | ---: | --- | --- | ---: | ---: | ---: | --- |"""
+HEADINGS = (
+    "scene|engine|settings|>drawn|>published|>rejected|rejected by||>core time [s]"
+    "|>of it engine|>MB|`verify`"
+)
 
 
 def main(folders: list[Path]) -> None:
     """Print the page."""
-    print(HEAD)
+    print_head("Data sets", "make reports-data reports-data-full", TEXT)
     for folder in folders:
-        print("\n".join(section(folder)), end="\n\n")
+        section(folder)
 
 
-def section(folder: Path) -> Iterator[str]:
+def section(folder: Path) -> None:
     """Tell of the data of one run."""
     told = {name: read(folder / f"{name}.json") for name in ("generate", "verify", "export")}
     sets = summaries(folder / "data")
-    scenes = list(dict.fromkeys(each.scene for each in sets))
-    yield f"## {', '.join(scenes)}: {max(each.drawn for each in sets):,} trajectories each"
-    yield from ("", "```sh", (folder / "commands").read_text("utf-8").strip(), "```", "", TABLE)
-    for each in sets:
-        yield row(each, told["verify"])
-    yield ""
-    yield from (f"{pair} left out: {why}\n" for pair, why in left_out(told["generate"]))
-    yield totals(sets, told)
+    scenes = ", ".join(dict.fromkeys(each.scene for each in sets))
+    print(f"## {scenes}: {max(each.drawn for each in sets):,} trajectories each\n")
+    print(f"```sh\n{(folder / 'commands').read_text('utf-8').strip()}\n```\n")
+    print_table(HEADINGS, (row(each, told["verify"]) for each in sets))
+    print()
+    for pair, why in told["generate"].get("left_out", {}).items():
+        print(f"{pair} left out: {why}\n")
+    print(totals(sets, told), end="\n\n")
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -64,15 +59,11 @@ def read(path: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text("utf-8"))) if path.exists() else {}
 
 
-def left_out(generated: dict[str, Any]) -> list[tuple[str, str]]:
-    return list(generated.get("left_out", {}).items())
-
-
-def row(each: Summary, verified: dict[str, Any]) -> str:
+def row(each: Summary, verified: dict[str, Any]) -> tuple[str, ...]:
     seconds = stages(Path(each.file))
     whole = sum(seconds.values())
     causes = ", ".join(f"{cause} {count}" for cause, count in sorted(each.rejected_by.items()))
-    cells = (
+    return (
         each.scene,
         f"{each.engine} {each.engine_version}",
         f"{each.profile}: {each.method}, {each.step_s:.4g} s",
@@ -86,7 +77,6 @@ def row(each: Summary, verified: dict[str, Any]) -> str:
         f"{each.bytes / 1e6:.4g}",
         verdict(Path(each.file), verified),
     )
-    return f"| {' | '.join(cells)} |"
 
 
 def stages(joined: Path) -> dict[str, float]:

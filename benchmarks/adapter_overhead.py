@@ -8,11 +8,9 @@ start and a lean loop by hand (`lean_loops`) take turns on it. The aim is an ove
 
 from __future__ import annotations
 
-import os
-import platform
+import itertools
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median, quantiles
 from typing import Any
@@ -20,8 +18,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import (
+    both_s,
+    print_head,
+    print_made,
+    print_table,
+    processor_s,
+    take_turns,
+)
 from benchmarks.lean_loops import LEAN, Lean, apart, exudyn_in_one_call, mujoco_coordinates
-from mbds_xsim.engine import Run
 from mbds_xsim.matched import settings_for
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.registry import load_adapter, load_scene
@@ -39,7 +44,7 @@ TOGETHER = {"mujoco": 10}
 
 
 @dataclass(frozen=True)
-class Case:
+class Pairing:
     """What is measured."""
 
     scene: str
@@ -52,24 +57,26 @@ class Case:
 
 
 CASES = (
-    *(Case(scene, engine, TOGETHER.get(engine, 1)) for scene in SCENES for engine in LEAN),
-    *(Case(scene, "mujoco", 1, note="1 start a call") for scene in SCENES),
+    *(Pairing(scene, engine, TOGETHER.get(engine, 1)) for scene in SCENES for engine in LEAN),
+    *(Pairing(scene, "mujoco", 1, note="1 start a call") for scene in SCENES),
     *(
-        Case(scene, "mujoco", TOGETHER["mujoco"], mujoco_coordinates, "against coordinates alone")
+        Pairing(
+            scene, "mujoco", TOGETHER["mujoco"], mujoco_coordinates, "against coordinates alone"
+        )
         for scene in SCENES
     ),
     *(
-        Case(scene, "exudyn", loop=exudyn_in_one_call, note="against one call of the solver")
+        Pairing(scene, "exudyn", loop=exudyn_in_one_call, note="against one call of the solver")
         for scene in SCENES[:2]
     ),
 )
 
 
 @dataclass(frozen=True)
-class Line:
+class Overhead:
     """A line of the table; times of the processor [s]."""
 
-    case: Case
+    case: Pairing
     adapter: float
     lean: float
     ratios: Array
@@ -81,11 +88,11 @@ class Line:
     apart: float
 
 
-def measure(case: Case) -> Line:
+def measure(case: Pairing) -> Overhead:
     """Let the adapter and the lean loop take turns on one native model."""
     scene, adapter = load_scene(case.scene), load_adapter(case.engine)
     settings = settings_for(scene, adapter, "matched")
-    load = median(spent(lambda: adapter.open(scene, settings).close())[0] for _ in range(5))
+    load = median(processor_s(lambda: adapter.open(scene, settings).close()) for _ in range(5))
     count = max(STARTS, case.starts)
     starts = [draw_batch(scene, [k]) for k in range(count)]
     with adapter.open(scene, settings) as run:
@@ -95,22 +102,20 @@ def measure(case: Case) -> Line:
             for start, loop in zip(starts, loops, strict=True)
         ]
         still = draw_batch(scene, list(range(case.starts))).truncated(0)
-        start = median(spent(lambda: run.rollout(still))[0] for _ in range(15))
-        turns = [
-            (draw_batch(scene, list(range(k, k + case.starts))), loops[k : k + case.starts])
-            for k in range(0, count, case.starts)
+        start = median(processor_s(lambda: run.rollout(still)) for _ in range(15))
+        batches = [
+            draw_batch(scene, list(range(k, k + case.starts))) for k in range(0, count, case.starts)
         ]
-        low, high = REPEATS
-        pair = sum(cpu for cpu, _ in _turn(run, *turns[0], first=True))
-        times = np.array(
-            [
-                _turn(run, *turns[k % len(turns)], first=k // len(turns) % 2 == 0)
-                for k in range(min(high, max(low, int(PATIENCE / pair))))
-            ]
-        )
+        parts = [loops[k : k + case.starts] for k in range(0, count, case.starts)]
+        mine, bare = itertools.cycle(batches), itertools.cycle(parts)
+        works = [
+            lambda: run.rollout(next(mine)),
+            lambda: [loop.roll() for loop in next(bare)],
+        ]
+        times = take_turns(works, REPEATS, PATIENCE, both_s)
     ratios = times[:, 0] / times[:, 1]
     cpu = np.median(times[..., 0], axis=0)
-    return Line(
+    return Overhead(
         case=case,
         adapter=float(cpu[0]),
         lean=float(cpu[1]),
@@ -122,51 +127,26 @@ def measure(case: Case) -> Line:
     )
 
 
-def _turn(run: Run, batch: Batch, loops: list[Lean], *, first: bool) -> list[tuple[float, float]]:
-    """Times of the adapter and of the lean loops, the adapter first or last."""
-
-    def roll() -> None:
-        for loop in loops:
-            loop.roll()
-
-    if first:
-        mine = spent(lambda: run.rollout(batch))
-        return [mine, spent(roll)]
-    bare = spent(roll)
-    return [spent(lambda: run.rollout(batch)), bare]
-
-
-def spent(work: Callable[[], object]) -> tuple[float, float]:
-    """Time of the processor, and on the wall [s]."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    work()
-    return time.process_time() - cpu, time.perf_counter() - wall
+def row(line: Overhead) -> list[str]:
+    """Write a line as Markdown."""
+    low, middle, high = (value - 1.0 for value in quantiles(line.ratios, n=4))
+    mark = "**" if middle > MOST else ""
+    return [
+        line.case.scene,
+        ", ".join(filter(None, (line.case.engine, line.case.note))),
+        f"{1e3 * line.adapter:.1f} ms",
+        f"{1e3 * line.lean:.1f} ms",
+        f"{mark}{middle:+.1%}{mark}",
+        f"{low:+.1%} to {high:+.1%}",
+        f"{line.wall - 1.0:+.1%}",
+        f"{line.apart:.0e}",
+        f"{line.load / line.adapter:.1%}",
+        f"{line.start / line.adapter:.1%}",
+    ]
 
 
-def table(lines: list[Line]) -> Iterator[str]:
-    """Write the lines as Markdown."""
-    yield (
-        "| scene | engine | adapter | lean loop | overhead | of 50 % | of wall time | same to | "
-        + ("load | start |")
-    )
-    yield "| :-- | :-- | --: | --: | --: | --: | --: | --: | --: | --: |"
-    for line in lines:
-        low, middle, high = (value - 1.0 for value in quantiles(line.ratios, n=4))
-        what = ", ".join(filter(None, (line.case.engine, line.case.note)))
-        mark = "**" if middle > MOST else ""
-        yield (
-            f"| {line.case.scene} | {what} | {1e3 * line.adapter:.1f} ms "
-            f"| {1e3 * line.lean:.1f} ms | {mark}{middle:+.1%}{mark} "
-            f"| {low:+.1%} to {high:+.1%} | {line.wall - 1.0:+.1%} | {line.apart:.0e} "
-            f"| {line.load / line.adapter:.1%} | {line.start / line.adapter:.1%} |"
-        )
-
-
-_HEAD = f"""\
-# What the adapters cost beside their engines
-
-<!-- Written by: python -m benchmarks.adapter_overhead > reports/adapter-overhead.md -->
-
+_COMMAND = "python -m benchmarks.adapter_overhead > reports/adapter-overhead.md"
+_TEXT = f"""\
 The adapter's rollout over 4 s of one start, in MuJoCo of 10 in one call as data sets make them,
 against a lean loop by hand on the same native model with the same inputs and steps (see
 `benchmarks/lean_loops.py`), at matched settings. Where steps depend on how near the ground is, or
@@ -174,7 +154,6 @@ on how fast joints turn, the loop is told them and the adapter has to find out. 
 processor's, medians over at least {REPEATS[0]} turns of each on {STARTS} starts, in one process on
 one thread. An overhead above {MOST:.0%} is bold.
 """
-
 _FOOT = """\
 - Overhead: adapter over lean loop less 1, the median over turns; of 50 %: what the middle half of
   the turns had; of wall time: the median told by the clock on the wall
@@ -189,20 +168,13 @@ _FOOT = """\
 
 
 def main(names: list[str]) -> None:
-    lines = []
-    for case in CASES:
-        if case.scene in (names or SCENES):
-            print(case.scene, case.engine, case.note, file=sys.stderr)
-            lines.append(measure(case))
-    print(_HEAD)
-    print("\n".join(table(lines)), end="\n\n")
-    print(_FOOT)
-    print(f"- Made on {platform.machine()}, {os.cpu_count()} cores, {platform.system()}, {_with()}")
-
-
-def _with() -> str:
+    print_head("What the adapters cost beside their engines", _COMMAND, _TEXT)
+    headings = "scene|engine|>adapter|>lean loop|>overhead|>of 50 %|>of wall time|>same to"
+    cases = (case for case in CASES if case.scene in (names or SCENES))
+    print_table(f"{headings}|>load|>start", (row(measure(case)) for case in cases))
+    print(f"\n{_FOOT}")
     engines = [f"{name} {load_adapter(name).version()}" for name in LEAN]
-    return ", ".join([f"Python {platform.python_version()}", f"numpy {np.__version__}", *engines])
+    print_made(f"numpy {np.__version__}", *engines)
 
 
 if __name__ == "__main__":

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.harness import print_head, print_made, print_table
 from mbds_xsim.campaign import run_references
 from mbds_xsim.engine import Settings
 from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.matched import settings_for
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.report import quantity
@@ -35,11 +35,8 @@ _SAMPLE = 3  # trajectories at other steps too, in the first part
 _TIMEOUT = 300.0
 _ALIKE = 0.1  # trials of the same settings, minutes apart, differed by up to 0.07 of their cost
 
-_HEAD = f"""\
-# Is anything cheaper?
-
-<!-- Written by: python -m benchmarks.cheapest reports/tradeoff > reports/cheapest.md -->
-
+_COMMAND = "python -m benchmarks.cheapest reports/tradeoff > reports/cheapest.md"
+_TEXT = f"""\
 Matched settings are found by search, on the starts of the search. Here every point of a scene's
 [chart](README.md) that keeps all budgets on the chart's few starts, and costs less than the
 cheapest matched settings that keep them, is tried on {_STARTS} starts of each interval (seed
@@ -47,12 +44,11 @@ cheapest matched settings that keep them, is tried on {_STARTS} starts of each i
 processor time per simulated second, the mean of all starts; less is less by more than
 {_ALIKE:.0%}, by which two trials of the same settings may differ. Matched settings of all engines
 come first, bold. What keeps all budgets and costs less is tried on {_MORE} starts of each interval
-(seed {_PROOF}), too.
-"""
+(seed {_PROOF}), too."""
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Candidate:
     """One setting of one engine."""
 
     engine: str
@@ -65,19 +61,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     asked = parser.parse_args()
-    print(_HEAD)
-    print("| scene | engine, method, step | cost | budgets | what is not kept |")
-    print("| :-- | :-- | --: | :-- | :-- |")
+    files = sorted(asked.folder.glob("*.json"))
+    studies = (msgspec.json.decode(file.read_bytes(), type=Tradeoff) for file in files)
     found: list[str] = []
-    for file in sorted(asked.folder.glob("*.json")):
-        study = msgspec.json.decode(file.read_bytes(), type=Tradeoff)
-        for line in _lines(study, found):
-            print(line, flush=True)
+    print_head("Is anything cheaper?", _COMMAND, _TEXT)
+    rows = (row for study in studies for row in _rows(study, found))
+    print_table("scene|engine, method, step|>cost|budgets|what is not kept", rows)
     print("\n" + "\n".join(found))
-    print(f"\nMade on {machine()}.")
+    print_made()
 
 
-def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
+def _rows(study: Tradeoff, found: list[str]) -> Iterator[list[str]]:
     """Give the rows of a scene, and tell at the end what was cheapest."""
     scene = load_scene(study.scene)
     matched = _matched(study, scene)
@@ -99,11 +93,11 @@ def _lines(study: Tradeoff, found: list[str]) -> Iterator[str]:
         why = "" if last.passed else last.reasons[0].splitlines()[0].replace("|", "/")
         span = quantity.span(trial.cpu_s)
         label = f"**{place.label}**" if place in matched else place.label
-        yield f"| {study.scene} | {label} | {span} | {told} | {why} |"
+        yield [study.scene, label, span, told, why]
     found.append(f"- {study.scene}: {_cheapest(kept, matched)}.")
 
 
-def _cheapest(kept: dict[Place, float], matched: list[Place]) -> str:
+def _cheapest(kept: dict[Candidate, float], matched: list[Candidate]) -> str:
     own = [cost for place, cost in kept.items() if place in matched]
     if not own:
         return "none of these matched settings keeps all budgets"
@@ -113,12 +107,12 @@ def _cheapest(kept: dict[Place, float], matched: list[Place]) -> str:
     return f"{first.label} costs {kept[first] / min(own):.2f} of what is matched"
 
 
-def _matched(study: Tradeoff, scene: Scene) -> list[Place]:
+def _matched(study: Tradeoff, scene: Scene) -> list[Candidate]:
     """Give the matched settings of all engines on the chart."""
     places = []
     for engine in dict.fromkeys(curve.engine for curve in study.curves):
         settings = settings_for(scene, load_adapter(engine), "matched")
-        places.append(Place(engine, settings, _label(engine, settings)))
+        places.append(Candidate(engine, settings, _label(engine, settings)))
     return places
 
 
@@ -126,7 +120,7 @@ def _cost(point: Point) -> float:
     return math.inf if point.cpu_s is None else point.cpu_s
 
 
-def _cheaper(study: Tradeoff, cost: float) -> list[Place]:
+def _cheaper(study: Tradeoff, cost: float) -> list[Candidate]:
     cheaper = [
         (curve, point)
         for curve, point in _points(study)
@@ -135,7 +129,7 @@ def _cheaper(study: Tradeoff, cost: float) -> list[Place]:
     found = []
     for curve, point in sorted(cheaper, key=lambda pair: _cost(pair[1])):
         settings = Settings(curve.method, point.step_s, curve.options)
-        found.append(Place(curve.engine, settings, _label(curve.engine, settings)))
+        found.append(Candidate(curve.engine, settings, _label(curve.engine, settings)))
     return found
 
 
@@ -152,7 +146,7 @@ def _label(engine: str, settings: Settings) -> str:
     return f"{engine}, {method}, {quantity.span(settings.step)}"
 
 
-def _tried(scene: Scene, places: list[Place], starts: int, seed: int) -> list[Trial]:
+def _tried(scene: Scene, places: list[Candidate], starts: int, seed: int) -> list[Trial]:
     if not places:
         return []
     batch = draw_batch(scene, range(len(INTERVALS) * starts), seed=seed)

@@ -1,21 +1,152 @@
 """README's table of engines, steps and costs, from the stored trade-offs of its scenes.
 
-python benchmarks/choose_table.py reports/tradeoff                    prints it
-python benchmarks/choose_table.py reports/tradeoff --into README.md   puts it in its place
+python -m benchmarks.choose_table reports/tradeoff                    prints it
+python -m benchmarks.choose_table reports/tradeoff --into README.md   puts it in its place
 """
 
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.report.choose_table import choose_table
-from mbds_xsim.studies.tradeoff.rows import Tradeoff
+from mbds_xsim.report import quantity
+from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import NATIVE
+from mbds_xsim.studies.tradeoff.words import BUSY
 from mbds_xsim.write import write_whole
 
 BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"
+
+
+_BREAK = "<br>"
+_NONE_STORED = "*None is stored yet: `make reports-tradeoff readme` makes the table.*"
+
+
+def choose_table(studies: Sequence[Tradeoff]) -> str:
+    """Give a row for each scene and a column for each engine, as Markdown.
+
+    A cell has the cheapest point of an engine's own stepping that keeps all budgets: method and
+    step, error, wall time per simulated second and how many times faster than real time that is.
+    The cheapest of a scene is bold. Under the table stand the reasons where no point does.
+    """
+    if not studies:
+        return _NONE_STORED
+    engines = sorted({engine for study in studies for engine in _engines(study)})
+    headings = ["scene and budget of its error", *engines]
+    lines = [
+        *table_lines(headings, (_row(study, engines) for study in studies)),
+        "",
+        *(f"- {line}" for study in studies for line in _reasons(study, engines)),
+        f"- Made on {_machines(studies)}, with {_versions(studies)}",
+    ]
+    return "\n".join(lines)
+
+
+def _engines(study: Tradeoff) -> list[str]:
+    """Engines that were asked, also those that cannot do the scene."""
+    names = [curve.engine for curve in study.curves]
+    return list(dict.fromkeys([*names, *(what.split()[0] for what in study.left_out)]))
+
+
+def _row(study: Tradeoff, engines: Sequence[str]) -> list[str]:
+    found = {engine: _cheapest(study, engine) for engine in engines}
+    costs = [_cost(place) for place in found.values() if place is not None]
+    cells = [
+        quantity.NONE if place is None else _cell(place, best=_cost(place) == min(costs))
+        for place in found.values()
+    ]
+    return [f"{study.scene}{_BREAK}{_asked(study)}", *cells]
+
+
+def _asked(study: Tradeoff) -> str:
+    """Say what the error is, and what it may be."""
+    if study.own_limit is not None:
+        allowed = quantity.length(study.error_budget_m)
+        return f"≤ {allowed} from its own limit at {study.horizon_s:g} s"
+    when = f"{study.horizon_s:g} s"
+    if study.reference_ends_s is not None and study.horizon_s < 1.0:
+        return f"error at {when}, before the first impact"
+    return f"≤ {quantity.length(study.error_budget_m)} at {when}"
+
+
+def _cheapest(study: Tradeoff, engine: str) -> tuple[CurveResult, Point] | None:
+    kept = [place for place in _places(study, engine) if not place[1].broken]
+    return min(kept, key=_cost, default=None)
+
+
+def _places(study: Tradeoff, engine: str) -> Iterator[tuple[CurveResult, Point]]:
+    """All points that came to their end; neither native settings nor the toolkit's stepping."""
+    for curve in study.curves:
+        if curve.engine == engine and curve.own and curve.variation != NATIVE:
+            yield from ((curve, point) for point in curve.points if point.wall_s is not None)
+
+
+def _cost(place: tuple[CurveResult, Point]) -> float:
+    wall = place[1].wall_s
+    return math.inf if wall is None else wall
+
+
+def _cell(place: tuple[CurveResult, Point], *, best: bool) -> str:
+    curve, point = place
+    mark = "**" if best else ""
+    name = f"{curve.method} ({curve.variation})" if curve.variation else curve.method
+    speed = quantity.number(1.0 / _cost(place))
+    return _BREAK.join(
+        [
+            f"{mark}{name}, {quantity.span(point.step_s)}{mark}",
+            f"{quantity.length(point.error_m)}".replace("<", "&lt;"),
+            f"{mark}{quantity.span(point.wall_s)}{mark}, {speed} × real time",
+        ]
+    )
+
+
+def _reasons(study: Tradeoff, engines: Sequence[str]) -> Iterator[str]:
+    """Say why an engine has no point that keeps all budgets."""
+    for engine in engines:
+        if _cheapest(study, engine) is None:
+            yield f"{study.scene}, {engine}: {_reason(study, engine)}"
+
+
+def _reason(study: Tradeoff, engine: str) -> str:
+    places = list(_places(study, engine))
+    if places:
+        curve, point = min(places, key=_off)
+        broken = ", ".join(point.broken)
+        return f"nearest is {curve.method} at {quantity.span(point.step_s)}, over budget: {broken}"
+    points = [p for c in study.curves if c.engine == engine and c.own for p in c.points]
+    if points:
+        return f"{points[0].kind}: {points[0].reason}"
+    left_out = (reason for what, reason in study.left_out.items() if what.split()[0] == engine)
+    return next(left_out, "not measured")
+
+
+def _off(place: tuple[CurveResult, Point]) -> tuple[int, float]:
+    """Order points by how many checks are not kept, then by error."""
+    point = place[1]
+    return len(point.broken), math.inf if point.error_m is None else point.error_m
+
+
+def _machines(studies: Sequence[Tradeoff]) -> str:
+    """Name where times were taken, and whether anything else ran there."""
+    told = _listed(study.machine for study in studies)
+    busy = max(study.busy for study in studies)
+    if busy < BUSY:
+        return told
+    return f"{told}, which was busy: times are up to {quantity.number(busy)} × the processor's"
+
+
+def _versions(studies: Sequence[Tradeoff]) -> str:
+    named = [(what, version) for study in studies for what, version in study.versions.items()]
+    return _listed(f"{what} {version}" for what, version in named)
+
+
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(words))
 
 
 def main() -> None:

@@ -1,13 +1,14 @@
 """Write reports/contact-limits.md: how near the exact answers contact comes, over many starts.
 
-python benchmarks/contact_limits.py > reports/contact-limits.md
+python -m benchmarks.contact_limits > reports/contact-limits.md
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+from benchmarks.harness import print_head, print_table
 from mbds_xsim.campaign import ReferenceOutcome, run_references
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.engine import Adapter
@@ -31,30 +32,27 @@ _CASES = (
 )
 _CHECKS = ("penetration", "passivity")
 
-_HEAD = f"""\
-# Contact at matched settings
-
-<!-- Written by: python benchmarks/contact_limits.py > reports/contact-limits.md -->
-
+_COMMAND = "python -m benchmarks.contact_limits > reports/contact-limits.md"
+_TEXT = f"""\
 The worst of {_STARTS} starts of each interval (seed {_SEED}), against what is allowed. Errors are
 distances of centres of mass from the exact motion: over all 4 s for `ballscroll`, up to the third
 bounce for `balldrop`, up to the first impact for `simplecubli`. Rebound is the height of the first
 bounce, relative, told at the frame nearest its top. Passivity, penetration (over the scene's
 length) and momentum are the figures of the checks of those names. Where two limits are named, the
-second is that of methods of order 4 and more. `mbds-xsim match` keeps to these limits too.
-"""
+second is that of methods of order 4 and more. `mbds-xsim match` keeps to these limits too."""
 
 
 def main() -> None:
     """Print the page."""
     engines = installed_engines()
-    print(_HEAD)
-    print(f"| scene | figure | {' | '.join(engines)} | allowed |")
-    print(f"| --- | --- |{' ---: |' * len(engines)} --- |")
+    print_head("Contact at matched settings", _COMMAND, _TEXT)
+    print_table(f"scene|figure|>{'|>'.join(engines)}|allowed", _rows(engines))
+
+
+def _rows(engines: Sequence[str]) -> Iterator[list[str]]:
     for name, noise in _CASES:
         found = dict(zip(engines, _figures(name, noise), strict=True))
-        for line in _lines(f"{name}, noise {'on' if noise else 'off'}", found):
-            print(line, flush=True)
+        yield from _lines(f"{name}, noise {'on' if noise else 'off'}", found)
 
 
 def _figures(name: str, noise: bool) -> Iterator[dict[str, Finding] | str]:
@@ -92,7 +90,7 @@ def _measured(
     return {finding.check: finding for finding in [*kept, *limits]}
 
 
-def _lines(label: str, found: dict[str, dict[str, Finding] | str]) -> Iterator[str]:
+def _lines(label: str, found: dict[str, dict[str, Finding] | str]) -> Iterator[list[str]]:
     measured = [findings for findings in found.values() if isinstance(findings, dict)]
     for what in dict.fromkeys(check for findings in measured for check in findings):
         told = [findings[what] for findings in measured if what in findings]
@@ -100,7 +98,7 @@ def _lines(label: str, found: dict[str, dict[str, Finding] | str]) -> Iterator[s
         cells = [_cell(findings, what) for findings in found.values()]
         budgets = {finding.budget for finding in told if finding.budget is not None}
         allowed = " / ".join(f"{budget:g}" for budget in sorted(budgets, reverse=True))
-        yield f"| {label} | {what}{unit} | {' | '.join(cells)} | {allowed} |"
+        yield [label, f"{what}{unit}", *cells, allowed]
 
 
 def _cell(findings: dict[str, Finding] | str, what: str) -> str:

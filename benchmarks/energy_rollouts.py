@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.harness import print_head, print_table
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.learn.energy_models import EnergyModel
 from mbds_xsim.learn.model import go_on
@@ -31,11 +32,7 @@ FRAMES = (10, 100)
 BACKWARD = (-1 / 5, 5 / 4, -10 / 3, 5.0, -5.0, 137 / 60)
 """Weights of six values a step apart, for the derivative at the last, exact to degree five."""
 _COMMAND = "python -m benchmarks.energy_rollouts out/models out/study"
-_HEAD = f"""\
-# Rollouts of HGNN and LGNN: steps and given velocities
-
-<!-- Written by: {_COMMAND} > reports/energy-rollouts.md -->
-
+_TEXT = f"""\
 HGNN and LGNN start from an engine's body poses and velocities, GNS and SGNN from six frames of
 positions. *Differences*: from the engine's poses alone, velocities being backward differences of
 the nodes' last six places, with the steps of the training. *n steps*: Runge-Kutta steps a frame,
@@ -74,7 +71,9 @@ def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) ->
     return number(float(counted[:, FRAMES[0] - 1].mean())), f"{lost} of {len(motions)}"
 
 
-def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -> Iterator[str]:
+def rows_of(
+    models: Path, data: Path, scene: str, tell: Callable[[str], None]
+) -> Iterator[list[str]]:
     """Give a line of the table for each model and engine."""
     for name in MODELS:
         for path in sorted((models / scene / "native" / name).glob("*-s0.pt")):
@@ -93,18 +92,19 @@ def rows_of(models: Path, data: Path, scene: str, tell: Callable[[str], None]) -
             model.substeps = trained
             with torch.no_grad():
                 texts += errors(model, motions, from_places(model, motions))
-            yield f"| {name}, {engines[0]} | {' | '.join(texts)} |"
+            yield [f"{name}, {engines[0]}", *texts]
 
 
 def main(models: Path, data: Path, scene: str = "6pendulum") -> None:
     """Print the page."""
     torch.set_num_threads(1)
     ways = [f"{n} step{'s' * (n > 1)}" for n in SUBSTEPS] + ["differences"]
-    heading = " | ".join(f"{way} | lost" for way in ways)
-    print(f"{_HEAD}\n\n## {scene}\n\n| | trained with | {heading} |")
-    print(f"| :-- | --: |{' --: | --: |' * len(ways)}")
-    for row in rows_of(models, data, scene, lambda path: print(path, file=sys.stderr)):
-        print(row, flush=True)
+    headings = "|".join(f">{way}|>lost" for way in ways)
+    title = "Rollouts of HGNN and LGNN: steps and given velocities"
+    print_head(title, f"{_COMMAND} > reports/energy-rollouts.md", _TEXT)
+    print(f"## {scene}\n")
+    rows = rows_of(models, data, scene, lambda path: print(path, file=sys.stderr))
+    print_table(f"|>trained with|{headings}", rows)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@ python -m benchmarks.filters > reports/filters.md
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import mbds_xsim
+from benchmarks.harness import print_head, print_made, print_table, wall_s
 from benchmarks.windows import made
-from mbds_xsim.measure.identity import machine
 
 _SCENES = ("6pendulum", "3ladder", "balldrop")
 _TRAJECTORIES = 96
@@ -34,18 +33,14 @@ _PARTS = {
     ),
 }
 
-_HEAD = f"""\
-# Chunks and filters
-
-<!-- Written by: python -m benchmarks.filters > reports/filters.md -->
-
+_COMMAND = "python -m benchmarks.filters > reports/filters.md"
+_TEXT = f"""\
 What a data set would be with HDF5's filters (all with shuffle), beside no filters and no chunks, as
 it is: {_TRAJECTORIES} trajectories of MuJoCo at its native settings, one core, all files in the
 cache of the system. The size is a part of the numbers' own; writing is per trajectory. What is
 read is drawn at random, {_READS} times, by h5py: whole trajectories, and windows of {_WINDOW}
 frames, of all datasets of the row. A chunk that is read is decoded, as in a file larger than the
-cache of chunks.
-"""
+cache of chunks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,53 +67,50 @@ Arrays = dict[str, NDArray[Any]]
 
 def main() -> None:
     """Print the page."""
-    print(_HEAD)
-    print("| scene | numbers | filter | size | write | read a trajectory | read a window |")
-    print("| :-- | :-- | :-- | --: | --: | --: | --: |")
+    print_head("Chunks and filters", _COMMAND, _TEXT)
+    headings = "scene|numbers|filter|>size|>write|>read a trajectory|>read a window"
     with tempfile.TemporaryDirectory() as folder:
-        for scene in _SCENES:
-            data = mbds_xsim.load_dataset(made(Path(folder), scene, _TRAJECTORIES))
-            for part, names in _PARTS.items():
-                arrays = {name: np.array(data[name]) for name in names}
-                for way in _WAYS:
-                    row = _measured(arrays, way, Path(folder) / "tried.h5")
-                    print(f"| {scene} | {part} | {way.label} | {row} |", flush=True)
-    print(f"\nMade on {machine()}, with HDF5 {h5py.version.hdf5_version}.")
+        print_table(headings, _rows(Path(folder)))
+    print_made(f"HDF5 {h5py.version.hdf5_version}")
 
 
-def _measured(arrays: Arrays, way: Way, path: Path) -> str:
-    began = time.perf_counter()
-    with h5py.File(path, "w") as file:
-        for name, values in arrays.items():
-            _write(file, name, values, way)
-    written = (time.perf_counter() - began) / len(next(iter(arrays.values())))
+def _rows(folder: Path) -> Iterator[list[str]]:
+    for scene in _SCENES:
+        data = mbds_xsim.load_dataset(made(folder, scene, _TRAJECTORIES))
+        for part, names in _PARTS.items():
+            arrays = {name: np.array(data[name]) for name in names}
+            for way in _WAYS:
+                yield [scene, part, way.label, *_measured(arrays, way, folder / "tried.h5")]
+
+
+def _measured(arrays: Arrays, way: Way, path: Path) -> list[str]:
+    count = len(next(iter(arrays.values())))
+    written = wall_s(lambda: _write(path, arrays, way)) / count
     with h5py.File(path, rdcc_nbytes=0) as file:
         sets = [file[name] for name in arrays]
         size = sum(data.id.get_storage_size() for data in sets)
-        count, frames = sets[0].shape[:2]
+        frames = sets[0].shape[1]
         rng = np.random.default_rng(0)
         rows = rng.integers(count, size=_READS)
         firsts = rng.integers(frames - _WINDOW + 1, size=_READS)
         whole = _each(lambda k: [data[rows[k]] for data in sets])
         window = _each(lambda k: [data[rows[k], firsts[k] : firsts[k] + _WINDOW] for data in sets])
     part = size / sum(values.nbytes for values in arrays.values())
-    return f"{part:.2f} | {1e3 * written:.2f} ms | {1e3 * whole:.2f} ms | {1e6 * window:.0f} µs"
+    millis = (f"{1e3 * seconds:.2f} ms" for seconds in (written, whole))
+    return [f"{part:.2f}", *millis, f"{1e6 * window:.0f} µs"]
 
 
-def _write(file: h5py.File, name: str, values: NDArray[Any], way: Way) -> None:
-    if not way.filters:
-        file.create_dataset(name, data=values)
-        return
-    chunk = (1, way.chunk or values.shape[1], *values.shape[2:])
-    file.create_dataset(name, data=values, chunks=chunk, shuffle=True, **way.filters)
+def _write(path: Path, arrays: Arrays, way: Way) -> None:
+    with h5py.File(path, "w") as file:
+        for name, values in arrays.items():
+            chunk = (1, way.chunk or values.shape[1], *values.shape[2:])
+            layout = {"chunks": chunk, "shuffle": True} | way.filters if way.filters else {}
+            file.create_dataset(name, data=values, **layout)
 
 
 def _each(read: Callable[[int], object]) -> float:
     """Mean time of one read [s]."""
-    began = time.perf_counter()
-    for k in range(_READS):
-        read(k)
-    return (time.perf_counter() - began) / _READS
+    return wall_s(lambda: [read(k) for k in range(_READS)]) / _READS
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ellipj, ellipk
 
+from benchmarks.harness import print_table
 from mbds_xsim.reference import solve
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
@@ -76,7 +77,7 @@ def energy(motion: Trajectory) -> Array:
     return np.asarray(np.sum(slow + motion.angular_velocity[0, :, :, 1] ** 2 / 24, axis=-1))
 
 
-def _row(loops: int, duration: float = 10.0) -> str:
+def _row(loops: int, duration: float = 10.0) -> list[str]:
     scene, begin = four_bars(loops, duration), time.perf_counter()
     motion = solve(scene, draw_batch(scene, [0]), cache=False)
     took = time.perf_counter() - begin
@@ -84,17 +85,11 @@ def _row(loops: int, duration: float = 10.0) -> str:
     pin = motion.position[0, :, 0, [0, 2]] * 2.0 - np.array([np.sin(angle), np.cos(angle)])
     drift = energy(motion)
     figures = (np.abs(pin).max(), np.abs(drift - drift[0]).max())
-    return f"| {loops} | {figures[0]:.1e} | {figures[1]:.1e} | {took:.0f} |"
-
-
-def main() -> None:
-    """Print a table."""
-    print(
-        "| N | error of the first pin [m] | energy drift [J] | time [s] |\n" + "| ---: " * 4 + "|"
-    )
-    for loops in sys.argv[1:]:
-        print(_row(int(loops)), flush=True)
+    return [str(loops), *(f"{figure:.1e}" for figure in figures), f"{took:.0f}"]
 
 
 if __name__ == "__main__":
-    main()
+    print_table(
+        ">N|>error of the first pin [m]|>energy drift [J]|>time [s]",
+        (_row(int(loops)) for loops in sys.argv[1:]),
+    )

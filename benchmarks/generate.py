@@ -1,4 +1,4 @@
-"""What checks and storage cost beside the engine: python benchmarks/generate.py [ENGINE…].
+"""What checks and storage cost beside the engine: python -m benchmarks.generate [ENGINE…].
 
 The raw rate is that of `simulate` alone, over the trajectories of one shard of 6pendulum; the other
 that of making the whole shard: drawing, simulating, checking every trajectory, writing, reading
@@ -13,11 +13,12 @@ import json
 import resource
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
+from benchmarks.harness import processor_s, take_turns
 from mbds_xsim.campaign import reference_of
 from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.gate import limit_faults, sample_findings
@@ -34,18 +35,12 @@ REPEATS = 5
 PAPER = 15_000
 
 
-def core_seconds(work: Callable[[], object]) -> float:
-    begin = time.process_time()
-    work()
-    return time.process_time() - begin
-
-
 def audit_sample(variant: Variant) -> float:
     """Core seconds of the reference of the whole sample."""
     batch = draw_batch(variant.scene, range(3))
     contender = variant.contender
     motion = simulate(variant.scene, batch, contender.engine, contender.settings).trajectory
-    return core_seconds(lambda: _held(variant, batch, motion))
+    return processor_s(lambda: _held(variant, batch, motion))
 
 
 def _held(variant: Variant, batch: Batch, motion: Trajectory) -> None:
@@ -60,17 +55,18 @@ def measure(engine: str, folder: Path) -> None:
     item = Item(COUNTS[engine], COUNTS[engine])  # none of the audit sample
     batch = draw_batch(variant.scene, item.indices)
     share = audit_sample(variant) / PAPER * item.count
-    raw, whole = [], []
-    for _ in range(REPEATS):
-        raw.append(core_seconds(lambda: simulate(variant.scene, batch, engine, contender.settings)))
-        whole.append(core_seconds(lambda: make_shard(variant, item, folder)) + share)
+    works = [
+        lambda: simulate(variant.scene, batch, engine, contender.settings),
+        lambda: make_shard(variant, item, folder),
+    ]
+    raw, whole = np.median(take_turns(works, (REPEATS, REPEATS)), axis=0)
     log = (variant.folder(folder) / LOG).read_text().splitlines()
     stages = [json.loads(line) for line in log]
     parts = ", ".join(
         f"{key.removesuffix('_s')} {median(line[key] for line in stages) / item.count * 1e3:.2f}"
         for key in ("draw_s", "simulate_s", "check_s", "write_s")
     )
-    alone, made = item.count / median(raw), item.count / median(whole)
+    alone, made = item.count / raw, item.count / (whole + share)
     print(f"{engine:9} raw {alone:7.2f}/s  made {made:7.2f}/s  ratio {made / alone:.3f}")
     print(f"{'':9} wall ms a trajectory: {parts}")
 

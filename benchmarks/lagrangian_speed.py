@@ -11,32 +11,26 @@ interleaved, the median counts.
 from __future__ import annotations
 
 import argparse
-import statistics
-import time
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.harness import print_head, print_made, print_table, take_turns, wall_s
 from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 
 AIM = {"6pendulum": 5, "3ladder": 15}
-_HEAD = """\
-# What the closed form of a Lagrangian's mass matrix saves
-
-<!-- Written by: python -m benchmarks.lagrangian_speed > reports/lagrangian-speed.md -->
-
+_COMMAND = "python -m benchmarks.lagrangian_speed > reports/lagrangian-speed.md"
+_TEXT = """\
 Milliseconds of a step of training of LGNN (accelerations of a batch and their gradient), one
 thread: by the closed form, and by Hessians from automatic differentiation of the same learned
 Lagrangian. They take turns, medians. *Apart*: largest difference of their accelerations, relative.
-
-| scene | batch | closed form | automatic | ratio | aim | apart |
-| :-- | --: | --: | --: | --: | --: | --: |"""
+"""
 
 
 def states(mechanics: Mechanics, count: int) -> tuple[Tensor, Tensor]:
@@ -80,31 +74,31 @@ def in_closed_form(energy: EnergyNetwork, count: int) -> Callable[[Tensor, Tenso
     return lambda q, v: model.acceleration(q, v, force, torque)
 
 
-def seconds(energy: EnergyNetwork, ask: Callable[[], Tensor]) -> float:
-    # The first finds the memory that the other way has left to it.
-    for _ in range(2):
-        start = time.perf_counter()
-        energy.zero_grad()
-        (ask() ** 2).mean().backward()  # type: ignore[no-untyped-call]
-    return time.perf_counter() - start
+def descend(energy: EnergyNetwork, ask: Callable[[], Tensor]) -> None:
+    energy.zero_grad()
+    (ask() ** 2).mean().backward()  # type: ignore[no-untyped-call]
 
 
-def compare(name: str, count: int, rounds: int) -> str:
+def twice_s(work: Callable[[], object]) -> float:
+    """Time of the second; the first finds the memory that the other way has left to it [s]."""
+    work()
+    return wall_s(work)
+
+
+def compare(name: str, count: int, rounds: int) -> list[str]:
     torch.manual_seed(0)
     energy = EnergyNetwork(Mechanics(load_scene(name)), EnergyShape()).double()
     q, v = states(energy.mechanics, count)
     closed, generic = in_closed_form(energy, count), by_autodiff(energy)
     one, two = closed(q, v).detach(), generic(q, v).detach()
     off = float((one - two).abs().max() / two.abs().max())
-    taken = [
-        (seconds(energy, lambda: closed(q, v)), seconds(energy, lambda: generic(q, v)))
-        for _ in range(rounds)
+    works = [
+        lambda: descend(energy, lambda: closed(q, v)),
+        lambda: descend(energy, lambda: generic(q, v)),
     ]
-    fast, slow = (statistics.median(column) for column in zip(*taken, strict=True))
-    return (
-        f"| {name} | {count} | {1e3 * fast:.1f} | {1e3 * slow:.1f} | {slow / fast:.1f} | "
-        f"{AIM[name]} | {off:.0e} |"
-    )
+    fast, slow = np.median(take_turns(works, (rounds, rounds), spent=twice_s), axis=0)
+    millis = (f"{1e3 * seconds:.1f}" for seconds in (fast, slow))
+    return [name, str(count), *millis, f"{slow / fast:.1f}", str(AIM[name]), f"{off:.0e}"]
 
 
 def main() -> None:
@@ -113,10 +107,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    print(_HEAD)
-    for name in AIM:
-        print(compare(name, arguments.batch, arguments.rounds), flush=True)
-    print(f"\nMade on {machine()}, torch {torch.__version__}.")
+    print_head("What the closed form of a Lagrangian's mass matrix saves", _COMMAND, _TEXT)
+    rows = (compare(name, arguments.batch, arguments.rounds) for name in AIM)
+    print_table("scene|>batch|>closed form|>automatic|>ratio|>aim|>apart", rows)
+    print_made(f"torch {torch.__version__}")
 
 
 if __name__ == "__main__":

@@ -7,15 +7,18 @@ the least of three. The aim is 2 s for 1 000 bodies and 30 s for 10 000.
 from __future__ import annotations
 
 import resource
+import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.four_bars import four_bars
-from benchmarks.startup import PROGRAM, seconds
+from benchmarks.harness import print_table
 from mbds_xsim.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene_file import save_scene
 
+_PROGRAM = Path(sys.executable).with_name("mbds-xsim")
 _ROD = Inertia(1.0, (1 / 12, 1 / 12, 1e-3))
 
 
@@ -32,25 +35,25 @@ def chain(count: int) -> Scene:
 
 def _processor_seconds(command: list[str]) -> float:
     begin = resource.getrusage(resource.RUSAGE_CHILDREN)
-    seconds(command)
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=True)
     end = resource.getrusage(resource.RUSAGE_CHILDREN)
     return end.ru_utime + end.ru_stime - begin.ru_utime - begin.ru_stime
 
 
-def main() -> None:
-    """Print a table."""
-    print("| bodies | chain, all starts and rates given [s] | four-bars, one rate given [s] |")
-    print("| ---: " * 3 + "|")
+def rows(counts: list[int]) -> Iterator[list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "large.toml"
-        for count in map(int, sys.argv[1:] or ("1000", "10000")):
+        for count in counts:
             times = []
             for scene in (chain(count), four_bars((count - 1) // 2, 4.0)):
                 save_scene(scene, file)
-                show = [str(PROGRAM), "show", str(file)]
+                show = [str(_PROGRAM), "show", str(file)]
                 times.append(min(_processor_seconds(show) for _ in range(3)))
-            print(f"| {count} | {times[0]:.1f} | {times[1]:.1f} |", flush=True)
+            yield [str(count), *(f"{seconds:.1f}" for seconds in times)]
 
 
 if __name__ == "__main__":
-    main()
+    print_table(
+        ">bodies|>chain, all starts and rates given [s]|>four-bars, one rate given [s]",
+        rows([int(word) for word in sys.argv[1:] or ("1000", "10000")]),
+    )

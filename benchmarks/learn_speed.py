@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import quantiles
 
@@ -21,7 +21,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from benchmarks.clock import add_device, chosen_device, machine_of, spent
+from benchmarks.harness import (
+    device_asked,
+    machine_of,
+    print_head,
+    print_made,
+    print_table,
+    spent_on,
+    take_turns,
+)
 from mbds_xsim.learn.device import compile_networks, put
 from mbds_xsim.learn.gns import GNS, Interaction
 from mbds_xsim.learn.graph import Graph
@@ -30,15 +38,15 @@ from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_scene
 
 SCENES = ("6pendulum", "3ladder")
 TRACKS = ("lite", "native", "paper")
-BATCH, WARM, ROUNDS = 64, 1, (7, 25)
+BATCH, ROUNDS = 64, (7, 25)
 PATIENCE = 10.0  # seconds a line may take, if the rounds are enough
 SAME = 1e-9
 AIM = {"cpu": 1.1, "cuda": 3.0}
+_COMMAND = "python -m benchmarks.learn_speed > reports/learn-speed.md"
 UNIT = {"cpu": "one thread, by the processor's time", "cuda": "on a GPU, until it is done"}
 
 
@@ -78,7 +86,7 @@ KINDS: dict[str, type[LearnedModel]] = {
 
 
 @dataclass(frozen=True)
-class Line:
+class Throughput:
     """A line of the table; processor seconds a step, one column a model of `KINDS`."""
 
     scene: str
@@ -89,7 +97,7 @@ class Line:
     seconds: NDArray[np.float64]
 
 
-def measure(name: str, track: str, device: str) -> Line:
+def measure(name: str, track: str, device: str) -> Throughput:
     """Let the models take turns at a step of training on one batch."""
     graph = Graph.of(load_scene(name))
     models = {kind: made(kind, graph, track) for kind in KINDS}
@@ -104,12 +112,9 @@ def measure(name: str, track: str, device: str) -> Line:
             compile_networks(model)
     there = mapped(sample, lambda part: part.to(device))
     steps = [step(model, adam_of(kind, model, track), there) for kind, model in models.items()]
-    first = [[spent(work, device) for work in steps] for _ in range(WARM)]
-    low, high = ROUNDS
-    rounds = min(high, max(low, int(PATIENCE / sum(first[-1]))))
-    seconds = np.array([[spent(work, device) for work in steps] for _ in range(rounds)])
+    seconds = take_turns(steps, ROUNDS, PATIENCE, spent_on(device))
     weights = tuple(sum(w.numel() for w in model.parameters()) for model in models.values())
-    return Line(name, track, graph.node_count, graph.edge_count, weights, seconds)
+    return Throughput(name, track, graph.node_count, graph.edge_count, weights, seconds)
 
 
 def made(kind: str, graph: Graph, track: str) -> LearnedModel:
@@ -184,45 +189,32 @@ def mapped(sample: Sample, change: Callable[[Tensor], Tensor]) -> Sample:
     )
 
 
-def table(lines: Iterator[Line], device: str) -> Iterator[str]:
-    yield "# Training throughput of the graph networks"
-    yield ""
-    yield "<!-- Written by: python -m benchmarks.learn_speed > reports/learn-speed.md -->"
-    yield ""
-    yield (
-        f"Graphs a second in training (loss, gradient, Adam), batch {BATCH}, {UNIT[device]}; "
-        "medians of rounds in which the models take turns. "
-        f"{machine_of(device, machine())}, torch {torch.__version__}. *Scatter* is a "
-        "straightforward GNS on joined graphs with the same weights, which gives the same loss and "
-        f"gradient; *ratio* is GNS over it with its quartiles, aim {AIM[device]}."
-    )
-    yield ""
-    yield "| scene | nodes, edges | track | weights GNS, SGNN | GNS | scatter | ratio | SGNN |"
-    yield "|---|---|---|---|--:|--:|--:|--:|"
-    for line in lines:
-        yield row(line)
-
-
-def row(line: Line) -> str:
+def row(line: Throughput) -> list[str]:
     gns, scatter, sgnn = BATCH / np.median(line.seconds, axis=0)
     low, middle, high = quantiles(line.seconds[:, 1] / line.seconds[:, 0], n=4)
     weights = f"{line.weights[0]:,}, {line.weights[2]:,}"
-    return (
-        f"| {line.scene} | {line.nodes}, {line.edges} | {line.track} | {weights} | {gns:.0f} "
-        f"| {scatter:.0f} | {middle:.2f} ({low:.2f} … {high:.2f}) | {sgnn:.0f} |"
-    )
+    ratio = f"{middle:.2f} ({low:.2f} … {high:.2f})"
+    rates = (f"{gns:.0f}", f"{scatter:.0f}", ratio, f"{sgnn:.0f}")
+    return [line.scene, f"{line.nodes}, {line.edges}", line.track, weights, *rates]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
-    add_device(parser)
-    arguments = parser.parse_args()
-    device = chosen_device(parser, arguments.device)
+    arguments, device = device_asked(parser)
     torch.set_num_threads(1)
+    text = (
+        f"Graphs a second in training (loss, gradient, Adam), batch {BATCH}, {UNIT[device]}; "
+        "medians of rounds in which the models take turns. *Scatter* is a "
+        "straightforward GNS on joined graphs with the same weights, which gives the same loss and "
+        f"gradient; *ratio* is GNS over it with its quartiles, aim {AIM[device]}."
+    )
+    print_head("Training throughput of the graph networks", _COMMAND, text)
     lines = (measure(scene, track, device) for scene in arguments.scenes for track in TRACKS)
-    for text in table(lines, device):
-        print(text, flush=True)
+    print_table(
+        "scene|nodes, edges|track|weights GNS, SGNN|>GNS|>scatter|>ratio|>SGNN", map(row, lines)
+    )
+    print_made(f"torch {torch.__version__}", on=machine_of(device))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Write reports/margins.md: how much of its budgets each engine uses at matched settings.
 
-python benchmarks/margins.py reports > reports/margins.md
+python -m benchmarks.margins reports > reports/margins.md
 """
 
 from __future__ import annotations
@@ -13,16 +13,14 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.harness import print_head, print_table
 from mbds_xsim.report import quantity
 from mbds_xsim.result import FindingResult, Validation, from_plain
 
 _LEAST = 1e-3
 
-_HEAD = """\
-# How near the budgets
-
-<!-- Written by: python benchmarks/margins.py reports > reports/margins.md -->
-
+_COMMAND = "python -m benchmarks.margins reports > reports/margins.md"
+_TEXT = """\
 The worst figure of every check, over all starts of all [validated](README.md#validation) scenes, as
 a share of what the scene allows. At 100 % a budget is only just kept; where it is not (bold), the
 trajectories that are over it are counted. Then the figure itself and the scene; without a share it
@@ -60,11 +58,12 @@ def main(folder: Path) -> None:
     for file in sorted(folder.glob("*.json")):
         _add(found, from_plain(msgspec.json.decode(file.read_bytes()), Validation))
     engines = sorted({engine for worst in found.values() for engine in worst})
-    print(_HEAD)
-    print(f"| check | {' | '.join(engines)} |")
-    print(f"| :-- |{' :-- |' * len(engines)}")
-    for check, worst in _by_tightness(found):
-        print(f"| {check} | {' | '.join(_cell(worst.get(engine)) for engine in engines)} |")
+    print_head("How near the budgets", _COMMAND, _TEXT)
+    rows = (
+        [check, *(_cell(worst.get(engine)) for engine in engines)]
+        for check, worst in _by_tightness(found)
+    )
+    print_table("|".join(["check", *engines]), rows)
 
 
 def _add(found: Found, validation: Validation) -> None:

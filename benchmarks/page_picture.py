@@ -21,8 +21,7 @@ import msgspec
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from mbds_xsim.report.few_colours import few_colours
-from mbds_xsim.report.themed import SOURCE
+from mbds_xsim.report.themed import SOURCE, few_colours
 from mbds_xsim.result import Validation, from_plain
 from mbds_xsim.write import write_whole
 

@@ -1,14 +1,15 @@
 """The page that lists all stored reports: what each says in a sentence, and how it was made.
 
-python benchmarks/reports_page.py reports > reports/README.md
+python -m benchmarks.reports_page reports > reports/README.md
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
+
+from benchmarks.harness import print_table
 
 CHAPTERS = (
     ("Validation", "make reports-validate", "[0-9a-z]*.md"),
@@ -56,23 +57,21 @@ def main(folder: Path) -> None:
             [exact] if exact.is_file() else sorted(set(folder.glob(pattern)) - taken, key=_place)
         )
         if pages:
-            print("\n".join(chapter(heading, target, pages, folder)), end="\n\n")
+            print(f"## {heading}\n\n`{target}`\n")
+            print_table("report|in short|data|command", (row(page, folder) for page in pages))
+            print()
 
 
-def chapter(heading: str, target: str, pages: list[Path], folder: Path) -> Iterator[str]:
-    """List the pages of a kind."""
-    yield from (f"## {heading}", "", f"`{target}`", "")
-    yield from ("| report | in short | data | command |", "| :-- | :-- | :-- | :-- |")
-    for page in pages:
-        text = page.read_text("utf-8")
-        found = _COMMAND.search(text)
-        cells = [
-            link("in short" if page.stem == "README" else page.stem, page, folder),
-            lead(text).replace("|", "\\|"),
-            ", ".join(link(file.suffix[1:], file, folder) for file in beside(page)),
-            f"`{_WRITES.sub('', found[1])}`" if found else "",
-        ]
-        yield f"| {' | '.join(cells)} |"
+def row(page: Path, folder: Path) -> list[str]:
+    """Say of a page what it says, what is beside it, and how it was made."""
+    text = page.read_text("utf-8")
+    found = _COMMAND.search(text)
+    return [
+        link("in short" if page.stem == "README" else page.stem, page, folder),
+        lead(text).replace("|", "\\|"),
+        ", ".join(link(file.suffix[1:], file, folder) for file in beside(page)),
+        f"`{_WRITES.sub('', found[1])}`" if found else "",
+    ]
 
 
 def _place(page: Path) -> tuple[bool, Path]:

@@ -9,15 +9,24 @@ some frames from true motions of the scene: one trajectory a call, and many. The
 from __future__ import annotations
 
 import argparse
-import textwrap
-import time
-from collections.abc import Callable, Iterator
-from statistics import median, quantiles
+import functools
+from collections.abc import Iterator
+from statistics import quantiles
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.flop_counter import FlopCounterMode
 
-from benchmarks.clock import add_device, chosen_device, machine_of, spent
+from benchmarks.harness import (
+    device_asked,
+    machine_of,
+    print_head,
+    print_made,
+    print_table,
+    spent_on,
+    take_turns,
+)
 from mbds_xsim.learn.device import put
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, build
@@ -25,12 +34,14 @@ from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import KnownInputs, Start
 from mbds_xsim.matched import settings_for
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
 
+Array = NDArray[np.float64]
+
 SCENES = ("6pendulum", "3ladder")
+_COMMAND = "python -m benchmarks.rollout_speed > reports/rollout-speed.md"
 MODELS = ("gns", "sgnn", "hgnn", "lgnn")
 BATCHES = (1, 64, 512)
 FRAMES, STARTS, ROUNDS = 5, 30, (3, 31)
@@ -72,11 +83,12 @@ def least(model: LearnedModel, given: Known, device: str) -> float:
         carry_on(model, given.repeated(1))
     size = SQUARE[device]
     square = torch.ones(size, size, dtype=model.dtype, device=device)
-    best = min(spent(lambda: square @ square, device) for _ in range(REPEATS))
+    spent = spent_on(device)
+    best = min(spent(lambda: square @ square) for _ in range(REPEATS))
     return counter.get_total_flops() / FRAMES * best / (2.0 * size**3)
 
 
-def measured(name: str, device: str) -> dict[str, tuple[float, list[list[float]]]]:
+def measured(name: str, device: str) -> dict[str, tuple[float, Array]]:
     """Least seconds a trajectory and frame, and rounds of all batches, model by model."""
     graph = Graph.of(load_scene(name))
     models = [build(kind, graph, still(), track="lite") for kind in MODELS]
@@ -84,37 +96,32 @@ def measured(name: str, device: str) -> dict[str, tuple[float, list[list[float]]
     for model in models:
         put(model, device)
 
-    def work(model: LearnedModel, given: Known) -> Callable[[], object]:
-        return lambda: carry_on(model, given)
-
-    def turn() -> list[list[float]]:
-        return [
-            [spent(work(model, given.repeated(n)), device) / (n * FRAMES) for n in BATCHES]
-            for model, given in zip(models, known, strict=True)
-        ]
-
-    began = time.perf_counter()
-    turn()  # warms up
-    low, high = ROUNDS
-    rounds = min(high, max(low, int(PATIENCE / (time.perf_counter() - began))))
-    turns = [turn() for _ in range(rounds)]
+    works = [
+        functools.partial(carry_on, model, given.repeated(count))
+        for model, given in zip(models, known, strict=True)
+        for count in BATCHES
+    ]
+    turns = take_turns(works, ROUNDS, PATIENCE, spent_on(device))
+    each = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
     bounds = [least(*pair, device) for pair in zip(models, known, strict=True)]
-    return {kind: (bounds[i], [each[i] for each in turns]) for i, kind in enumerate(MODELS)}
+    return {kind: (bounds[k], each[:, k]) for k, kind in enumerate(MODELS)}
 
 
-def rows(name: str, device: str) -> Iterator[str]:
+def rows(name: str, device: str) -> Iterator[list[str]]:
     for kind, (bound, rounds) in measured(name, device).items():
-        times = [f"{1e3 * median(column):.3g}" for column in zip(*rounds, strict=True)]
-        ratios = [each[0] / each[-1] for each in rounds]
-        low, middle, high = quantiles(ratios, n=4)
-        told = f"{middle:.3g} ({low:.3g} … {high:.3g})"
-        most = median(each[0] for each in rounds) / bound
-        yield f"| {name} | {kind} | {' | '.join(times)} | {told} | {most:.3g} |"
+        times = [f"{1e3 * seconds:.3g}" for seconds in np.median(rounds, axis=0)]
+        low, middle, high = quantiles(rounds[:, 0] / rounds[:, -1], n=4)
+        most = np.median(rounds[:, 0]) / bound
+        yield [name, kind, *times, f"{middle:.3g} ({low:.3g} … {high:.3g})", f"{most:.3g}"]
 
 
-def head(device: str) -> str:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
+    arguments, device = device_asked(parser)
+    torch.set_num_threads(1)
     size = SQUARE[device]
-    told = (
+    text = (
         f"Milliseconds {UNIT[device]} a trajectory and frame; untrained models in their `lite` "
         f"size; medians of {ROUNDS[0]} to {ROUNDS[1]} rounds in which models and batches take "
         f"turns. *Ratio*: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim "
@@ -123,30 +130,11 @@ def head(device: str) -> str:
         f"work enough. The {FRAMES} frames are of slow motions; [whole rollouts](models/"
         "6pendulum.md) take longer."
     )
-    return f"""\
-# Rollouts of models, one by one and many at once
-
-<!-- Written by: python -m benchmarks.rollout_speed > reports/rollout-speed.md -->
-
-{textwrap.fill(told, 100)}
-"""
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
-    add_device(parser)
-    arguments = parser.parse_args()
-    device = chosen_device(parser, arguments.device)
-    torch.set_num_threads(1)
-    print(head(device))
-    heads = " | ".join(f"batch {n}" for n in BATCHES)
-    print(f"| scene | model | {heads} | ratio | at most |")
-    print(f"| :-- | :-- |{' --: |' * (len(BATCHES) + 2)}")
-    for name in arguments.scenes:
-        for row in rows(name, device):
-            print(row, flush=True)
-    print(f"\nMade on {machine_of(device, machine())}, torch {torch.__version__}.")
+    print_head("Rollouts of models, one by one and many at once", _COMMAND, text)
+    heads = "|>".join(f"batch {count}" for count in BATCHES)
+    found = (row for name in arguments.scenes for row in rows(name, device))
+    print_table(f"scene|model|>{heads}|>ratio|>at most", found)
+    print_made(f"torch {torch.__version__}", on=machine_of(device))
 
 
 if __name__ == "__main__":

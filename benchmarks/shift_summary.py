@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.harness import print_table
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
@@ -48,10 +49,10 @@ _PICTURES = {
 }
 """By how their names end."""
 _NATIVE = "native"
-_HEADING = (
-    "study, frame", "data", "model", "beside a formula", "resolved", "worst gap",
-    "without the target", "all engines", "native over matched",
-)  # fmt: skip
+_HEADINGS = (
+    "study, frame|data|model|>beside a formula|>resolved|>worst gap"
+    "|>without the target|>all engines|>native over matched"
+)
 
 
 def main(folder: Path) -> None:
@@ -59,13 +60,8 @@ def main(folder: Path) -> None:
     files = sorted(folder.glob("*.json"))
     studies = {file.stem: msgspec.json.decode(file.read_bytes(), type=Shift) for file in files}
     print(_HEAD)
-    print(f"| {' | '.join(_HEADING)} |")
-    print(f"| :-- | :-- | :-- |{' --: |' * (len(_HEADING) - 3)}")
-    for name, shift in studies.items():
-        for row in rows_of(shift, name):
-            print(f"| {' | '.join(row)} |")
-    for row in _over_scenes(studies.values()):
-        print(f"| {' | '.join(row)} |")
+    rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
+    print_table(_HEADINGS, [*rows, *_over_scenes(studies.values())])
     for name, shift in studies.items():
         print("\n".join(_answers(shift, folder / name)))
 
@@ -98,7 +94,7 @@ def _over_scenes(studies: Iterable[Shift]) -> Iterator[tuple[str, ...]]:
         if len(own) > 1 and len(parts) == len(own):
             told = number(statistics.geometric_mean(parts))
             scenes = f"geometric mean of {len(own)} scenes"
-            yield scenes, _NATIVE, model, told, *[NONE] * (len(_HEADING) - 4)
+            yield scenes, _NATIVE, model, told, *[NONE] * 5
 
 
 def _variants(shift: Shift) -> list[str]:

@@ -9,10 +9,8 @@ All settings take turns, start by start, in one process with one thread; costs a
 
 from __future__ import annotations
 
+import functools
 import math
-import platform
-import sys
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,6 +20,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import print_head, print_made, print_table, take_turns
 from mbds_xsim import registry
 from mbds_xsim.campaign import run_references
 from mbds_xsim.engine import Settings
@@ -125,14 +124,10 @@ def measure(scene: Scene, settings: list[Setting]) -> None:
     second = round(1.0 / scene.clock.frame) + 1
     for row in range(len(batch)):
         start = batch[[row]]
-        costs: dict[str, list[float]] = {setting.name: [] for setting in settings}
-        for _ in range(REPEATS):
-            for setting in settings:
-                begin = time.process_time()
-                setting.rollout(start)
-                costs[setting.name].append(time.process_time() - begin)
-        for setting in settings:
-            setting.cost.append(float(np.median(costs[setting.name])))
+        works = [functools.partial(setting.rollout, start) for setting in settings]
+        costs = np.median(take_turns(works, (REPEATS, REPEATS)), axis=0)
+        for setting, cost in zip(settings, costs, strict=True):
+            setting.cost.append(float(cost))
             off = np.sum((setting.rollout(start)[:second] - exact[row, :second]) ** 2, axis=-1)
             setting.error.append(float(np.sqrt(off.mean(axis=-1)).max()))
 
@@ -172,15 +167,17 @@ def report(name: str) -> None:
         mine.insert(0, Setting("bare loop with PGS, 1 a frame", Bare(scene, 1, "PGS")))
     measure(scene, [*bare, *mine])
     print(f"\n## {name}\n")
-    heads = ("steps", "ms a trajectory", "trajectories a second")
-    print(f"| {' | '.join(heads)} | {' | '.join(f'{m} error [m] | ratio' for m in MEASURES)} |")
-    print(f"| :-- |{' --: |' * (2 + 2 * len(MEASURES))}")
-    for setting in (*bare, *mine):
-        cells = [setting.name, f"{setting.median_ms:.2f}", f"{1e3 / setting.median_ms:.0f}"]
-        for how in MEASURES.values():
-            gain = ratio(bare, setting, how) if setting in mine else math.nan
-            cells += [f"{how(setting.error):.1e}", "" if math.isnan(gain) else f"**{gain:.2f}**"]
-        print(f"| {' | '.join(cells)} |")
+    heads = "|".join(f">{measure} error [m]|>ratio" for measure in MEASURES)
+    rows = (_row(setting, bare, judged=setting in mine) for setting in (*bare, *mine))
+    print_table(f"steps|>ms a trajectory|>trajectories a second|{heads}", rows)
+
+
+def _row(setting: Setting, bare: list[Setting], *, judged: bool) -> list[str]:
+    cells = [setting.name, f"{setting.median_ms:.2f}", f"{1e3 / setting.median_ms:.0f}"]
+    for how in MEASURES.values():
+        gain = ratio(bare, setting, how) if judged else math.nan
+        cells += [f"{how(setting.error):.1e}", "" if math.isnan(gain) else f"**{gain:.2f}**"]
+    return cells
 
 
 TEXT = f"""\
@@ -195,15 +192,11 @@ line. The adapter's options are its own and, where they differ, those of the mat
 
 
 def main() -> None:
-    print("# Beside a bare MuJoCo loop\n")
-    print(TEXT)
+    command = "python -m benchmarks.yardstick > reports/yardstick.md"
+    print_head("Beside a bare MuJoCo loop", command, TEXT)
     for name in BARE_COUNTS:
         report(name)
-    print(
-        f"\nMade by `python -m benchmarks.yardstick` on {platform.machine()}, {platform.system()}, "
-        f"mujoco {ENGINE.version()}, numpy {np.__version__}, Python {platform.python_version()}."
-    )
-    sys.stdout.flush()
+    print_made(f"mujoco {ENGINE.version()}", f"numpy {np.__version__}")
 
 
 if __name__ == "__main__":

@@ -28,26 +28,26 @@ _TABLE = re.compile(r"<!-- choose-table: begin -->\n(.*)<!-- choose-table: end -
 
 
 def _printed(script: str, *words: str) -> str:
-    command = [sys.executable, str(_ROOT / "benchmarks" / script), *words]
+    command = [sys.executable, "-m", f"benchmarks.{script}", *words]
     return subprocess.run(command, cwd=_ROOT, check=True, capture_output=True, text=True).stdout
 
 
 def test_the_table_of_readme_is_that_of_the_reports() -> None:
     (found,) = _TABLE.findall((_ROOT / "README.md").read_text("utf-8"))
 
-    assert found.strip() == _printed("choose_table.py", "reports/tradeoff").strip(), "make readme"
+    assert found.strip() == _printed("choose_table", "reports/tradeoff").strip(), "make readme"
 
 
 def test_the_page_of_reports_lists_what_is_stored() -> None:
     found = (_ROOT / "reports" / "README.md").read_text("utf-8")
 
-    assert found == _printed("reports_page.py", "reports"), "make reports-pages"
+    assert found == _printed("reports_page", "reports"), "make reports-pages"
 
 
 def test_the_page_of_margins_is_that_of_the_validations() -> None:
     found = (_ROOT / "reports" / "margins.md").read_text("utf-8")
 
-    assert found == _printed("margins.py", "reports"), "make reports-pages"
+    assert found == _printed("margins", "reports"), "make reports-pages"
 
 
 def test_all_scenes_and_studies_are_reported() -> None:

@@ -48,7 +48,8 @@ def contact(
 ) -> None:
     """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
     from mbds_xsim.choice import Choice
-    from mbds_xsim.report.contact_summary import print_study
+    from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.studies.contact.present import present
     from mbds_xsim.studies.contact.study import study_contact
 
     console = console_for(json)
@@ -65,13 +66,13 @@ def contact(
             workers=workers,
             command=command_line(),
         )
-    print_study(study, console)
+    print_blocks(present(study), console)
     if drawn:
-        from mbds_xsim.report.contact_curves import draw_study
+        from mbds_xsim.studies.contact.figures import draw_study
 
         draw_study(study, drawn)
     if markdown is not None:
-        from mbds_xsim.report.contact_page import contact_page
+        from mbds_xsim.studies.contact.page import contact_page
         from mbds_xsim.write import write_whole
 
         write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())

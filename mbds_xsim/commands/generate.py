@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,7 +24,12 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
+from mbds_xsim.counted import counted
 from mbds_xsim.errors import InputError
+from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
+
+if TYPE_CHECKING:
+    from mbds_xsim.dataset.generate import Generated
 
 __all__ = ["generate"]
 
@@ -66,7 +72,8 @@ def generate(
     from mbds_xsim.dataset.generate import generate as run
     from mbds_xsim.dataset.work import Carrier
     from mbds_xsim.isolate import run_tasks
-    from mbds_xsim.report.generating import GeneratingBar, print_counts
+    from mbds_xsim.report.bar import GeneratingBar
+    from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)
     check_targets(json=json)
@@ -88,7 +95,30 @@ def generate(
             workers = cluster.workers
         progress = stack.enter_context(GeneratingBar(console))
         generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
-    print_counts(generated, console)
+    print_blocks(_outcome(generated), console)
     write_json(encoded(generated, "generate"), json)
     whole = not generated.failed and all(count.published for count in generated.variants)
     raise typer.Exit(0 if whole else 1)
+
+
+def _outcome(generated: Generated) -> Iterator[Block]:
+    """Say what was published and what was rejected, and why."""
+    words = ("file", "rejected by")
+    headings = ("file", "drawn", "published", "rejected", "MB", "rejected by")
+    yield table_of(
+        [Column(heading, words=heading in words) for heading in headings],
+        [
+            [
+                count.file,
+                *map(str, (count.trajectories, count.published, count.rejected)),
+                f"{count.bytes / 1e6:.4g}",
+                ", ".join(f"{cause} {number}" for cause, number in count.rejected_by.items()),
+            ]
+            for count in generated.variants
+        ],
+    )
+    yield Remarks.of((f"{pair} left out", reason) for pair, reason in generated.left_out.items())
+    yield Remarks.of((f"{variant} failed", why) for variant, why in generated.failed.items())
+    rate = generated.made / generated.wall_s
+    made = counted(generated.made, "trajectory")
+    yield Text(f"{made} made in {generated.wall_s:.1f} s ({rate:.3g}/s)")

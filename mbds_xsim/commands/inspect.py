@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,9 +16,15 @@ from mbds_xsim.commands.shared import (
     encoded,
     write_json,
 )
+from mbds_xsim.counted import counted
 from mbds_xsim.errors import InputError
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Table, Text, table_of
 
-__all__ = ["inspect"]
+if TYPE_CHECKING:
+    from mbds_xsim.dataset.summary import Range, Summary
+
+__all__ = ["inspect", "summary_blocks"]
 
 
 @command(
@@ -35,8 +42,8 @@ def inspect(
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.dataset.summary import summaries
-    from mbds_xsim.report.inspecting import print_summary
     from mbds_xsim.report.paths import draw_paths
+    from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)
     check_targets(json=json, png=png)
@@ -45,8 +52,67 @@ def inspect(
         msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
         raise InputError(msg)
     for summary in found:
-        print_summary(summary, console)
+        print_blocks(summary_blocks(summary), console)
     if png is not None:
         draw_paths(load_dataset(found[0].file), png)
         console.print(f"written: {png}", highlight=False)
     write_json(encoded(found, "inspect"), json)
+
+
+def summary_blocks(summary: Summary) -> Iterator[Block]:
+    """Say what a data set is, how many of what it has, and what the checks measured."""
+    yield Text(f"{summary.file}  {summary.kind}, {summary.certification}", "strong")
+    yield Remarks.of(_facts(summary))
+    yield _counts(summary)
+    if summary.figures:
+        headings = ("check", "trajectories", "smallest", "median", "largest", "allowed", "")
+        columns = [Column(heading, words=heading == "check") for heading in headings]
+        yield table_of(columns, map(_cells, summary.figures))
+
+
+def _facts(summary: Summary) -> list[tuple[str, str]]:
+    noise = "with" if summary.noise else "without"
+    options = f", {summary.options}" if summary.options != "{}" else ""
+    causes = ", ".join(f"{cause} {count}" for cause, count in summary.rejected_by.items())
+    return [
+        (
+            "scene",
+            f"{summary.scene}: {summary.description or 'no description'}; {summary.dimension}D, "
+            f"{counted(summary.bodies, 'body')}, {counted(summary.points, 'point')}, "
+            f"{counted(summary.steps, 'step')} of "
+            f"{summary.frame_s:g} s",
+        ),
+        (
+            "made by",
+            f"{summary.engine} {summary.engine_version} ({summary.profile}), {summary.method} at "
+            f"{summary.step_s:.6g} s{options}; seed {summary.seed}, {noise} noise",
+        ),
+        ("versions", f"mbds-xsim {summary.mbds_xsim_version}, numpy {summary.numpy_version}"),
+        (
+            "holds",
+            f"{summary.published} published and {summary.rejected} rejected of {summary.drawn}"
+            + (f": {causes}" if causes else ""),
+        ),
+        ("on disk", f"{summary.bytes / 1e6:.4g} MB in {counted(summary.shards, 'shard')}"),
+    ]
+
+
+def _counts(summary: Summary) -> Table:
+    intervals = list(next(iter(summary.counts.values())))
+    return table_of(
+        [Column("trajectories", words=True), *map(Column, (*intervals, "all"))],
+        [
+            [part, *(str(counts[name]) for name in intervals), str(sum(counts.values()))]
+            for part, counts in summary.counts.items()
+        ],
+    )
+
+
+def _cells(figure: Range) -> list[Cell | str]:
+    first = (quantity.with_unit(value, figure.unit) for value in (figure.smallest, figure.median))
+    largest, allowed = quantity.beside(figure.largest, figure.allowed, figure.unit)
+    known: list[Cell | str] = [figure.check, str(figure.trajectories), *first, largest]
+    if figure.allowed is None:
+        return [*known, "shown", ""]
+    kept = figure.largest <= figure.allowed
+    return [*known, allowed, Cell("", "pass" if kept else "fail")]

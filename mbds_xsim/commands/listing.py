@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,7 +19,13 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
+from mbds_xsim.counted import counted
 from mbds_xsim.errors import InputError
+from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
+
+if TYPE_CHECKING:
+    from mbds_xsim.catalogue import EngineRow, SceneRow
+    from mbds_xsim.scene import Scene
 
 __all__ = ["engines", "scenes", "show"]
 
@@ -33,7 +40,7 @@ def engines(
     """List the engines, their methods, and what each cannot do."""
     from mbds_xsim.catalogue import engine_rows
     from mbds_xsim.report.engines_page import engines_page
-    from mbds_xsim.report.lists import print_engines
+    from mbds_xsim.report.terminal import print_blocks
 
     if markdown and json:
         msg = "engines gives one form at a time; choose one of --markdown and --json"
@@ -43,7 +50,10 @@ def engines(
     if markdown:
         print(engines_page(rows), end="")
     else:
-        print_engines(rows, console_for(json))
+        console = console_for(json)
+        for row in rows:
+            print_blocks(_about_engine(row), console)
+            console.print()
     write_json(encoded(rows), json)
 
 
@@ -51,11 +61,11 @@ def engines(
 def scenes(json: JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
     from mbds_xsim.catalogue import scene_rows
-    from mbds_xsim.report.lists import print_scenes
+    from mbds_xsim.report.terminal import print_blocks
 
     check_targets(json=json)
     rows = scene_rows()
-    print_scenes(rows, console_for(json))
+    print_blocks(_about_scenes(rows), console_for(json))
     write_json(encoded(rows), json)
 
 
@@ -87,7 +97,7 @@ def show(
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given."""
     from mbds_xsim.catalogue import native_text, scene_row
-    from mbds_xsim.report.lists import print_scene
+    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.scene_file import write_scene
 
     if sum(map(bool, (toml, native, json))) > 1:
@@ -116,5 +126,100 @@ def show(
         print(write_scene(loaded), end="")
     else:
         row = scene_row(loaded)
-        print_scene(loaded, row, console_for(json))
+        print_blocks(_about_scene(loaded, row), console_for(json))
         write_json(encoded(row), json)
+
+
+def _about_engine(row: EngineRow) -> Iterator[Block]:
+    """Say what an engine's methods are, and what it and they cannot do."""
+    coordinates = f", {row.coordinates} coordinates" if row.coordinates else ""
+    yield Text(f"{row.engine} {row.version}{coordinates}", "strong")
+    if row.fault:
+        yield Text(row.fault)
+    yield Remarks.of((m.name, f"{m.family}, order {m.order}") for m in row.methods)
+    yield Remarks(tuple(_refusals("cannot", row.limits)))
+    for method in row.methods:
+        yield Remarks(tuple(_refusals(f"{method.name} cannot", method.refuses)))
+
+
+def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:
+    from mbds_xsim.catalogue import by_reason
+
+    for reason, features in by_reason(refusals).items():
+        yield Remark(who, f"{', '.join(features)}: {reason}")
+
+
+def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
+    headings = ("scene", "dim", "bodies", "particles", "joints", "loops", "dof", "needs")
+    yield table_of(
+        [Column(heading, words=heading in ("scene", "needs")) for heading in headings],
+        [
+            [
+                row.scene,
+                f"{row.dimension}D",
+                *map(str, (row.bodies, row.particles, row.joints, row.loops)),
+                str(row.degrees_of_freedom),
+                ", ".join(row.needs),
+            ]
+            for row in rows
+        ],
+    )
+    yield Text("Families of any size: Npendulum, Nladder; or the path of a scene file.")
+
+
+def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
+    """Say what a scene is, what it needs and how its starts are drawn."""
+    from mbds_xsim.mechanism import Mechanism
+
+    mechanism, clock = Mechanism.of(scene), scene.clock
+    loops = ", ".join(joint.name for joint in mechanism.loops) or "none"
+    freedom = counted(row.degrees_of_freedom, "degree of freedom", "degrees of freedom")
+    yield Text(f"{scene.name}  {scene.description}", "strong")
+    if scene.source:
+        yield Text(f"source: {scene.source}")
+    yield Text(
+        f"{counted(row.bodies, 'body')}, {counted(row.particles, 'particle')}, "
+        f"{mechanism.mass.sum():g} kg, {freedom}, {scene.dimension}D"
+    )
+    yield Text(f"{counted(row.joints, 'joint')}; loops closed by: {loops}")
+    yield Text(
+        f"{counted(clock.steps, 'step')} of {clock.frame:g} s ({clock.duration:g} s); length "
+        f"{scene.length:g} m; noise {scene.noise:g} N"
+    )
+    yield Text(f"needs: {', '.join(row.needs) or 'nothing'}")
+    yield from (Text(f"draws {_term(term)}") for term in scene.sampling)
+
+
+def _term(term: object) -> str:
+    fields = {key: getattr(term, key) for key in term.__struct_fields__}  # type: ignore[attr-defined]
+    parts = [f"{key}: {_shown(value)}" for key, value in fields.items() if not _nothing(value)]
+    kind = term.__struct_config__.tag  # type: ignore[attr-defined]
+    return f"{kind} ({'; '.join(parts)})"
+
+
+def _nothing(value: object) -> bool:
+    """Whether a value switches nothing on, or a vector or range is zero all over."""
+    return value is False or (isinstance(value, tuple) and not any(v != 0.0 for v in _flat(value)))
+
+
+def _flat(value: object) -> list[object]:
+    return [w for v in value for w in _flat(v)] if isinstance(value, tuple) else [value]
+
+
+def _shown(value: object) -> str:
+    """Give ranges, by interval and by component, in few words."""
+    from mbds_xsim.sampling_terms import INTERVALS, Levels
+
+    if isinstance(value, Levels):
+        return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)
+    if isinstance(value, float):
+        return f"{value:g}"
+    if not isinstance(value, tuple):
+        return str(value)
+    if len(value) > 6:
+        return f"{value[0]} … {value[-1]}"
+    if isinstance(value[0], tuple | Levels):
+        spans = zip("xyz", value, strict=True)
+        return ", ".join(f"{name} {_shown(span)}" for name, span in spans if not _nothing(span))
+    inner = ", ".join(map(_shown, value))
+    return inner if isinstance(value[0], str) else f"[{inner}]"

@@ -64,8 +64,8 @@ def match(
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
     from mbds_xsim.registry import scene_names
+    from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.studies.match import search as study
     from mbds_xsim.studies.match.file import matched_toml, stored_path
     from mbds_xsim.studies.match.present import present

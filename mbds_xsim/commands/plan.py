@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,8 +21,18 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
+from mbds_xsim.counted import counted
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
 
-__all__ = ["plan"]
+if TYPE_CHECKING:
+    from mbds_xsim.dataset.estimate import CostPlan, Estimate
+
+__all__ = ["plan", "plan_blocks"]
+
+_SIZES = ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B"))
+_TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3600, "s"))
+_HEADINGS = ("variant", "each", "simulate", "check", "core-h", "wall", "size", "published")
 
 
 @command(
@@ -48,7 +59,7 @@ def plan(
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.dataset.estimate import plan as run
-    from mbds_xsim.report.planning import print_plan
+    from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)
     check_targets(json=json)
@@ -62,6 +73,47 @@ def plan(
             workers=workers,
             progress=progress,
         )
-    print_plan(found, console)
+    print_blocks(plan_blocks(found), console)
     write_json(encoded(found, "plan"), json)
     raise typer.Exit(0 if all(not one.failure for one in found.estimates) else 1)
+
+
+def plan_blocks(plan: CostPlan) -> Iterator[Block]:
+    """Say in a line an engine what a data set will cost."""
+    cores = counted(plan.workers, "core")
+    yield Text(f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on {cores}")
+    columns = [Column(heading, words=heading == "variant") for heading in _HEADINGS]
+    yield table_of(columns, map(_cells, plan.estimates))
+    failed = [Remark(e.variant, e.failure, "fail") for e in plan.estimates if e.failure]
+    left_out = [Remark(f"{name} left out", reason) for name, reason in plan.left_out.items()]
+    yield Remarks((*failed, *left_out))
+    known = [one.measured for one in plan.estimates if one.measured is not None]
+    if known:
+        spread = max(one.spread for one in known)
+        yield Text(
+            f"measured on 2 × {known[0].sample} trajectories each, which differ by up to "
+            f"{spread:.0%}; core time and size of each are this machine's, the "
+            "published share is the sample's"
+        )
+
+
+def _cells(estimate: Estimate) -> tuple[str, ...]:
+    one = estimate.measured
+    if one is None or estimate.core_hours is None:
+        return (estimate.variant, *[quantity.NONE] * (len(_HEADINGS) - 1))
+    return (
+        estimate.variant,
+        quantity.span(one.trajectory_s),
+        f"{one.shares['simulate_s']:.0%}",
+        f"{one.shares['check_s']:.0%}",
+        quantity.number(estimate.core_hours),
+        _scaled(estimate.wall_hours or 0.0, _TIMES),
+        _scaled(estimate.bytes or 0.0, _SIZES),
+        f"{one.published} of {2 * one.sample}",
+    )
+
+
+def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
+    """Write with the largest unit that gives a number from 1 on."""
+    size, unit = next((one for one in units if value >= one[0]), units[-1])
+    return f"{value / size:.3g} {unit}"

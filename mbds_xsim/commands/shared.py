@@ -20,8 +20,8 @@ from mbds_xsim.isolate import LIMIT
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from mbds_xsim.report.bar import ProgressBar
     from mbds_xsim.report.blocks import Report
-    from mbds_xsim.report.progress import ProgressBar
     from mbds_xsim.scene import Scene
 
 __all__ = [
@@ -162,14 +162,14 @@ def scene_named(name: str) -> Scene:
 
 def console_for(json: Path | None) -> Console:
     """Where people read: standard output, or standard error when JSON goes there."""
-    from mbds_xsim.report.console import Outlet
+    from mbds_xsim.report.terminal import Outlet
 
     return Outlet(stderr=json is not None and str(json) == "-")
 
 
 def progress_on(console: Console) -> ProgressBar:
     """Give the bar of long work."""
-    from mbds_xsim.report.progress import ProgressBar
+    from mbds_xsim.report.bar import ProgressBar
 
     return ProgressBar(console)
 

@@ -85,9 +85,9 @@ def stability(
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
+    from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import rows_csv, write_if
     from mbds_xsim.report.terminal import print_blocks, print_report
-    from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.studies.stability.contenders import Plan, profiles_of
     from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
     from mbds_xsim.studies.stability.rows import to_json

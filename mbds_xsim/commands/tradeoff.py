@@ -80,9 +80,9 @@ def tradeoff(
     """Chart speed against accuracy: every engine, method and step, and their options."""
     from mbds_xsim.choice import Choice
     from mbds_xsim.isolate import core_count
+    from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import link, rows_csv, write_if
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.report.tradeoff_progress import StudyBar
     from mbds_xsim.studies.tradeoff.present import present, to_png
     from mbds_xsim.studies.tradeoff.rows import to_json
 

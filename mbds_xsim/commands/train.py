@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +20,9 @@ from mbds_xsim.commands.shared import (
     encoded,
     write_json,
 )
+from mbds_xsim.counted import counted
 from mbds_xsim.errors import InputError
+from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.work import Carrier
     from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost
-    from mbds_xsim.learn.trainings import TrainingPlan, TrainingRequest
+    from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan, TrainingRequest
 
 __all__ = ["train"]
 
@@ -99,7 +101,7 @@ def train(
     check_torch("train")
     from mbds_xsim.learn.groups import groups
     from mbds_xsim.learn.trainings import TrainingRequest, planned
-    from mbds_xsim.report.training import print_blocked, print_left_out
+    from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)
     check_targets(json=json, png=png)
@@ -117,12 +119,12 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    print_left_out(trainings, console)
+    print_blocks(_left_out(trainings), console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             measured = _costs(trainings, *carrier, console)
-            print_blocked(trainings, console)
+            print_blocks(_blocked(trainings), console)
             write_json(encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json)
             return
         told = _trained(trainings, request, *carrier, console)
@@ -142,11 +144,11 @@ def _names(models: str | None) -> list[str]:
 def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
     """Measure and print what the runs will cost."""
     from mbds_xsim.learn.trainings import costs
-    from mbds_xsim.report.training import print_costs
+    from mbds_xsim.report.terminal import print_blocks
 
     measured = costs(trainings, workers=at_once, carrier=carrier) if trainings.runs else []
     if measured:
-        print_costs(trainings, measured, at_once, console)
+        print_blocks(_cost_blocks(trainings, measured, at_once), console)
     return measured
 
 
@@ -161,7 +163,8 @@ def _trained(
     from mbds_xsim.dataset.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
-    from mbds_xsim.report.training import TrainingBar, print_outcome
+    from mbds_xsim.report.bar import TrainingBar
+    from mbds_xsim.report.terminal import print_blocks
 
     with locked(request.out):
         long = request.profile.steps > LONG
@@ -173,7 +176,7 @@ def _trained(
     if request.events is not None:
         for name in trainings.done:
             log_whole(request.out / f"{name}.curve.json", request.events / name)
-    print_outcome(trainings, outcome, console)
+    print_blocks(_outcome(trainings, outcome), console)
     runs = dict(sorted({**trainings.done, **outcome.trained}.items()))
     return {
         "runs": runs,
@@ -236,3 +239,55 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
     from mbds_xsim.write import write_whole
 
     write_whole(png, to_png([read_curve(path) for path in there]))
+
+
+def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Iterator[Block]:
+    """Say what each model's runs take, and all together."""
+    headings = ("data", "model", "runs", "steps each", "steps/s", "a run [h]", "all [h]")
+    rows, total = [], 0.0
+    for cost in costs:
+        runs = [r for r in plan.runs if (r.group.name, r.model) == (cost.group, cost.model)]
+        hours = cost.hours * len(runs)
+        total += hours
+        figures = (f"{value:.3g}" for value in (cost.steps_per_s, cost.hours, hours))
+        counts = (str(len(runs)), str(runs[0].profile.steps))
+        rows.append([cost.group, cost.model, *counts, *figures])
+    yield table_of([Column(h, words=h in headings[:2]) for h in headings], rows)
+    yield Text(
+        f"{counted(len(plan.runs), 'run')}, at most {total:.3g} h of one process, "
+        f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
+        "that are level end before"
+    )
+
+
+def _blocked(plan: TrainingPlan) -> Iterator[Block]:
+    """Say why what is planned could not be trained into the folder that was named."""
+    if plan.blocked:
+        first = next(iter(plan.blocked.values()))
+        yield Text(f"{len(plan.blocked)} of these runs could not be written there: {first}")
+
+
+def _left_out(plan: TrainingPlan) -> Iterator[Block]:
+    """Say what a model cannot represent, and which engines have no data."""
+    yield Remarks.of((f"{name} left out", reason) for name, reason in plan.left_out.items())
+
+
+def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
+    """Say how many runs ended how, and which diverged."""
+    from mbds_xsim.learn.trainings import diverged
+
+    facts = [*outcome.trained.values(), *plan.done.values()]
+    ways = {"level": "ended level", "steps": "took all their steps", "diverged": "diverged"}
+    counts = [
+        f"{sum(fact.get('ended') == way for fact in facts)} {words}" for way, words in ways.items()
+    ]
+    yield Text(
+        f"{counted(len(facts), 'run')} done, {len(plan.done)} of them before, "
+        f"{len(outcome.failed)} failed; {', '.join(counts)}"
+    )
+    why = (
+        "its file has the best parameters before; check its data, or train it with another "
+        "--track into another --out"
+    )
+    names = diverged({**plan.done, **outcome.trained})
+    yield Remarks.of((f"{name} diverged", why) for name in names)

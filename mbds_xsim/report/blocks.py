@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from mbds_xsim.report.palette import Style
+if TYPE_CHECKING:
+    from mbds_xsim.report.palette import Style
 
 __all__ = [
     "EVERYWHERE",

@@ -22,8 +22,7 @@ from mbds_xsim.counted import counted
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.report.palette import PARTS
-from mbds_xsim.report.projection import View, outline, point_of, pose_of
-from mbds_xsim.report.skeleton import Skeleton, skeleton
+from mbds_xsim.report.skeleton import Projection, Skeleton, outline, point_of, pose_of, skeleton
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.scene import Scene
 from mbds_xsim.write import write_whole
@@ -74,7 +73,7 @@ class _Picture:
     mechanism: Mechanism
     bones: Skeleton
     pose: BodyStates
-    view: View
+    view: Projection
     points: Array
     """The skeleton's moving points in W, shape (point, 3)."""
     low: Array
@@ -96,7 +95,7 @@ class _Picture:
         solid = np.concatenate(
             [points, bones.fixed, np.reshape([*anchors, *ends], (-1, 3)), pose.position]
         )
-        view = View.of(solid, scene.dimension)
+        view = Projection.of(solid, scene.dimension)
         reach = np.concatenate([np.maximum(bones.radius, 0.0), np.zeros(len(solid) - len(points))])
         flat = view.flat(solid)
         low, high = (flat - reach[:, None]).min(axis=0), (flat + reach[:, None]).max(axis=0)

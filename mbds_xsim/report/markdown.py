@@ -8,13 +8,30 @@ from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Sectio
 from mbds_xsim.report.terminal import SIGNS
 from mbds_xsim.safe_text import as_code, in_markdown, sentence
 
-__all__ = ["to_markdown"]
+__all__ = ["table_lines", "to_markdown"]
 
 
 def to_markdown(reports: Iterable[Report]) -> str:
     """Give a chapter a report; what a column means is told where it first stands."""
     told: set[Column] = set()
     return "\n".join(_spaced(line for report in reports for line in _chapter(report, told)))
+
+
+def table_lines(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
+    """Lay out texts that are Markdown already, row by row as they come.
+
+    Args:
+        headings: What stands above the columns; after `>` that of a column of figures.
+        rows: As many texts each.
+    """
+    above = list(headings)
+    yield _line(heading.removeprefix(">") for heading in above)
+    yield _line("--:" if heading.startswith(">") else ":--" for heading in above)
+    yield from map(_line, rows)
+
+
+def _line(texts: Iterable[str]) -> str:
+    return f"| {' | '.join(texts)} |"
 
 
 def _spaced(lines: Iterable[str]) -> Iterator[str]:
@@ -62,11 +79,10 @@ def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:
         yield from (f"{'#' * level} {in_markdown(table.title)}", "")
     if table.note:
         yield from (in_markdown(sentence(table.note).rstrip()), "")
-    yield _line(column.heading for column in table.columns)
-    yield _line(":--" if column.words else "--:" for column in table.columns)
-    for row in table.rows:
-        bold = row.mark in ("over", "fail")
-        yield f"| {' | '.join(_cell(cell, bold=bold) for cell in row.cells)} |"
+    headings = (f"{'' if c.words else '>'}{in_markdown(c.heading.strip())}" for c in table.columns)
+    bold = ("over", "fail")
+    rows = ((_cell(cell, bold=row.mark in bold) for cell in row.cells) for row in table.rows)
+    yield from table_lines(headings, rows)
     yield ""
     reasons = [(row.cells, reason) for row in table.rows for reason in row.reasons]
     for cells, reason in reasons:
@@ -77,10 +93,6 @@ def _table(table: Table, told: set[Column], level: int) -> Iterator[str]:
             yield f"- {in_markdown(column.heading.strip())}: {in_markdown(column.meaning)}"
     if any(cell.mark == "over" for row in table.rows for cell in row.cells):
         yield "- Bold: over budget"
-
-
-def _line(texts: Iterable[str]) -> str:
-    return f"| {' | '.join(in_markdown(text.strip()) for text in texts)} |"
 
 
 def _cell(cell: Cell, *, bold: bool) -> str:

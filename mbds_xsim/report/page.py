@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbds_xsim.report import themed
+from mbds_xsim.report import palette, themed
 from mbds_xsim.report.blocks import Block, Figure, Motion, Report, Section
-from mbds_xsim.report.template import rendered
 from mbds_xsim.report.terminal import SIGNS
+from mbds_xsim.safe_text import printable, sentence
 
 __all__ = ["to_html"]
 
@@ -22,8 +24,18 @@ def to_html(reports: Sequence[Report], title: str, made_by: str) -> str:
         title: Of the page.
         made_by: Words of the command, for the window's title.
     """
-    return rendered(
-        "page.html",
+    environment = Environment(
+        loader=PackageLoader("mbds_xsim", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalized,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["sentence"] = sentence
+    return environment.get_template("page.html").render(
+        light=palette.LIGHT,
+        dark=palette.DARK,
         reports=reports,
         title=title,
         made_by=f"mbds-xsim {made_by}",
@@ -43,3 +55,8 @@ def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
             yield block
         elif isinstance(block, Section):
             yield from _motions(block.blocks)
+
+
+def _finalized(value: Any) -> Any:
+    """Drop control characters; text that is HTML already stays so."""
+    return type(value)(printable(value)) if isinstance(value, str) else value

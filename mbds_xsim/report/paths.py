@@ -13,7 +13,7 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.report import palette
-from mbds_xsim.report.projection import View
+from mbds_xsim.report.skeleton import Projection
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.write import write_whole
@@ -110,7 +110,9 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     axes.set_aspect("equal", adjustable="box")
 
 
-def _bones(axes: Any, data: Dataset, view: View, flat: Array, colour: str, width: float) -> None:
+def _bones(
+    axes: Any, data: Dataset, view: Projection, flat: Array, colour: str, width: float
+) -> None:
     """Draw points and edges of one frame, and what is fixed."""
     fixed = view.flat(_lifted(data, np.asarray(data["graph/static_node"])))
     nodes = np.concatenate([flat, fixed])
@@ -127,11 +129,11 @@ def _lifted(data: Dataset, position: Array) -> Array:
     return whole
 
 
-def _view(data: Dataset) -> View:
+def _view(data: Dataset) -> Projection:
     """Look as the picture of the scene does."""
     points = Points.of(data.scene)
     rest = points.mechanism.com[points.body] + points.offset
-    return View.of(rest, data.scene.dimension)
+    return Projection.of(rest, data.scene.dimension)
 
 
 def _name_axes(panels: Any, data: Dataset, *, stacked: bool) -> None:

@@ -1,11 +1,14 @@
-"""Reports on the terminal: tables for reading in ten seconds, remarks, the conclusion last."""
+"""Where people read, and reports there: tables, remarks, the conclusion last."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import sys
+from collections.abc import Iterable, Iterator
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
@@ -20,9 +23,12 @@ from mbds_xsim.report.blocks import (
     Table,
     Text,
 )
+from mbds_xsim.safe_text import printable
 
-__all__ = ["SIGNS", "print_blocks", "print_report"]
+__all__ = ["SIGNS", "Outlet", "print_blocks", "print_report"]
 
+_PIPED = 160
+"""Columns where nobody says how many there are."""
 _WIDE = 104
 """Columns of a terminal from which on whole tables fit."""
 _SHORT = 32
@@ -32,6 +38,31 @@ _STYLES = {
     "pass": "bold green", "warn": "bold yellow", "fail": "bold red", "over": "bold red",
     "strong": "bold", "muted": "dim", "": "",
 }  # fmt: skip
+
+
+class Outlet(Console):
+    """Standard output or error: text is data, and colour is used where it means something.
+
+    A reader that hangs up ends the telling, not the work.
+    """
+
+    def __init__(self, *, stderr: bool) -> None:
+        super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False)
+        if not self.is_terminal and "COLUMNS" not in os.environ:
+            self.width = _PIPED  # a file has no edge to cut tables at
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        """Render, without what text in it would make a terminal do."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text), style, control)
+
+    def on_broken_pipe(self) -> None:
+        """Fall silent: results are still to be written to files (`… | head`)."""
+        self.quiet = True
+        stream = sys.stderr if self.stderr else sys.stdout
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def print_report(report: Report, console: Console) -> None:

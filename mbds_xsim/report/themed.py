@@ -6,14 +6,17 @@ import hashlib
 import io
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from markupsafe import Markup
 
-from mbds_xsim.report.few_colours import few_colours
 from mbds_xsim.report.palette import LIGHT
 
-__all__ = ["GREY", "INK", "PAPER", "SOURCE", "checksum", "png", "svg"]
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["GREY", "INK", "PAPER", "SOURCE", "checksum", "few_colours", "png", "svg"]
 
 SOURCE = "Source"
 """Key of the checksum in a PNG."""
@@ -24,6 +27,8 @@ PAPER = "#fefdfc"
 """Becomes the colour of the page's ground."""
 GREY = "#7f7f7f"
 
+_COLOURS = 256
+_EXACT = 128  # lines, areas and text as they are; the others are of edges that fade out
 _STYLE = {
     "svg.fonttype": "none",
     "font.size": 9,
@@ -83,6 +88,37 @@ def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
 def checksum(stored: bytes) -> str:
     """Give what a picture says of the file that keeps what it shows."""
     return f"sha256 {hashlib.sha256(stored.strip()).hexdigest()}"
+
+
+def few_colours(picture: Image) -> Image:
+    """Give a picture 256 colours: those of most pixels, then time and again the farthest one left.
+
+    Median cut, the usual way, goes by numbers of pixels alone: two small markers of different
+    colours can get one between them.
+
+    Args:
+        picture: Of mode RGB.
+
+    Returns:
+        The picture with a palette, mode P.
+    """
+    from PIL.Image import fromarray
+
+    pixels = np.asarray(picture).reshape(-1, 3) @ np.array([1 << 16, 1 << 8, 1])
+    packed, place, often = np.unique(pixels, return_inverse=True, return_counts=True)
+    colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=1)
+    chosen = list(np.argsort(-often, kind="stable")[:_EXACT])
+    nearest = np.zeros(len(colours), np.uint8)
+    off = np.full(len(colours), np.inf)
+    for number in range(min(_COLOURS, len(colours))):
+        if number == len(chosen):
+            chosen.append(off.argmax())
+        distance = ((colours - colours[chosen[number]]) ** 2).sum(axis=1)
+        closer = distance < off
+        nearest[closer], off[closer] = number, distance[closer]
+    found = fromarray(nearest[place].reshape(picture.height, picture.width), "P")
+    found.putpalette(colours[chosen].astype(np.uint8).tobytes())
+    return found
 
 
 def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:

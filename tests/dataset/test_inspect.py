@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mbds_xsim.commands.inspect import summary_blocks
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import summaries
 from mbds_xsim.errors import InputError
 from mbds_xsim.registry import load_scene
-from mbds_xsim.report.inspecting import print_summary
 from mbds_xsim.report.palette import INTERVALS
 from mbds_xsim.report.paths import draw_paths
+from mbds_xsim.report.terminal import print_blocks
 from tests.dataset.conftest import Make
 from tests.fuzz.campaign import run_command
 
@@ -71,7 +72,7 @@ def test_rejected_ones_are_counted_by_reason(make: Make, tmp_path: Path) -> None
 
 def test_the_summary_can_be_read(whole: Path) -> None:
     stream = io.StringIO()
-    print_summary(summaries(whole)[0], Console(file=stream, width=120))
+    print_blocks(summary_blocks(summaries(whole)[0]), Console(file=stream, width=120))
     text = stream.getvalue()
     for words in ("1pendulum", "joined, certified", "700 published and 0 rejected of 700", "✓"):
         assert words in text

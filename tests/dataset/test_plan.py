@@ -10,10 +10,11 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.choice import Choice
+from mbds_xsim.commands.plan import plan_blocks
 from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
 from mbds_xsim.isolate import Crash
-from mbds_xsim.report.planning import print_plan
+from mbds_xsim.report.terminal import print_blocks
 from mbds_xsim.scene import Scene
 from tests.dataset.conftest import TRAJECTORIES
 
@@ -97,16 +98,15 @@ def test_a_crash_is_told_not_extrapolated(variant: Variant) -> None:
     told = estimate(variant, Crash("the process ended by signal 11"), 5, audit_s=0.0, workers=2)
     assert (told.core_hours, told.bytes, told.measured) == (None, None, None)
     stream = io.StringIO()
-    print_plan(CostPlan("rod", 5, 2, (told,), {}), Console(file=stream, width=120))
+    print_blocks(plan_blocks(CostPlan("rod", 5, 2, (told,), {})), Console(file=stream, width=120))
     assert "✗ mujoco-matched: the process ended by signal 11" in stream.getvalue()
 
 
 def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
     told = estimate(variant, KNOWN, 4_000_000_000, audit_s=0.0, workers=1)
     stream = io.StringIO()
-    print_plan(
-        CostPlan("rod", 4_000_000_000, 1, (told,), {"dart": "no"}), Console(file=stream, width=120)
-    )
+    found = CostPlan("rod", 4_000_000_000, 1, (told,), {"dart": "no"})
+    print_blocks(plan_blocks(found), Console(file=stream, width=120))
     text = stream.getvalue()
     for words in (
         "4 000 000 000 trajectories",
@@ -118,6 +118,6 @@ def test_the_table_shows_sizes_people_know(variant: Variant) -> None:
         assert words in text
     small = replace(told, wall_hours=0.5, bytes=2500.0)
     stream = io.StringIO()
-    print_plan(CostPlan("rod", 5, 1, (small,), {}), Console(file=stream, width=120))
+    print_blocks(plan_blocks(CostPlan("rod", 5, 1, (small,), {})), Console(file=stream, width=120))
     assert "30 min" in stream.getvalue()
     assert "2.5 kB" in stream.getvalue()

@@ -46,7 +46,7 @@ from mbds_xsim.learn.train import CurvePoint, Training
 from mbds_xsim.learn.trainings import TrainingRequest, carry, planned, watched
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.registry import load_scene
-from mbds_xsim.report.training import TrainingBar
+from mbds_xsim.report.bar import TrainingBar
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Clock
 from mbds_xsim.simulate import Simulation, simulate

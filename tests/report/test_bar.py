@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.report import bar
-from mbds_xsim.report.progress import ProgressBar
+from mbds_xsim.report.bar import ProgressBar
 
 
 def test_a_log_gets_a_line_now_and_then(

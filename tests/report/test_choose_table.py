@@ -8,10 +8,10 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.report.choose_table import choose_table
+from benchmarks.choose_table import choose_table
 from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff, to_json
 
-_SCRIPT = Path(__file__).parents[2] / "benchmarks" / "choose_table.py"
+_ROOT = Path(__file__).parents[2]
 
 
 def _point(
@@ -146,7 +146,8 @@ def test_the_script_puts_it_between_its_marks(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- choose-table: begin -->\nold\n<!-- choose-table: end -->\nb\n")
 
-    subprocess.run([sys.executable, str(_SCRIPT), tmp_path, "--into", page], check=True)
+    command = [sys.executable, "-m", "benchmarks.choose_table", str(tmp_path), "--into", str(page)]
+    subprocess.run(command, cwd=_ROOT, check=True)
 
     assert page.read_text() == (
         f"a\n<!-- choose-table: begin -->\n{choose_table([_STUDY])}\n"

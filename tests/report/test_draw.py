@@ -15,7 +15,7 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.report.draw import draw_scene
 from mbds_xsim.report.palette import PARTS
-from mbds_xsim.report.projection import View, outline, pose_of
+from mbds_xsim.report.skeleton import Projection, outline, pose_of
 from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ def test_a_start_is_drawn_in_place_of_the_reference_pose(tmp_path: Path) -> None
 
 def test_a_homogeneous_ball_is_as_large_as_it_is() -> None:
     mechanism = Mechanism.of(_ball(0.3))
-    view = View.of(np.eye(3), 3)
+    view = Projection.of(np.eye(3), 3)
 
     half = outline(mechanism, pose_of(mechanism, None), view, 0)
 
@@ -118,7 +118,7 @@ def test_a_homogeneous_box_is_as_wide_and_high_as_its_ellipsoid() -> None:
     moments = (0.2 * (b**2 + c**2), 0.2 * (a**2 + c**2), 0.2 * (a**2 + b**2))
     scene = Scene(name="e", bodies=(Body("e", inertia=Inertia(1.0, moments)),), length=1.0)
     mechanism = Mechanism.of(scene)
-    view = View.of(np.zeros((1, 3)), 2)
+    view = Projection.of(np.zeros((1, 3)), 2)
 
     half = outline(mechanism, pose_of(mechanism, None), view, 0)
 
@@ -135,14 +135,14 @@ def test_a_homogeneous_box_is_as_wide_and_high_as_its_ellipsoid() -> None:
     ],
 )
 def test_a_flat_scene_is_seen_straight_on(points: list[list[int]], towards: list[int]) -> None:
-    view = View.of(np.array(points, dtype=float), 3)
+    view = Projection.of(np.array(points, dtype=float), 3)
 
     assert view.axes[2].tolist() == towards
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_a_view_is_a_right_handed_frame(dimension: int) -> None:
-    axes = View.of(np.eye(3), dimension).axes
+    axes = Projection.of(np.eye(3), dimension).axes
 
     assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image, ImageColor
 
 from mbds_xsim.report import palette, themed
-from mbds_xsim.report.few_colours import few_colours
+from mbds_xsim.report.themed import few_colours
 
 RARE = ("#7a4fb5", "#8c6d1f", "#5c8a00")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from mbds_xsim.engine import Profile
 from mbds_xsim.report.palette import ENGINES, engine_style
+from mbds_xsim.report.themed import INK, png
 from mbds_xsim.studies.contact.bench import FRICTION
 from mbds_xsim.studies.contact.impacts import RESTITUTIONS
 from mbds_xsim.studies.contact.study import ContactStudy
@@ -16,23 +16,11 @@ from mbds_xsim.write import write_whole
 
 __all__ = ["draw_study"]
 
-_INK = "#1c2733"
-_GREY = "#8a949e"
 _MARKS = "12x+34"
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
-_STYLE = {
-    "font.size": 9,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _GREY,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "axes.grid": True,
-    "grid.color": _GREY,
-    "grid.alpha": 0.25,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
+_ASKED: dict[str, Any] = {
+    "color": INK, "linewidth": 0.9, "linestyle": (0, (1, 2)), "label": "asked",
+}  # fmt: skip
 
 
 def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
@@ -42,32 +30,32 @@ def draw_study(study: ContactStudy, files: dict[str, Path]) -> None:
         study: What was measured.
         files: Where `restitution` and `friction` go.
     """
-    _draw(study, files["restitution"], _restitution, "rebound over impact speed")
-    _draw(study, files["friction"], _friction, "friction of a sliding ball over its heading")
+    count = len(study.profiles)
+    rebound, friction = (8.8, 0.9 + 2.1 * count), (1.0 + 3.9 * count, 3.7)
+    title = "rebound over impact speed"
+    _draw(study, files["restitution"], _restitution, rebound, title)
+    title = "friction of a sliding ball over its heading"
+    _draw(study, files["friction"], _friction, friction, title)
 
 
 def _draw(
-    study: ContactStudy, path: Path, panels: Callable[[Any, ContactStudy], Any], title: str
+    study: ContactStudy,
+    path: Path,
+    panels: Callable[[Any, ContactStudy], Any],
+    size: tuple[float, float],
+    title: str,
 ) -> None:
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(layout="constrained")
-        FigureCanvasAgg(figure)
+    def draw(figure: Any) -> None:
         first = panels(figure, study)
         figure.suptitle(f"{title}   ({study.command})", fontsize=10, x=0.01, ha="left")
         handles, labels = first.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=130, metadata={"Software": None})
-    write_whole(path, stream.getvalue())
+
+    write_whole(path, png(draw, size))
 
 
 def _restitution(figure: Any, study: ContactStudy) -> Any:
     """Lay out a row a profile, a column a restitution; returns a panel with all the names."""
-    figure.set_size_inches(8.8, 0.9 + 2.1 * len(study.profiles))
     panels = figure.subplots(
         len(study.profiles), len(_BOUNCING), sharex=True, sharey="col", squeeze=False
     )
@@ -83,7 +71,7 @@ def _restitution(figure: Any, study: ContactStudy) -> Any:
 
 def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) -> None:
     """Draw the medians, and the spread over the starts."""
-    axes.axhline(asked, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)), label="asked")
+    axes.axhline(asked, **_ASKED)
     for engine, colour, mark in _engines(study):
         found = [
             m
@@ -104,7 +92,6 @@ def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) ->
 
 def _friction(figure: Any, study: ContactStudy) -> Any:
     """Lay out a panel a profile; returns the first."""
-    figure.set_size_inches(1.0 + 3.9 * len(study.profiles), 3.7)
     panels = figure.subplots(1, len(study.profiles), sharey=True, squeeze=False)[0]
     for axes, profile in zip(panels, study.profiles, strict=True):
         _headings(axes, study, profile)
@@ -115,7 +102,7 @@ def _friction(figure: Any, study: ContactStudy) -> Any:
 
 
 def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
-    axes.axhline(FRICTION, color=_INK, linewidth=0.9, linestyle=(0, (1, 2)), label="asked")
+    axes.axhline(FRICTION, **_ASKED)
     for engine, colour, mark in _engines(study):
         found = [
             m

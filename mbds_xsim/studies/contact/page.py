@@ -1,0 +1,313 @@
+"""The page `docs/contact.md`, every figure of it written from a study."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from mbds_xsim.engine import ContactLaw
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Cell
+from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.safe_text import in_markdown
+from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
+from mbds_xsim.studies.contact.friction import PUSHES
+from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
+from mbds_xsim.studies.contact.present import (
+    FRICTION_LAW,
+    JUDGED,
+    NOWHERE,
+    REBOUND_LAW,
+    SPREAD,
+    STARTS,
+    STILL,
+    STRAIGHT,
+    Line,
+    coefficient,
+    degrees,
+    figure_of,
+    percent,
+    rows_of,
+    speed,
+    tiny_length,
+)
+from mbds_xsim.studies.contact.study import ContactStudy
+
+__all__ = ["contact_page", "words_of"]
+
+_PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
+_HEAD = """\
+# What contact means in each engine
+
+Each engine has its own idea of what happens where bodies touch. This page is what comes of it,
+measured from trajectories alone: written, with its figures, by
+
+```sh
+{command}
+```
+
+{made}
+"""
+_MADE = """
+on {machine}, with {versions}. `native` is what an ordinary user of the engine gets, `matched`
+what data are published with; both run through the same adapter. {judged} What the checks of
+`validate` make of contact stands in [checks.md](checks.md), what an engine can represent at all
+in [engines.md](engines.md).
+"""
+_WORDS = """
+## In words
+"""
+_REBOUND = f"""
+## Rebound
+
+A ball of radius {1e3 * RADIUS:.0f} mm falls onto the ground at a known speed, from eight phases of
+a step. Both flights are parabolas, so speeds before and after are known without looking into the
+impact. “Takes” is the time from touch to take-off, negative where an engine acts ahead of the
+touch; “depth” the deepest overlap at any phase. Figures are medians over the starts, bands in the
+picture go from the least to the most.
+"""
+_SHARES = """
+Largest distance from what was asked, over these speeds, and the speed at which it is:
+"""
+_FRICTION = f"""
+## Friction
+
+A ball that slides at 5 m/s, and a crate on four points at 2 m/s, asked {FRICTION}: the horizontal
+impulse over the vertical one. “Aside” is the angle between friction and slip. The crate is then
+pushed by a held force F, at 0.9 μ m g, where it should stand, and above; the last columns are the
+push at which it starts, of {_PUSHES}. Drag that a profile has
+counts as friction here.
+"""
+_ENERGY = f"""
+## Energy
+
+“Elastic ball”: mean change of its energy in a bounce, e = 1, at 1 m/s. The others are of thrown
+cubes that land on corners (`simplecubli`, asked {RESTITUTION}): the rise of energy that the law of
+impact does not explain, the whole rise, both over the energy scale, and the rebound of single
+corners. Newton's law together with Coulomb's may itself raise the energy there
+([passivity](checks.md#passivity)), and is one law among several.
+"""
+_REST = """
+## Rest
+
+A second after it was dropped from 5 cm with e = 0.5: how deep the lowest sphere is, how far it
+moves up and down, and the speed of the centre of mass.
+"""
+_LIMITS = """
+## How fast
+
+The fastest of some speeds at which an engine still delivers what was asked within 1 %, and what
+happens at the next: *told* is a failure of the trajectory with its reason, *silent* a wrong motion
+without a word, if only for a drag that is on by default. An impact counts as held if the ground
+does not lose the ball.
+"""
+
+# Notes that a table shows itself.
+_NO_FAILURE = ("all up to", "told at", "silent at", "does not come back")
+
+Show = Callable[[ContactStudy, str, str], Cell]
+"""What a cell says of a study, an engine and a profile."""
+Columns: TypeAlias = list[Line | tuple[str, Show]]
+
+
+def _furthest(asked: float) -> tuple[str, Show]:
+    """Worst median over the speeds."""
+
+    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
+        found = [
+            (abs(m.value - asked), m.at["speed"])
+            for m in study.find("restitution", restitution=asked)
+            if (m.engine, m.profile) == (engine, profile) and m.value is not None
+        ]
+        if not found:
+            return Cell(quantity.NONE)
+        off, where = max(found)
+        text = f"{off:.3f}" if off < 5e-4 else f"{off:.3f} at {where:g}"
+        return Cell(text, "over" if off > 0.01 else "")
+
+    return f"e = {asked:g}", cell
+
+
+def _range(label: str, name: str) -> tuple[str, Show]:
+    """From the least of the starts to the most."""
+
+    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
+        found = figure_of(study, engine, profile, name)
+        if found is None or found.low is None or found.high is None:
+            return Cell(quantity.NONE)
+        return Cell(f"{found.low:.2f} … {found.high:.2f}")
+
+    return label, cell
+
+
+def _limit(name: str, unit: str) -> tuple[str, Show]:
+    """Up to where it is right, and what happens beyond."""
+
+    def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
+        found = figure_of(study, engine, profile, name)
+        if found is None:
+            return Cell(quantity.NONE)
+        reached = quantity.NONE if found.value is None else f"{found.value:g}"
+        if found.note.startswith("all"):
+            return Cell(reached)
+        return Cell(f"{reached}; {found.note}", "over" if "silent" in found.note else "")
+
+    return f"{name} [{unit}]", cell
+
+
+def _impact(label: str, name: str, write: Callable[[float], str], at: float) -> Line:
+    conditions = {"restitution": RESTITUTION, "speed": at}
+    return Line(f"{label}, {at:g} m/s", name, write, at=conditions)
+
+
+def _heading(
+    label: str,
+    name: str,
+    write: Callable[[float], str],
+    right: Callable[[float], bool],
+    *headings: float,
+) -> Iterator[Line]:
+    for angle in headings:
+        yield Line(f"{label} {angle:g}°", name, write, right, {"heading_deg": angle})
+
+
+_REBOUNDS = [
+    Line(
+        f"{speed:g} m/s", "restitution", coefficient, REBOUND_LAW,
+        {"restitution": RESTITUTION, "speed": speed},
+    )
+    for speed in SPEEDS
+]  # fmt: skip
+_IMPACTS: Columns = [
+    *map(_furthest, RESTITUTIONS),
+    *(_impact("takes", "impact duration", quantity.span, at) for at in (0.1, 1.0, 10.0)),
+    *(_impact("depth", "impact depth", quantity.length, at) for at in DEPTH_SPEEDS),
+]
+_ASIDE = "friction aside of the slip"
+_FRICTIONS = [
+    *_heading("ball", "ball: sliding friction", coefficient, FRICTION_LAW, 0.0, 15.0, 45.0),
+    *_heading("aside", f"ball: {_ASIDE}", degrees, STRAIGHT, 15.0),
+    *_heading("wheel aside", f"wheel: {_ASIDE}", degrees, STRAIGHT, 30.0),
+    Line("hops by", "ball: hops while it slides", tiny_length, STILL),
+    *_heading("crate", "crate: sliding friction", coefficient, FRICTION_LAW, 0.0, 45.0),
+    *_heading("creep", "crate: creep at 0.9 of the limit", speed, STILL, 0.0, 45.0),
+    *_heading("starts", "crate: push that starts it", "{:g}".format, STARTS, 0.0, 45.0),
+]
+_CORNERS = "cubli: restitution of corners"
+_ENERGIES: Columns = [
+    Line("elastic ball", "elastic ball: energy by bounce", percent, SPREAD),
+    Line("unexplained rise", "cubli: energy that no law explains", percent, NOWHERE),
+    Line("whole rise", "cubli: largest rise of energy", percent),
+    Line("corners' rebound", _CORNERS, coefficient),
+    _range("from … to", _CORNERS),
+]
+_RESTS = [
+    line
+    for what in ("ball", "crate")
+    for line in (
+        Line(f"{what}: sinks", f"{what} dropped: sinks by", tiny_length),
+        Line(f"{what}: hops", f"{what} dropped: hops by", tiny_length, STILL),
+        Line(f"{what}: moves at", f"{what} dropped: moves at", speed, STILL),
+    )
+]
+_UPPER = [
+    _limit("free spin", "rad/s"),
+    _limit("hinge spin", "rad/s"),
+    _limit("impact speed held", "m/s"),
+]
+
+
+def contact_page(study: ContactStudy, figures: dict[str, Path], folder: Path) -> str:
+    """Write the page.
+
+    Args:
+        study: What was measured.
+        figures: Files of `restitution` and `friction`; none: the page goes without.
+        folder: Where the page will lie, which decides its links to the figures.
+    """
+    versions = ", ".join(f"{engine} {version}" for engine, version in study.versions.items())
+    judged = JUDGED.replace("Marked", "Bold")
+    made = _MADE.format(machine=study.machine, versions=versions, judged=judged)
+    picture = {name: _picture(name, path, folder) for name, path in figures.items()}
+    return "\n".join(
+        [
+            _HEAD.format(command=study.command, made=textwrap.fill(made.strip(), 100)),
+            *_summary(study),
+            _WORDS,
+            *(words_of(engine, law) for engine, law in study.laws.items()),
+            _REBOUND + picture.get("restitution", ""),
+            f"Speed after over speed before, asked {RESTITUTION}:\n",
+            _table(study, _REBOUNDS),
+            _SHARES,
+            _table(study, _IMPACTS),
+            _FRICTION + picture.get("friction", ""),
+            _table(study, _FRICTIONS),
+            _ENERGY,
+            _table(study, _ENERGIES),
+            _REST,
+            _table(study, _RESTS),
+            _LIMITS,
+            _table(study, _UPPER),
+            *_missing(study),
+        ]
+    )
+
+
+def _picture(name: str, path: Path, folder: Path) -> str:
+    link = Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+    return f"\n![{name} of each engine, native and matched]({link})\n"
+
+
+def _summary(study: ContactStudy) -> Iterator[str]:
+    for profile in study.profiles:
+        rows = (map(_marked, row.cells) for row in rows_of(study, profile))
+        yield f"## In short: `{profile}`\n"
+        yield _lines(["", ">asked", *(f">{engine}" for engine in study.versions)], rows)
+
+
+def words_of(engine: str, law: ContactLaw) -> str:
+    """Lay out what an adapter says of its engine's contact."""
+    return (
+        f"**{engine}**\n\n"
+        f"- Non-penetration: {law.normal}.\n"
+        f"- Restitution: {law.restitution}.\n"
+        f"- Friction: {law.friction}.\n"
+        f"- Two bodies' coefficients: {law.mixing}.\n"
+        f"- What the adapter does: {law.adapter[0].lower()}{law.adapter[1:]}\n"
+    )
+
+
+def _missing(study: ContactStudy) -> Iterator[str]:
+    """Say why cells are empty, and where trajectories ended early."""
+    lines = [f"- {m.engine} `{m.profile}`, all of {m.part}: {m.reason}" for m in study.missing]
+    early: dict[str, list[str]] = {}
+    for m in study.figures:
+        if m.note and not m.note.startswith(_NO_FAILURE):
+            early.setdefault(f"{m.engine} `{m.profile}`: {m.note}", []).append(m.quantity)
+    lines += [f"- {why} ({'; '.join(dict.fromkeys(what))})" for why, what in early.items()]
+    if lines:
+        yield "\n## Cells with a reason\n"
+        yield "\n".join(lines) + "\n"
+
+
+def _table(study: ContactStudy, columns: Sequence[Line | tuple[str, Show]]) -> str:
+    """One row an engine and profile."""
+    shown = [(c.label, c.cell) if isinstance(c, Line) else c for c in columns]
+    rows = (
+        [profile, engine, *(_marked(cell(study, engine, profile)) for _, cell in shown)]
+        for profile in study.profiles
+        for engine in study.versions
+    )
+    return _lines(["", ">", *(f">{label}" for label, _ in shown)], rows)
+
+
+def _lines(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    return "".join(f"{line}\n" for line in table_lines(headings, rows))
+
+
+def _marked(cell: Cell) -> str:
+    text = in_markdown(cell.text)
+    return f"**{text}**" if cell.mark else text
