@@ -137,14 +137,10 @@ class Outcome:
         if not self.simulations:
             return None
         whole = Trajectory.empty(time, count, body_count)
-        failures = list(whole.failures)
         for rows, part in zip(self.rows, self.parts, strict=True):
             if isinstance(part, Simulation):
-                for key in ("position", "orientation", "velocity", "angular_velocity"):
-                    getattr(whole, key)[rows] = getattr(part.trajectory, key)
-                for row, failure in zip(rows, part.trajectory.failures, strict=True):
-                    failures[row] = failure
-        return dataclasses.replace(whole, failures=tuple(failures))
+                whole = whole.replaced(np.array(rows), part.trajectory)
+        return whole
 
     def failures(self, batch: Batch) -> list[str]:
         """One line for each crash, and for each trajectory that ended early."""
@@ -298,11 +294,8 @@ def _joined(parts: list[Any]) -> ReferenceOutcome:
     if crashed:
         msg = f"the reference solution failed, so nothing can be judged: {crashed[0]}"
         raise InputError(msg)
-    keys = ("position", "orientation", "velocity", "angular_velocity")
-    arrays = {key: np.concatenate([getattr(p.trajectory, key) for p in parts]) for key in keys}
-    failures = tuple(failure for part in parts for failure in part.trajectory.failures)
     return ReferenceOutcome(
-        trajectory=dataclasses.replace(parts[0].trajectory, **arrays, failures=failures),
+        trajectory=Trajectory.joined([part.trajectory for part in parts]),
         growth=np.concatenate([part.growth for part in parts]),
         rtol=RTOL,
         cached=sum(part.cached for part in parts),

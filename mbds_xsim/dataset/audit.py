@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import reference
+from mbds_xsim.campaign import reference_of
 from mbds_xsim.checks import CHECKS, Finding, Record, audit
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
@@ -292,16 +292,14 @@ class _Case:
             return []
         scene, batch = self.foreign.scene, self.batch[rows]
         points = Points.of(scene)
-        truth = reference.solve(scene, batch)
-        growth = reference.sensitivity(scene, batch)
-        growth[~np.isfinite(truth.position).all(axis=(2, 3))] = np.nan
+        solved = reference_of(scene, batch, cache=True)
         if self.foreign.total > _MOST_COMPARED:
             self.taken.append(
                 f"reference: compared with the first {_MOST_COMPARED} trajectories only"
             )
-        apart = self._positions()[rows] - points.motion(truth)[0]
+        apart = self._positions()[rows] - points.motion(solved.trajectory)[0]
         error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
-        found = error_findings(scene, batch, error, truth, growth)
+        found = error_findings(scene, batch, error, solved.trajectory, solved.growth)
         if all(finding.check != "error at 1 s" for finding in found):
             self.not_checked["error at 1 s"] = (
                 "needs a frame at 1 s that the reference knows, of an interval low or medium"

@@ -251,7 +251,7 @@ EFFECTS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Variant:
+class AblatedScene:
     """An effect made weaker: the scene and its starts, or why there are none."""
 
     effect: Effect
@@ -261,7 +261,9 @@ class Variant:
     reason: str = ""
 
 
-def variants_of(scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int) -> list[Variant]:
+def variants_of(
+    scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int
+) -> list[AblatedScene]:
     """Weaken each effect that a scene has, by each of its factors.
 
     Args:
@@ -280,9 +282,9 @@ def variants_of(scene: Scene, effects: Sequence[Effect], batch: Batch, seed: int
                 starts = _starts(scene, ablated, effect, factor, batch, seed)
             except SceneError as error:
                 reason = str(error).removeprefix("sampling: ").split(", allowed")[0]
-                found.append(Variant(effect, factor, scene, batch, reason))
+                found.append(AblatedScene(effect, factor, scene, batch, reason))
             else:
-                found.append(Variant(effect, factor, ablated, starts))
+                found.append(AblatedScene(effect, factor, ablated, starts))
     return found
 
 

@@ -38,7 +38,7 @@ from mbds_xsim.studies.ablate.analyse import (
     row_of,
     window_of,
 )
-from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, Variant, variants_of
+from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
 from mbds_xsim.studies.ablate.result import Ablation, Floor, Row, Size
 from mbds_xsim.validation import validate_with_evidence
 
@@ -200,7 +200,7 @@ class Bench:
         )
 
     def rows(
-        self, variants: list[Variant], workers: int | None, cache: bool, meter: ProgressSink
+        self, variants: list[AblatedScene], workers: int | None, cache: bool, meter: ProgressSink
     ) -> list[Row]:
         """Simulate all variants and judge them."""
         able = [variant for variant in variants if not variant.reason]
@@ -213,13 +213,13 @@ class Bench:
         told = dict(zip(map(id, able), answers, strict=True))
         return [self._row(variant, told.get(id(variant))) for variant in variants]
 
-    def _task(self, variant: Variant, cache: bool) -> Task:
+    def _task(self, variant: AblatedScene, cache: bool) -> Task:
         if self.judge is None:
             return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
         batch = variant.batch.truncated(max(self.window.frames - 1, 1))
         return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
 
-    def _row(self, variant: Variant, answer: Trajectory | Crash | None) -> Row:
+    def _row(self, variant: AblatedScene, answer: Trajectory | Crash | None) -> Row:
         effect, factor = variant.effect, variant.factor
         if answer is None or isinstance(answer, Crash):
             reason = variant.reason if answer is None else answer.reason
