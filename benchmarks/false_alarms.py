@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from collections.abc import Iterator
 
+from benchmarks.harness import print_table
 from mbds_xsim.choice import Choice
 from mbds_xsim.registry import load_scene
 from mbds_xsim.result import EngineResult
@@ -25,24 +27,27 @@ FIRST = 9001
 def main(scenes: tuple[str, ...], seeds: int) -> None:
     """Print a line for each engine and scene, then one for each check."""
     nearest: dict[str, tuple[float, str]] = defaultdict(lambda: (0.0, ""))
-    print("| scene | engine | seeds | blamed | by |")
-    print("| --- | --- | --- | --- | --- |")
-    for name in scenes:
-        runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
-        for seed in range(FIRST, FIRST + seeds):
-            found, _ = validate_with_evidence(
-                load_scene(name), choice=Choice.parse(), seed=seed, workers=0
-            )
-            for row in found.engines:
-                runs[row.engine].append((seed, row))
-                _keep(nearest, row, f"{name}, {row.engine}, seed {seed}")
-        for engine, rows in runs.items():
-            blamed = [(seed, row) for seed, row in rows if row.verdict == "fail"]
-            why = "; ".join(f"seed {seed}: {', '.join(row.reasons)}" for seed, row in blamed)
-            print(f"| {name} | {engine} | {len(rows)} | {len(blamed)} | {why or '–'} |", flush=True)
-    print("\n| check | largest, of its budget | where |\n| --- | --- | --- |")
-    for check, (share, where) in sorted(nearest.items(), key=lambda item: -item[1][0]):
-        print(f"| {check} | {share:.2f} | {where} |")
+    rows = (row for name in scenes for row in _blamed(name, seeds, nearest))
+    print_table("scene|engine|seeds|blamed|by", rows)
+    print()
+    tightest = sorted(nearest.items(), key=lambda item: -item[1][0])
+    shares = ([check, f"{share:.2f}", where] for check, (share, where) in tightest)
+    print_table("check|largest, of its budget|where", shares)
+
+
+def _blamed(name: str, seeds: int, nearest: dict[str, tuple[float, str]]) -> Iterator[list[str]]:
+    runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
+    for seed in range(FIRST, FIRST + seeds):
+        found, _ = validate_with_evidence(
+            load_scene(name), choice=Choice.parse(), seed=seed, workers=0
+        )
+        for row in found.engines:
+            runs[row.engine].append((seed, row))
+            _keep(nearest, row, f"{name}, {row.engine}, seed {seed}")
+    for engine, rows in runs.items():
+        blamed = [(seed, row) for seed, row in rows if row.verdict == "fail"]
+        why = "; ".join(f"seed {seed}: {', '.join(row.reasons)}" for seed, row in blamed)
+        yield [name, engine, str(len(rows)), str(len(blamed)), why or "–"]
 
 
 def _keep(nearest: dict[str, tuple[float, str]], row: EngineResult, where: str) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 from mbds_xsim.catalogue import EngineRow, MethodRow, by_reason
 from mbds_xsim.engine import Feature
+from mbds_xsim.report.markdown import table_lines
 
 __all__ = ["engines_page"]
 
@@ -135,16 +136,8 @@ def _method(method: MethodRow, row: EngineRow) -> list[str]:
 
 
 def _table(head: list[str], lines: Iterable[list[str]]) -> str:
-    def rows() -> Iterator[list[str]]:
-        yield head
-        yield ["---"] * len(head)
-        yield from lines
-
-    return "".join(f"| {' | '.join(_escaped(line))} |\n" for line in rows())
-
-
-def _escaped(line: list[str]) -> list[str]:
-    return [cell.replace("|", "\\|") for cell in line]
+    rows = ([cell.replace("|", "\\|") for cell in line] for line in lines)
+    return "".join(f"{line}\n" for line in table_lines(head, rows))
 
 
 def _code(names: list[str]) -> str:
