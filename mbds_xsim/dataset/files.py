@@ -12,14 +12,14 @@ import fcntl
 import mmap
 import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["clean", "locked", "put"]
+__all__ = ["locked", "put", "tidied"]
 
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"
@@ -55,10 +55,21 @@ def put(path: Path, content: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-def clean(folder: Path) -> None:
-    """Remove what writers left behind that were killed."""
-    for part in folder.glob(f".*{_PART}"):
-        part.unlink(missing_ok=True)
+@contextmanager
+def tidied(folders: Iterable[Path]) -> Iterator[None]:
+    """Remove what writers left behind that were killed, before the block and in it."""
+    every = list(folders)
+    try:
+        _clean(every)
+        yield
+    finally:
+        _clean(every)
+
+
+def _clean(folders: list[Path]) -> None:
+    for folder in folders:
+        for part in folder.glob(f".*{_PART}"):
+            part.unlink(missing_ok=True)
 
 
 @contextmanager

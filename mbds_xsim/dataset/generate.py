@@ -10,7 +10,7 @@ from typing import Any
 from mbds_xsim.choice import Choice
 from mbds_xsim.cost import Work, forewarnings
 from mbds_xsim.dataset.card import write_card
-from mbds_xsim.dataset.files import clean, locked
+from mbds_xsim.dataset.files import locked, tidied
 from mbds_xsim.dataset.join import VariantCount, join
 from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
@@ -80,9 +80,6 @@ def generate(
     with locked(request.out):
         for variant in variants:
             check_same_draws(variant, request.out)
-            folder = variant.folder(request.out)
-            for written in (folder, folder.parent, rejected_folder(variant, request.out)):
-                clean(written)  # of what a run left that was killed
         todo = [
             (variant, item)
             for variant in variants
@@ -94,7 +91,11 @@ def generate(
             for line in _forewarnings(variant, todo, workers):
                 progress.notice(line)
         progress.begin(total, total - missing)
-        with watched([variant.folder(out) for variant in variants], progress):
+        folders = [variant.folder(out) for variant in variants]
+        written = {folder.parent for folder in folders}.union(
+            folders, (rejected_folder(variant, out) for variant in variants)
+        )
+        with tidied(written), watched(folders, progress):
             processes = core_count() if workers is None else workers
             failures = make(todo, out, workers=processes, carry_out=carry_out)
         failed = {f"{v.scene.name} {v.name}": reason for v, reason in failures.items()}

@@ -141,6 +141,21 @@ def test_ctrl_c_leaves_no_process_and_no_partial_file(program: _Program, tmp_pat
         pass
 
 
+def test_what_a_killed_writer_leaves_goes_with_the_run(tmp_path: Path) -> None:
+    before, within = (tmp_path / f".{name}.h5.host-1.part" for name in ("before", "within"))
+    before.touch()
+
+    def interrupted() -> None:
+        with files.tidied([tmp_path, tmp_path / "none"]):
+            assert not before.exists()
+            within.touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not within.exists()
+
+
 def _last_words(running: subprocess.Popen[str]) -> str:
     """What a program says to its end; where it hangs, the line that it hangs at is shown."""
     try:
