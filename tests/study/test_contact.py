@@ -14,7 +14,7 @@ from mbds_xsim import cli, isolate, registry
 from mbds_xsim.choice import Choice
 from mbds_xsim.state import Trajectory
 from mbds_xsim.studies.contact import study
-from mbds_xsim.studies.contact.bench import FRICTION, PULL, Bench, Measured
+from mbds_xsim.studies.contact.bench import FRICTION, PULL, ContactBench, ContactFigure
 from mbds_xsim.studies.contact.energy import per_bounce
 from mbds_xsim.studies.contact.friction import friction, sliding
 from mbds_xsim.studies.contact.limits import limits
@@ -22,7 +22,7 @@ from mbds_xsim.studies.contact.page import contact_page, words_of
 from mbds_xsim.studies.contact.present import LINES
 
 
-def _value(found: list[Measured], quantity: str, **at: float) -> float:
+def _value(found: list[ContactFigure], quantity: str, **at: float) -> float:
     (one,) = [m for m in found if m.quantity == quantity and m.at == at]
     assert one.value is not None
     return one.value
@@ -115,7 +115,7 @@ def test_a_failure_counts_as_told() -> None:
 
 
 def test_figures_without_a_value_keep_the_reason() -> None:
-    bench = Bench("dart", "native", "balldrop")
+    bench = ContactBench("dart", "native", "balldrop")
 
     found = bench.measured("restitution", "1", np.array([np.nan, np.nan]), {}, "lost")
 
@@ -126,7 +126,7 @@ def test_figures_without_a_value_keep_the_reason() -> None:
 @pytest.mark.parametrize(("value", "off"), [(0.9332, False), (0.95, True)])
 def test_what_is_far_from_what_was_asked_is_marked(value: float, off: bool) -> None:
     line = LINES[0]
-    found = Measured("dart", "native", line.quantity, "1", value, line.at)
+    found = ContactFigure("dart", "native", line.quantity, "1", value, line.at)
 
     assert (line.show(found).mark == "over") is off
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from mbds_xsim.engine import Adapter
-from mbds_xsim.studies.contact.bench import PULL, Bench
+from mbds_xsim.studies.contact.bench import PULL, ContactBench
 from mbds_xsim.studies.contact.impacts import rebounds
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
 def test_matched_engines_give_back_what_is_asked(adapter: Adapter, restitution: float) -> None:
     """Within the scene's budget, and what gravity does in the time that an impact takes."""
-    bench = Bench(adapter.name, "matched", "balldrop")
+    bench = ContactBench(adapter.name, "matched", "balldrop")
     time = adapter.contact_scales(bench.settings).time
 
     kept, duration, _ = rebounds(bench, restitution, 2.0)
@@ -27,7 +27,7 @@ def test_matched_engines_give_back_what_is_asked(adapter: Adapter, restitution: 
 def test_the_default_contact_of_mujoco_knows_no_restitution() -> None:
     pytest.importorskip("mujoco")
 
-    kept, _, _ = rebounds(Bench("mujoco", "native", "balldrop"), 1.0, 1.0)
+    kept, _, _ = rebounds(ContactBench("mujoco", "native", "balldrop"), 1.0, 1.0)
 
     np.testing.assert_array_equal(kept, 0.0)
 
@@ -35,7 +35,7 @@ def test_the_default_contact_of_mujoco_knows_no_restitution() -> None:
 def test_the_arrival_is_where_and_as_fast_as_asked() -> None:
     """Seen in an engine of impulses: what comes back does so within a step of the touch."""
     pytest.importorskip("dartpy")
-    bench = Bench("dart", "native", "balldrop")
+    bench = ContactBench("dart", "native", "balldrop")
     gravity_in_a_step = PULL * bench.settings.step
 
     kept, duration, motion = rebounds(bench, 1.0, 5.0)

@@ -36,8 +36,8 @@ __all__ = [
     "PULL",
     "RADIUS",
     "RESTITUTION",
-    "Bench",
-    "Measured",
+    "ContactBench",
+    "ContactFigure",
     "ball",
     "crate",
     "reason",
@@ -54,7 +54,7 @@ _HALF_EDGE = 0.2
 _CENTRE = (0.0, 0.0, RADIUS)
 
 
-class Measured(msgspec.Struct, frozen=True):
+class ContactFigure(msgspec.Struct, frozen=True):
     """One figure of an engine at one profile."""
 
     engine: str
@@ -73,7 +73,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True)
-class Bench:
+class ContactBench:
     """An engine at a profile."""
 
     engine: str
@@ -110,12 +110,12 @@ class Bench:
         values: Array | float | None,
         at: dict[str, float] | None = None,
         note: str = "",
-    ) -> Measured:
+    ) -> ContactFigure:
         """Put a figure down; of several the median, NaN passed over."""
         known = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
         known = known[np.isfinite(known)]
         several = len(known) > 1
-        return Measured(
+        return ContactFigure(
             self.engine,
             self.profile,
             quantity,

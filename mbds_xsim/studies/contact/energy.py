@@ -20,8 +20,8 @@ from mbds_xsim.studies.contact.bench import (
     FRICTION,
     PULL,
     RADIUS,
-    Bench,
-    Measured,
+    ContactBench,
+    ContactFigure,
     ball,
     crate,
     reason,
@@ -38,15 +38,15 @@ _CUBLIS, _CUBLI_STEPS = 3, 75
 _FAST = 0.5  # slower impacts have too much of gravity in them [m/s]
 
 
-def energy(engine: str, profile: Profile) -> list[Measured]:
+def energy(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure an elastic ball's change by bounce, and what a thrown cubli gains."""
     return [
-        _elastic(Bench(engine, profile, "balldrop")),
-        *_eccentric(Bench(engine, profile, _CUBLI)),
+        _elastic(ContactBench(engine, profile, "balldrop")),
+        *_eccentric(ContactBench(engine, profile, _CUBLI)),
     ]
 
 
-def _elastic(bench: Bench) -> Measured:
+def _elastic(bench: ContactBench) -> ContactFigure:
     start = np.zeros((len(_HEIGHTS), 3))
     start[:, 2] = _HEIGHTS
     clock = bench.clock(_FRAME, _BOUNCING)
@@ -82,7 +82,7 @@ def _median(values: Array) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _eccentric(bench: Bench) -> list[Measured]:
+def _eccentric(bench: ContactBench) -> list[ContactFigure]:
     """Throw cublis: one corner at a time hits, beside the centre of mass."""
     scene = load_scene(_CUBLI)
     batch = draw_batch(scene, range(_CUBLIS), noise=False, inputs=False).truncated(_CUBLI_STEPS)
@@ -111,19 +111,21 @@ _FROM, _LONG = 1.0, 0.2  # when it is looked at, and for how long [s]
 _STARTS = ("placed", "dropped")
 
 
-def rest(engine: str, profile: Profile) -> list[Measured]:
+def rest(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure a ball and a crate after 1 s, placed on the ground and dropped onto it."""
     start = np.zeros((2, 3))
     start[1, 2] = _HEIGHT
-    found: list[Measured] = []
+    found: list[ContactFigure] = []
     for what, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
-        bench = Bench(engine, profile, like)
+        bench = ContactBench(engine, profile, like)
         scene, batch = make(_GROUND, bench.clock(_FRAME, _FROM + _LONG), position=start)
         found += _stillness(bench, what, scene, bench.motion(scene, batch))
     return found
 
 
-def _stillness(bench: Bench, what: str, scene: Scene, motion: Trajectory) -> list[Measured]:
+def _stillness(
+    bench: ContactBench, what: str, scene: Scene, motion: Trajectory
+) -> list[ContactFigure]:
     """Look at the lowest sphere and at the centre of mass."""
     mechanism, late = Mechanism.of(scene), motion.time >= _FROM - 1e-9
     native = mechanism.native_rotation(motion.orientation)

@@ -18,8 +18,8 @@ from mbds_xsim.studies.contact.bench import (
     PULL,
     RADIUS,
     RESTITUTION,
-    Bench,
-    Measured,
+    ContactBench,
+    ContactFigure,
     ball,
     crate,
     reason,
@@ -50,12 +50,12 @@ _FRAME = 0.02
 _CARRIED = 0.05  # of the weight
 
 
-def friction(engine: str, profile: Profile) -> list[Measured]:
+def friction(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure friction on a sliding ball, wheel and crate; a pushed crate's creep and start."""
-    on_points = Bench(engine, profile, "simplecubli")
+    on_points = ContactBench(engine, profile, "simplecubli")
     return [
-        *_sliding_ball(Bench(engine, profile, "ballscroll")),
-        *_sliding_wheel(Bench(engine, profile, "particlecar")),
+        *_sliding_ball(ContactBench(engine, profile, "ballscroll")),
+        *_sliding_wheel(ContactBench(engine, profile, "particlecar")),
         *_sliding_crate(on_points),
         *(m for heading in _CRATE_HEADINGS for m in _pushed_crate(on_points, heading)),
     ]
@@ -82,7 +82,7 @@ def sliding(motion: Trajectory, along: Array, window: tuple[float, float]) -> tu
     return back / lift, np.degrees(np.arctan2(aside, back))
 
 
-def _sliding_ball(bench: Bench) -> list[Measured]:
+def _sliding_ball(bench: ContactBench) -> list[ContactFigure]:
     along = _directions(HEADINGS)
     clock = bench.clock(_FRAME, 2 * _BALL_WINDOW[1] - _BALL_WINDOW[0])
     motion = bench.motion(*ball(_BALL_GROUND, clock, velocity=_BALL_SPEED * along))
@@ -93,7 +93,7 @@ def _sliding_ball(bench: Bench) -> list[Measured]:
     ]
 
 
-def _sliding_wheel(bench: Bench) -> list[Measured]:
+def _sliding_wheel(bench: ContactBench) -> list[ContactFigure]:
     """What is harder to move along one axis than along the other: friction must not care."""
     along = _directions(HEADINGS)
     clock = bench.clock(_WHEEL_FRAME, _WHEEL_WINDOW[1])
@@ -102,7 +102,7 @@ def _sliding_wheel(bench: Bench) -> list[Measured]:
     return _by_heading(bench, "wheel", HEADINGS, *found, motion)
 
 
-def _sliding_crate(bench: Bench) -> list[Measured]:
+def _sliding_crate(bench: ContactBench) -> list[ContactFigure]:
     along = _directions(_CRATE_HEADINGS)
     clock = bench.clock(_FRAME, _CRATE_WINDOW[1])
     motion = bench.motion(*crate(_CRATE_GROUND, clock, velocity=_CRATE_SPEED * along))
@@ -111,13 +111,13 @@ def _sliding_crate(bench: Bench) -> list[Measured]:
 
 
 def _by_heading(
-    bench: Bench,
+    bench: ContactBench,
     what: str,
     headings: tuple[float, ...],
     back: Array,
     aside: Array,
     motion: Trajectory,
-) -> list[Measured]:
+) -> list[ContactFigure]:
     found = []
     for heading, coefficient, angle in zip(headings, back, aside, strict=True):
         at = {"heading_deg": heading}
@@ -129,7 +129,7 @@ def _by_heading(
     return found
 
 
-def _pushed_crate(bench: Bench, heading: float) -> list[Measured]:
+def _pushed_crate(bench: ContactBench, heading: float) -> list[ContactFigure]:
     """Push below and above what friction bears."""
     (along,) = _directions((heading,))
     shares = np.array(PUSHES)

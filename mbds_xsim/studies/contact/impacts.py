@@ -19,8 +19,8 @@ from mbds_xsim.studies.contact.bench import (
     PULL,
     RADIUS,
     RESTITUTION,
-    Bench,
-    Measured,
+    ContactBench,
+    ContactFigure,
     ball,
     reason,
 )
@@ -42,14 +42,16 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _SHORTEST, _SAMPLES = 2e-6, 96
 
 
-def impacts(engine: str, profile: Profile) -> list[Measured]:
+def impacts(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure restitution, duration and depth of a ball's impacts."""
-    bench = Bench(engine, profile, "balldrop")
+    bench = ContactBench(engine, profile, "balldrop")
     found = [m for e in RESTITUTIONS for v in SPEEDS for m in _rebound(bench, e, v)]
     return found + [_depth(bench, speed) for speed in DEPTH_SPEEDS]
 
 
-def rebounds(bench: Bench, restitution: float, speed: float) -> tuple[Array, Array, Trajectory]:
+def rebounds(
+    bench: ContactBench, restitution: float, speed: float
+) -> tuple[Array, Array, Trajectory]:
     """Give restitution and duration of impacts that begin at other phases of a step, (row,)."""
     fall = _BEFORE + bench.settings.step * np.mod(_GOLDEN * np.arange(1, _STARTS + 1), 1.0)
     motion = _dropped(bench, restitution, speed, fall, _DURATION)
@@ -65,7 +67,7 @@ def rebounds(bench: Bench, restitution: float, speed: float) -> tuple[Array, Arr
     return kept, np.where(flying.any(axis=1), off - fall, np.nan), motion
 
 
-def _rebound(bench: Bench, restitution: float, speed: float) -> list[Measured]:
+def _rebound(bench: ContactBench, restitution: float, speed: float) -> list[ContactFigure]:
     kept, duration, motion = rebounds(bench, restitution, speed)
     at, note = {"restitution": restitution, "speed": speed}, reason(motion)
     return [
@@ -74,7 +76,7 @@ def _rebound(bench: Bench, restitution: float, speed: float) -> list[Measured]:
     ]
 
 
-def _depth(bench: Bench, speed: float) -> Measured:
+def _depth(bench: ContactBench, speed: float) -> ContactFigure:
     """Look at the ball at many times after the touch; the deepest place is what counts."""
     clock = bench.clock(_FRAME, _DURATION)
     fall = 2 * clock.frame - np.geomspace(_SHORTEST, clock.frame, _SAMPLES)
@@ -85,7 +87,7 @@ def _depth(bench: Bench, speed: float) -> Measured:
 
 
 def _dropped(
-    bench: Bench, restitution: float, speed: float, fall: Array, duration: float
+    bench: ContactBench, restitution: float, speed: float, fall: Array, duration: float
 ) -> Trajectory:
     """Let a ball arrive at a speed [m/s] after falls of some times [s], shape (row,)."""
     start = np.zeros((2, len(fall), 3))

@@ -12,7 +12,14 @@ from mbds_xsim.engine import Profile
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, Ground, Inertia, Joint, Scene
 from mbds_xsim.state import Batch, Trajectory
-from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION, Bench, Measured, ball
+from mbds_xsim.studies.contact.bench import (
+    FRICTION,
+    RADIUS,
+    RESTITUTION,
+    ContactBench,
+    ContactFigure,
+    ball,
+)
 
 __all__ = ["DROPS", "SPINS", "limits"]
 
@@ -30,9 +37,12 @@ _WRONG = 0.01  # relative
 _FALL = 0.01  # to the ground [s]
 
 
-def limits(engine: str, profile: Profile) -> list[Measured]:
+def limits(engine: str, profile: Profile) -> list[ContactFigure]:
     """Find the fastest spin of a free ball and of a hinged wheel, and the fastest impact."""
-    free, hinged = Bench(engine, profile, "balldrop"), Bench(engine, profile, "particlecar")
+    free, hinged = (
+        ContactBench(engine, profile, "balldrop"),
+        ContactBench(engine, profile, "particlecar"),
+    )
     return [
         _spinning(free, "free spin", *_flying(free)),
         _spinning(hinged, "hinge spin", *_hinged(hinged)),
@@ -40,7 +50,7 @@ def limits(engine: str, profile: Profile) -> list[Measured]:
     ]
 
 
-def _flying(bench: Bench) -> tuple[Scene, Batch]:
+def _flying(bench: ContactBench) -> tuple[Scene, Batch]:
     start = np.zeros((2, len(SPINS), 3))
     start[0, :, 2] = 1.0
     start[1] = np.array(SPINS)[:, None] * _AXIS
@@ -52,7 +62,7 @@ def _flying(bench: Bench) -> tuple[Scene, Batch]:
     )
 
 
-def _hinged(bench: Bench) -> tuple[Scene, Batch]:
+def _hinged(bench: ContactBench) -> tuple[Scene, Batch]:
     """Make a wheel on an axle that stands still."""
     wheel = Body("wheel", inertia=Inertia(1.0, (0.01, 0.02, 0.01)), position=(0.0, 0.0, 1.0))
     axle = Joint("axle", "hinge", "world", "wheel", anchor=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
@@ -63,7 +73,7 @@ def _hinged(bench: Bench) -> tuple[Scene, Batch]:
     return scene, dataclasses.replace(batch, angular_velocity=spin)
 
 
-def _spinning(bench: Bench, quantity: str, scene: Scene, batch: Batch) -> Measured:
+def _spinning(bench: ContactBench, quantity: str, scene: Scene, batch: Batch) -> ContactFigure:
     """Hold rates against the start's, and turns against rate times time."""
     motion = bench.motion(scene, batch)
     angle = batch.angular_velocity[:, 0] @ _AXIS
@@ -78,7 +88,7 @@ def _spinning(bench: Bench, quantity: str, scene: Scene, batch: Batch) -> Measur
     return _highest(bench, quantity, "rad/s", SPINS, whole, rate[:, -1], motion)
 
 
-def _falling(bench: Bench) -> Measured:
+def _falling(bench: ContactBench) -> ContactFigure:
     """Ask whether the ground still holds: it is not whether the rebound is right."""
     start = np.zeros((2, len(DROPS), 3))
     start[0, :, 2] = np.array(DROPS) * _FALL
@@ -92,14 +102,14 @@ def _falling(bench: Bench) -> Measured:
 
 
 def _highest(
-    bench: Bench,
+    bench: ContactBench,
     quantity: str,
     unit: str,
     asked: tuple[float, ...],
     right: Mask,
     got: Array,
     motion: Trajectory,
-) -> Measured:
+) -> ContactFigure:
     """Give the last that is right, with what the engine does, or says, beyond."""
     failed = np.array([failure is not None for failure in motion.failures])
     beyond = np.flatnonzero(failed | ~right)

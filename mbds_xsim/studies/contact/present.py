@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from mbds_xsim.engine import Profile
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Table, Text
-from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION, Measured
+from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.limits import DROPS, SPINS
 from mbds_xsim.studies.contact.study import ContactStudy
@@ -75,7 +75,7 @@ class Line:
         """Show what was measured in an engine."""
         return self.show(figure_of(study, engine, profile, self.quantity, **self.at))
 
-    def show(self, measured: Measured | None) -> Cell:
+    def show(self, measured: ContactFigure | None) -> Cell:
         """Write a figure; one that is far from what was asked is marked."""
         if measured is None:
             return Cell(quantity.NONE)
@@ -90,7 +90,7 @@ class Line:
 
 def figure_of(
     study: ContactStudy, engine: str, profile: str, name: str, **at: float
-) -> Measured | None:
+) -> ContactFigure | None:
     """Find one figure; None where the engine did not come through."""
     found = (m for m in study.find(name, **at) if (m.engine, m.profile) == (engine, profile))
     return next(found, None)

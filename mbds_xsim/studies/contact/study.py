@@ -19,7 +19,7 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.registry import load_scene
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
-from mbds_xsim.studies.contact.bench import Bench, Measured, reason
+from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure, reason
 from mbds_xsim.studies.contact.energy import energy, rest
 from mbds_xsim.studies.contact.friction import friction
 from mbds_xsim.studies.contact.impacts import impacts
@@ -29,9 +29,9 @@ _SCENE = "balldrop"
 _REPEATS = 3
 
 
-def cost(engine: str, profile: Profile) -> list[Measured]:
+def cost(engine: str, profile: Profile) -> list[ContactFigure]:
     """Time one trajectory, set-up apart, by one core that may have other work."""
-    bench, scene = Bench(engine, profile, _SCENE), load_scene(_SCENE)
+    bench, scene = ContactBench(engine, profile, _SCENE), load_scene(_SCENE)
     batch = draw_batch(scene, [1], noise=False)
     runs = [simulate(scene, batch, engine, bench.settings) for _ in range(_REPEATS)]
     spent = np.array([run.rollout_s for run in runs]) / scene.clock.duration
@@ -40,7 +40,7 @@ def cost(engine: str, profile: Profile) -> list[Measured]:
 
 
 # The longest first, which leaves no core without work at the end.
-_PARTS: dict[str, Callable[[str, Profile], list[Measured]]] = {
+_PARTS: dict[str, Callable[[str, Profile], list[ContactFigure]]] = {
     "impacts": impacts,
     "rest": rest,
     "friction": friction,
@@ -67,13 +67,13 @@ class ContactStudy(msgspec.Struct, frozen=True):
     profiles: tuple[Profile, ...]
     laws: dict[str, ContactLaw]
     """What each adapter says of its engine's contact."""
-    figures: tuple[Measured, ...]
+    figures: tuple[ContactFigure, ...]
     missing: tuple[Missing, ...]
     command: str
     machine: str
     wall_s: float
 
-    def find(self, quantity: str, **at: float) -> list[Measured]:
+    def find(self, quantity: str, **at: float) -> list[ContactFigure]:
         """List figures of a quantity under some conditions, in the order of engines."""
         return [
             figure
