@@ -106,7 +106,7 @@ def validate(
         from mbds_xsim.studies.validate.present import present
 
         report = present(validation, evidence)
-        write_reports([report], report.title, "validate", html=Path(page))
+        write_reports([report], report.title, html=Path(page))
     return validation
 
 

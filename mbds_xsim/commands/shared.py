@@ -218,7 +218,7 @@ def deliver(
     if len(reports) == 1:
         (one,) = reports
         title = one.title if one.verdict else f"{one.title}: {title[:1].lower()}{title[1:]}"
-    write_reports(reports, title, command_line().split()[1], html=html, markdown=markdown)
+    write_reports(reports, title, html=html, markdown=markdown)
     if html is None or quiet:
         return
     console.print(f"page: {html}", highlight=False, soft_wrap=True)

@@ -22,7 +22,6 @@ _LEFT_OUT = {"key"}
 def write_reports(
     reports: Sequence[Report],
     title: str,
-    made_by: str,
     *,
     html: Path | None = None,
     markdown: Path | None = None,
@@ -31,7 +30,7 @@ def write_reports(
     if html is not None:
         from mbds_xsim.report.page import to_html
 
-        write_whole(html, to_html(reports, title, made_by).encode())
+        write_whole(html, to_html(reports, title).encode())
     write_if(markdown, lambda: to_markdown(reports).encode())
 
 

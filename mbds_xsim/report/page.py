@@ -16,13 +16,12 @@ from mbds_xsim.safe_text import printable, sentence
 __all__ = ["to_html"]
 
 
-def to_html(reports: Sequence[Report], title: str, made_by: str) -> str:
+def to_html(reports: Sequence[Report], title: str) -> str:
     """Give the page; the motion of the first report that has one can be played.
 
     Args:
         reports: A chapter each.
         title: Of the page.
-        made_by: Words of the command, for the window's title.
     """
     environment = Environment(
         loader=PackageLoader("mbds_xsim", "report"),
@@ -38,7 +37,6 @@ def to_html(reports: Sequence[Report], title: str, made_by: str) -> str:
         dark=palette.DARK,
         reports=reports,
         title=title,
-        made_by=f"mbds-xsim {made_by}",
         signs=SIGNS,
         svg=_svg,
         motion=next((m.data for report in reports for m in _motions(report.blocks)), None),

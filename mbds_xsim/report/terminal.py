@@ -93,7 +93,9 @@ def print_blocks(blocks: Iterable[Block], console: Console) -> None:
             case Table():
                 _print_table(block, console)
             case Text():
-                console.print(Words(block.text, style=_STYLES[block.mark]))
+                # A file has no edge: lines stay whole for those who search them.
+                words = Words(block.text, style=_STYLES[block.mark])
+                console.print(words, soft_wrap=not console.is_terminal)
             case Remarks():
                 for remark in block.lines[: block.most]:
                     console.print(_remark(remark))

@@ -92,7 +92,7 @@ def test_texts_of_studies_are_escaped() -> None:
     reports = [tradeoff.present(evil), shifts.present(shift)]
     markdown = to_markdown(reports)
     _check_markdown(markdown)
-    assert "<script>alert" not in markdown + to_html(reports, _EVIL, "tradeoff")
+    assert "<script>alert" not in markdown + to_html(reports, _EVIL)
 
 
 @given(st.text())

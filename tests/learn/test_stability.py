@@ -268,7 +268,7 @@ def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep
     assert told.endswith("told by nobody")
     assert f"--engines none --models {cell.source} --value 0" in words.command_of(cell, sweep)
     assert "first six" in to_markdown([present(sweep)])
-    assert "first six" in to_html([present(sweep)], "", "stability")
+    assert "first six" in to_html([present(sweep)], "")
     alone = msgspec.structs.replace(sweep, panels=sweep.panels[1:])
     assert words.conclusion(alone).endswith("none is stable")
     for each in (sweep, alone):

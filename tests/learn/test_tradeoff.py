@@ -216,7 +216,7 @@ def test_all_files_have_the_models(both: tuple[Tradeoff, list[Row]], tmp_path: P
     study, rows = both
     (tmp_path / "study.json").write_bytes(to_json([study]))
     table = list(csv.DictReader(rows_csv(rows).decode().splitlines()))
-    page, words = to_html([present(study)], "", "tradeoff"), to_markdown([present(study)])
+    page, words = to_html([present(study)], ""), to_markdown([present(study)])
 
     assert read_tradeoff(tmp_path / "study.json") == study
     assert {row["variation"] for row in table} == {"", f"{AT_ONCE} at a time"}

@@ -30,7 +30,7 @@ def page(case: Case) -> str:
 
 
 def written(case: Case) -> str:
-    return to_html([present(case.validation, case.evidence)], case.validation.scene, "validate")
+    return to_html([present(case.validation, case.evidence)], case.validation.scene)
 
 
 def viewer(page: str) -> dict[str, Any]:

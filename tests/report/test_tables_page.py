@@ -98,7 +98,7 @@ def test_an_audit_says_first_whether_the_trajectories_hold() -> None:
     sound = _audited(_finding("gap", 1e-6, 1e-4))
     broken = _audited(_finding("gap", 3e-3, 1e-4), _finding("finite", 0.0, None))
     good, bad = (
-        to_html([audit.present(audited, "mbds-xsim audit lab.csv")], "lab.csv", "audit")
+        to_html([audit.present(audited, "mbds-xsim audit lab.csv")], "lab.csv")
         for audited in (sound, broken)
     )
 
@@ -113,7 +113,7 @@ def test_an_audit_says_first_whether_the_trajectories_hold() -> None:
 
 def test_a_match_says_first_who_keeps_the_budgets_at_what_cost() -> None:
     page, mixed = (
-        to_html([match.present(_match(_found("exudyn", 0.2), other))], "", "match")
+        to_html([match.present(_match(_found("exudyn", 0.2), other))], "")
         for other in (_found("mujoco", 0.002), _found("mujoco", 0.1, met=False))
     )
 

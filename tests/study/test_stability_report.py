@@ -106,7 +106,7 @@ def test_every_outcome_has_its_own_look() -> None:
 
 
 def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Sweep) -> None:
-    page = to_html([present(sweep)] * 2, "", "stability")
+    page = to_html([present(sweep)] * 2, "")
 
     assert not re.search(r"(src|href)=[\"']?https?:", page)
     assert page.count("<svg ") == 2 * len(sweep.panels)

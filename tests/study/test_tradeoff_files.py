@@ -165,7 +165,7 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     paths = {kind: tmp_path / f"out.{kind}" for kind in ("html", "markdown")}
     reports = [present(study, link(tmp_path / "out.png", paths["markdown"])), present(other)]
 
-    write_reports(reports, "Speed against accuracy", "tradeoff", **paths)
+    write_reports(reports, "Speed against accuracy", **paths)
 
     page = paths["html"].read_text()
     assert page.count("<svg role=") >= 6
