@@ -13,7 +13,7 @@ __all__ = ["CHECKS", "MODELS", "PHYSICS"]
 PHYSICS = 1
 """Starts, inputs and reference solutions of a scene."""
 
-CHECKS = 6
+CHECKS = 7
 """Figures and verdicts of checks on a trajectory, and what studies derive from them."""
 
 MODELS = 1

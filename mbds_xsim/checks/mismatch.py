@@ -171,12 +171,12 @@ def _blur(coarse: Array, fine: Array) -> Array:
     """Error of the quintic, from what the cubic adds to the trapezoid and the quintic to that.
 
     Errors fall alike from formula to formula; where they do not, nothing is resolved. Of several
-    bodies the slowest fall counts for all.
+    bodies the slowest fall counts for all: what the quintic adds of one may be small by chance.
     """
     gain = np.minimum(1.0, fine / np.maximum(coarse, np.finfo(float).tiny))
     if gain.ndim > 2:
         gain = gain.max(axis=-1, keepdims=True)
-    return np.asarray(_FACTOR * gain * fine)
+    return np.asarray(_FACTOR * gain**2 * np.maximum(coarse, fine))
 
 
 def _points_at(
