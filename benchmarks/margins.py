@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_head, print_table
+from mbds_xsim.counted import apart
 from mbds_xsim.report import quantity
 from mbds_xsim.result import FindingResult, Validation, from_plain
 
@@ -89,14 +90,15 @@ def _cell(worst: Worst | None) -> str:
     if worst is None:
         return quantity.NONE
     finding = worst.finding
-    figure = quantity.with_unit(finding.figure, finding.unit)
+    figure, _ = quantity.beside(finding.figure, finding.budget, finding.unit)
     if math.isnan(finding.figure):
         return quantity.NONE if finding.passed else f"**no figure**, {worst.scene}"
     if finding.figure == 0:
         return "0"
     if finding.budget is None:
         return f"{figure}, {worst.scene}"
-    share = f"{100 * worst.share:.2g} %" if worst.share < 1 else f"{100 * worst.share:.0f} %"
+    percent, _ = apart(100 * worst.share, 100.0, quantity.number, 2)
+    share = f"{percent} %"
     if worst.share < _LEAST:
         share = f"<{100 * _LEAST} %"
     if finding.passed:
