@@ -27,8 +27,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.state import Trajectory
 
-__all__ = ["angle_and_rate", "energy", "four_bars"]
-
 Array = NDArray[np.float64]
 
 _G = 9.81

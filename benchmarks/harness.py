@@ -16,19 +16,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.report.markdown import table_lines
 
-__all__ = [
-    "both_s",
-    "device_asked",
-    "machine_of",
-    "print_head",
-    "print_made",
-    "print_table",
-    "processor_s",
-    "spent_on",
-    "take_turns",
-    "wall_s",
-]
-
 Array = NDArray[Any]
 Work = Callable[[], object]
 

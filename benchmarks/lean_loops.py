@@ -28,8 +28,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch
 
-__all__ = ["LEAN", "Lean", "apart", "exudyn_in_one_call", "mujoco_coordinates"]
-
 Array = NDArray[np.float64]
 
 

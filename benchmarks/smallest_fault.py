@@ -24,8 +24,6 @@ from mbds_xsim.result import EngineResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.validation import validate_with_evidence
 
-__all__ = ["SCENES", "table"]
-
 SCENES = ("5pendulum", "2ladder")
 
 _BODIES = {"pendulum": "link2", "ladder": "rung1"}

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.verify import Verified
     from mbds_xsim.result import Validation
 
-__all__ = ["audit", "generate", "load_scene", "validate", "verify"]
-
 _MOST_STARTS = 10_000
 
 

@@ -16,8 +16,6 @@ from mbds_xsim.joint_space import BodyStates, joint_coordinate, to_bodies, to_li
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.row_space import least_change
 
-__all__ = ["assemble", "check_joints"]
-
 Array = NDArray[np.float64]
 
 _STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]

@@ -26,20 +26,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = [
-    "RTOL",
-    "Outcome",
-    "ProgressSink",
-    "ReferenceOutcome",
-    "Running",
-    "Watch",
-    "other_steps",
-    "reference_of",
-    "run_campaign",
-    "run_references",
-    "step_task",
-]
-
 Array = NDArray[np.float64]
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes

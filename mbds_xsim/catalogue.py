@@ -15,18 +15,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 
-__all__ = [
-    "EngineRow",
-    "MethodRow",
-    "OptionRow",
-    "SceneRow",
-    "by_reason",
-    "engine_rows",
-    "native_text",
-    "scene_row",
-    "scene_rows",
-]
-
 _TIMEOUT = 600.0  # [s] to load a scene
 
 

@@ -15,8 +15,6 @@ from mbds_xsim.isolate import LIMIT
 from mbds_xsim.matched import Matched, read_matched, settings_for
 from mbds_xsim.scene import Scene
 
-__all__ = ["Choice", "Contender", "is_file", "words_of"]
-
 
 @dataclass(frozen=True)
 class Contender:

@@ -14,8 +14,6 @@ from types import FrameType
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["main"]
-
 _INTERRUPTED = 130
 
 

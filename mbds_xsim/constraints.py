@@ -26,8 +26,6 @@ from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.row_space import independent_rows
 
-__all__ = ["Rows", "constraint_rows", "degrees_of_freedom", "dense_jacobian", "sparse_jacobian"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

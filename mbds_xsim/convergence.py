@@ -19,8 +19,6 @@ from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure
 
-__all__ = ["convergence", "further_step", "refine", "smooth"]
-
 _RUNS = 5
 """Steps at most, of which the shortest is 1/16 of the longest."""
 _PATIENCE = 300.0

@@ -14,8 +14,6 @@ from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene import Clock, Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["Work", "forewarnings"]
-
 _LONG = 120.0
 """A run that takes longer is announced [s]."""
 _EACH = 2e-4

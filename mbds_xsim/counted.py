@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["apart", "counted"]
-
 _EXACT = 18
 """More digits than any number has that differs from another."""
 

@@ -18,22 +18,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "LOOPS",
-    "Adapter",
-    "ContactLaw",
-    "ContactScales",
-    "Feature",
-    "Method",
-    "ModelSize",
-    "Profile",
-    "Readback",
-    "Run",
-    "Settings",
-    "Sweep",
-    "features_of",
-]
-
 Array = NDArray[np.float64]
 Profile = Literal["native", "matched"]
 Family = Literal[

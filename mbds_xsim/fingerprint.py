@@ -9,8 +9,6 @@ import msgspec
 
 from mbds_xsim.scene import Scene
 
-__all__ = ["fingerprint"]
-
 _SAID = ("name", "description", "source", "budget", "anchors", "edges")
 """What does not decide the motion."""
 

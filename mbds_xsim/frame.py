@@ -10,8 +10,6 @@ import msgspec
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["frame_of"]
-
 
 def frame_of(rows: Sequence[Any]) -> Any:
     """Give a `pandas.DataFrame` with a row for each struct and a column for each field.

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["held_back"]
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -23,8 +23,6 @@ from typing import Any
 from mbds_xsim.interruption import held_back
 from mbds_xsim.spent import Spent, memory_bytes
 
-__all__ = ["LIMIT", "Crash", "Task", "begin", "core_count", "in_worker", "run_tasks"]
-
 LIMIT = 3600.0
 """Longest that one piece of work may take where nothing else is asked for [s]."""
 

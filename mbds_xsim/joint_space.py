@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
-__all__ = ["BodyStates", "LinkStates", "joint_coordinate", "to_bodies", "to_links"]
-
 Array = NDArray[np.float64]
 
 

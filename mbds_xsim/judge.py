@@ -18,16 +18,6 @@ from mbds_xsim.result import EngineResult, FindingResult, ReferenceResult
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "Row",
-    "error_findings",
-    "failed_lines",
-    "finding_result",
-    "judge",
-    "reference_result",
-    "turn_finding",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

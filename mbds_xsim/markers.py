@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["marker_positions", "markers"]
-
 Array = NDArray[np.float64]
 
 

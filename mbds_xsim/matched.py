@@ -17,8 +17,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.fingerprint import fingerprint
 from mbds_xsim.scene import Scene
 
-__all__ = ["Matched", "is_stored", "read_matched", "settings_for"]
-
 
 class Matched(msgspec.Struct, frozen=True):
     """Settings of one engine as they stand in a file, whatever frame interval they are used with.

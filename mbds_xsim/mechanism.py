@@ -22,8 +22,6 @@ from mbds_xsim import rotation
 from mbds_xsim.errors import SceneError
 from mbds_xsim.scene import WORLD, Body, Joint, Scene
 
-__all__ = ["WORLD_INDEX", "JointKind", "Link", "Mechanism", "PlacedJoint", "PointPair"]
-
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 

@@ -7,8 +7,6 @@ from typing import Any, dataclass_transform
 import msgspec
 import numpy as np
 
-__all__ = ["Neutral"]
-
 
 @dataclass_transform(frozen_default=True, field_specifiers=(msgspec.field,))
 class _TakesLists(msgspec.StructMeta):

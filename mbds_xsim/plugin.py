@@ -31,8 +31,6 @@ from mbds_xsim.errors import Unsupported
 from mbds_xsim.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene import Scene
 
-__all__ = ["made", "stand_in"]
-
 T = TypeVar("T")
 
 _OURS = "mbds-xsim"

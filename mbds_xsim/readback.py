@@ -14,8 +14,6 @@ from mbds_xsim.scene import WORLD
 from mbds_xsim.spin import idle_axes
 from mbds_xsim.state import Batch
 
-__all__ = ["compare"]
-
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-9

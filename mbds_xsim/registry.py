@@ -14,15 +14,6 @@ from mbds_xsim.errors import EngineFaulty, EngineMissing, InputError, UnknownNam
 from mbds_xsim.plugin import made, stand_in
 from mbds_xsim.scene import Scene
 
-__all__ = [
-    "engine_names",
-    "faulty_engines",
-    "installed_engines",
-    "load_adapter",
-    "load_scene",
-    "scene_names",
-]
-
 # In the paper's order; every other size of a family is found by its name too.
 PAPER_SCENES = (
     "ballscroll",

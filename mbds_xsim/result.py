@@ -18,19 +18,6 @@ from mbds_xsim.frame import frame_of
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "SCHEMA",
-    "EngineResult",
-    "EnsembleResult",
-    "Evidence",
-    "FindingResult",
-    "ReferenceResult",
-    "Validation",
-    "Verdict",
-    "from_plain",
-    "to_json",
-]
-
 Array = NDArray[np.float64]
 S = TypeVar("S", bound=msgspec.Struct)
 Verdict = str

@@ -14,8 +14,6 @@ from scipy.linalg import qr, solve_triangular
 from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.linalg import SuperLU, norm, splu
 
-__all__ = ["independent_rows", "least_change"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -16,17 +16,6 @@ from typing import TypeVar, cast
 
 import msgspec
 
-__all__ = [
-    "as_code",
-    "csv_text",
-    "in_figure",
-    "in_json",
-    "in_markdown",
-    "on_a_line",
-    "printable",
-    "sentence",
-]
-
 T = TypeVar("T")
 
 # Control characters, C1 among them, and what reorders or hides text, but for line feed and tab.

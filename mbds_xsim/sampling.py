@@ -37,8 +37,6 @@ from mbds_xsim.sampling_terms import (
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["distinct_starts", "draw_batch", "noise_components"]
-
 Array = NDArray[np.float64]
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.

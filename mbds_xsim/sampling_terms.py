@@ -13,22 +13,6 @@ from mbds_xsim import bounds
 from mbds_xsim.errors import SceneError
 from mbds_xsim.neutral import Neutral
 
-__all__ = [
-    "INTERVALS",
-    "Draw",
-    "HingeRate",
-    "HingeTorque",
-    "Interval",
-    "Levels",
-    "Roll",
-    "Span",
-    "Swing",
-    "Throw",
-    "Turn",
-    "Wind",
-    "span_of",
-]
-
 Interval = Literal["low", "medium", "high"]
 INTERVALS: tuple[Interval, ...] = ("low", "medium", "high")
 Vector = tuple[float, float, float]

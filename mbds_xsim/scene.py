@@ -20,24 +20,6 @@ from mbds_xsim.errors import SceneError, UnknownName
 from mbds_xsim.neutral import Neutral
 from mbds_xsim.sampling_terms import Draw, Roll, Throw
 
-__all__ = [
-    "GRAVITY",
-    "WORLD",
-    "Body",
-    "Budget",
-    "Clock",
-    "ContactSphere",
-    "DistanceLink",
-    "Force",
-    "Ground",
-    "Inertia",
-    "Joint",
-    "Particle",
-    "Scene",
-    "SpringDamper",
-    "Torque",
-]
-
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 

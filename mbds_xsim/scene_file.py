@@ -24,8 +24,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import MOST_PARTS, Scene
 from mbds_xsim.scene_file_errors import explain
 
-__all__ = ["read_scene", "save_scene", "write_scene"]
-
 _LINE = 100
 _LARGEST_FILE = 16 * 10**6
 _DEPTH = 100

@@ -13,8 +13,6 @@ from msgspec import inspect
 from mbds_xsim.errors import SceneError
 from mbds_xsim.scene import Scene
 
-__all__ = ["explain"]
-
 _Path = list[Any]  # keys and positions
 
 _PLACE = re.compile(r"(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)

@@ -9,8 +9,6 @@ import numpy as np
 
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
-__all__ = ["THICK", "THIN", "Shape", "shapes"]
-
 THICK, THIN = 0.02, 0.007
 """Radii of what has no size of its own, in lengths of the scene."""
 

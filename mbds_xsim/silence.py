@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["Silent"]
-
 
 class Silent:
     """Progress sink that discards everything."""

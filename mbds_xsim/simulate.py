@@ -14,8 +14,6 @@ from mbds_xsim.registry import load_adapter
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["Simulation", "recorded", "simulate"]
-
 
 @dataclass(frozen=True, eq=False)
 class Simulation:

@@ -6,8 +6,6 @@ import os
 import time
 from pathlib import Path
 
-__all__ = ["Spent", "memory_bytes"]
-
 _EVERY = 0.05  # time between two looks [s]
 _GAP = 1.0  # the most that one look adds: who looks may have been suspended [s]
 

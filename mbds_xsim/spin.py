@@ -21,8 +21,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 
-__all__ = ["STILL", "carried", "idle_axes", "spin_about"]
-
 Array = NDArray[np.float64]
 
 _EVEN = 1e-12  # relative, of moments of inertia and lengths

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.sampling_terms import INTERVALS, Interval
 
-__all__ = ["STATES", "Batch", "Failure", "Trajectory"]
-
 STATES = ("position", "orientation", "velocity", "angular_velocity")
 """What is known of a body in a frame, and of its start."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["careful_step", "nearest_step"]
-
 _REFINABLE = 4
 # What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
 _SHORTEST = 1e-6

@@ -14,8 +14,6 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene import Scene
 
-__all__ = ["spring_rates", "spring_step"]
-
 Array = NDArray[np.float64]
 
 # Of the largest singular value: constraint rows that say nothing new.

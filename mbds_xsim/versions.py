@@ -8,8 +8,6 @@ and fails where somebody forgot. An adapter's own number is `Adapter.revision`.
 
 from __future__ import annotations
 
-__all__ = ["CHECKS", "MODELS", "PHYSICS"]
-
 PHYSICS = 1
 """Starts, inputs and reference solutions of a scene."""
 

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["check_writable", "write_whole"]
-
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write under a temporary name in the same folder, then rename; make the folder if needed.

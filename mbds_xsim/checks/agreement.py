@@ -11,19 +11,6 @@ from mbds_xsim.markers import marker_positions
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Trajectory
 
-__all__ = [
-    "CHAOS",
-    "HORIZONS",
-    "agreement_time",
-    "error_at",
-    "error_at_horizons",
-    "growth_weighted",
-    "markers_of",
-    "odd_one_out",
-    "pairwise",
-    "particle_error",
-]
-
 Array = NDArray[np.float64]
 
 HORIZONS = (1, 10, 20, 50, 100, 200)

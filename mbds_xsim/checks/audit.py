@@ -27,8 +27,6 @@ from mbds_xsim.engine import Method
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["CHECKS", "audit", "audited"]
-
 Check = Callable[[Record], Finding | None]
 
 CHECKS: tuple[Check, ...] = (

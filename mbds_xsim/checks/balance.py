@@ -20,8 +20,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
 
-__all__ = ["balance", "balance_drift", "cones"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

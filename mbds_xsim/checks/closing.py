@@ -16,8 +16,6 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["unexplained_by_loops"]
-
 Array = NDArray[np.float64]
 
 

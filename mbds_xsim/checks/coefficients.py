@@ -27,8 +27,6 @@ from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
 from mbds_xsim.checks.momentum import flights_of, gain_of
 
-__all__ = ["SURE", "Part", "Steps", "coefficients", "parts_of", "steps_of"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

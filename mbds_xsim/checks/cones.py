@@ -19,8 +19,6 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.gains import gains_of
 from mbds_xsim.checks.ground import Push
 
-__all__ = ["Cones", "cones_of", "unexplained"]
-
 Array = NDArray[np.float64]
 
 _LASTING = 1.0  # of its change, which a slip must keep

@@ -28,16 +28,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "LEAST_SPAN",
-    "STOPPED",
-    "UNMEASURED",
-    "Extrapolation",
-    "consistency",
-    "extrapolate",
-    "unsettled",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

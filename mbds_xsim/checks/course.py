@@ -19,8 +19,6 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.impacts import Impacts, followed, one_sphere
 from mbds_xsim.joint_space import BodyStates
 
-__all__ = ["Course", "course_of", "yielding"]
-
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 

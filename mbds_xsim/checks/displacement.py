@@ -22,8 +22,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.response import responses
 
-__all__ = ["displacement"]
-
 Array = NDArray[np.float64]
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame

@@ -21,8 +21,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.checks.impacts import Impacts, fast_impacts_of, told_restitution
 
-__all__ = ["eccentric_friction", "eccentric_restitution"]
-
 Array = NDArray[np.float64]
 
 _RESTITUTION = 5.0  # times the budget of balls; springs of a few steps give up to 0.033

@@ -14,16 +14,6 @@ from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
 from mbds_xsim.joint_space import joint_coordinate
 
-__all__ = [
-    "Energy",
-    "damper_loss",
-    "energy_balance",
-    "energy_of",
-    "hinge_rates",
-    "hinge_turns",
-    "input_work",
-]
-
 Array = NDArray[np.float64]
 
 _FLOOR = 1e-3  # of Σ m·g·length

@@ -22,8 +22,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["LEAST_COUNT", "Comparison", "compare", "compare_runs", "features"]
-
 Array = NDArray[np.float64]
 
 LEAST_COUNT = 20

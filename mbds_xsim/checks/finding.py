@@ -18,8 +18,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Finding", "Record"]
-
 Array = NDArray[np.float64]
 
 

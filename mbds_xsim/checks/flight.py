@@ -9,8 +9,6 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["clear", "flying", "summed"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -11,8 +11,6 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["FIELDS", "Flow", "known_states", "picked"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

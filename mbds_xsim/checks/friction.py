@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 
-__all__ = ["friction", "rolling"]
-
 Array = NDArray[np.float64]
 
 _LITTLE = 0.05  # of the weight, or of the slip that friction takes in a step

@@ -22,8 +22,6 @@ from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["Axle", "Gains", "axles_of", "gains_of"]
-
 Array = NDArray[np.float64]
 
 _EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]

@@ -15,8 +15,6 @@ from mbds_xsim.checks.supports import balances_of
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["Push", "Spheres", "around", "pushes_of", "spheres_of"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -16,8 +16,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.checks.impacts import Impacts, fast_impacts_of
 
-__all__ = ["Pool", "Shown", "impact_coefficients", "shown_of"]
-
 Array = NDArray[np.float64]
 
 _ENOUGH = 8  # impacts; fewer tell nothing

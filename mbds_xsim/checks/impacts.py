@@ -19,17 +19,6 @@ from mbds_xsim.checks.flow import FIELDS, picked
 from mbds_xsim.checks.ground import Push, Spheres, pushes_of, spheres_of
 from mbds_xsim.joint_space import BodyStates
 
-__all__ = [
-    "Impacts",
-    "fast_impacts_of",
-    "followed",
-    "impacts_of",
-    "one_sphere",
-    "restitution",
-    "told_restitution",
-    "untouched",
-]
-
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.checks.finding import Finding, Record
 
-__all__ = ["finite", "planarity", "precision", "start"]
-
 Array = NDArray[np.float64]
 
 _UNIT = 1e-9

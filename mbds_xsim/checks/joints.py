@@ -10,16 +10,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import PlacedJoint, PointPair
 
-__all__ = [
-    "angle_gap",
-    "angle_gap_rate",
-    "gap",
-    "gap_rate",
-    "pair_distance",
-    "pair_rate",
-    "with_world",
-]
-
 Array = NDArray[np.float64]
 
 

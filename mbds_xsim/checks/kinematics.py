@@ -14,8 +14,6 @@ from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.mismatch import Mismatch
 from mbds_xsim.joint_space import BodyStates
 
-__all__ = ["kinematics", "velocity_lag"]
-
 Array = NDArray[np.float64]
 
 _NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5

@@ -23,8 +23,6 @@ from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
 
-__all__ = ["EVERY_SECOND", "Mismatch", "mismatch_of"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

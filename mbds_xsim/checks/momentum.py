@@ -14,8 +14,6 @@ from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.supports import Balance, balances_of
 from mbds_xsim.mechanism import WORLD_INDEX
 
-__all__ = ["Gain", "flights_of", "gain_of", "momentum"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

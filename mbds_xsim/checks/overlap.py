@@ -9,8 +9,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 
-__all__ = ["contact_gap", "penetration"]
-
 Array = NDArray[np.float64]
 
 # Times the declared duration and the arriving speed. Half of it is what a spring makes that lasts

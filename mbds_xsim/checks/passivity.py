@@ -18,8 +18,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.impacts import impacts_of, untouched
 
-__all__ = ["energy_rise", "passivity", "risen", "settled", "stored"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

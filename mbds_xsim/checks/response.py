@@ -11,8 +11,6 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["responses"]
-
 Array = NDArray[np.float64]
 
 

@@ -10,8 +10,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.passivity import risen, settled, stored
 
-__all__ = ["hop", "resting"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

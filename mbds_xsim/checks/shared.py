@@ -18,8 +18,6 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.impact_coefficients import Pool, Shown, shown_of
 
-__all__ = ["Evidence", "evidence_of", "shared_faults"]
-
 Array = NDArray[np.float64]
 
 _ENOUGH = 4  # trajectories

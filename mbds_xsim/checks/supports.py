@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
-__all__ = ["Balance", "balances_of"]
-
 Array = NDArray[np.float64]
 
 _SAME = 1e-9

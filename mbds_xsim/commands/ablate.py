@@ -28,8 +28,6 @@ from mbds_xsim.commands.shared import (
 )
 from mbds_xsim.errors import InputError
 
-__all__ = ["ablate"]
-
 
 @command(
     "study",

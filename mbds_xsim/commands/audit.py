@@ -21,8 +21,6 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
-__all__ = ["audit"]
-
 
 @command(
     "data",

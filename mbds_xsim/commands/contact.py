@@ -23,8 +23,6 @@ from mbds_xsim.commands.shared import (
 )
 from mbds_xsim.errors import InputError
 
-__all__ = ["contact"]
-
 
 @command(
     "study",

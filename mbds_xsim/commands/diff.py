@@ -17,8 +17,6 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
-__all__ = ["diff"]
-
 
 @command(
     "check",

@@ -10,8 +10,6 @@ import typer
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["ModelPlaces", "check_torch"]
-
 ModelPlaces = Annotated[
     list[Path] | None,
     typer.Option(

@@ -31,8 +31,6 @@ from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 if TYPE_CHECKING:
     from mbds_xsim.dataset.generate import Generated
 
-__all__ = ["generate"]
-
 
 @command(
     "data",

@@ -8,8 +8,6 @@ from typing import Any, Literal, get_args
 
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["Chapter", "Command", "Commands"]
-
 Chapter = Literal["check", "study", "data", "learn"]
 """What a command is for, in the order of the list."""
 

@@ -24,8 +24,6 @@ from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Table, Text, t
 if TYPE_CHECKING:
     from mbds_xsim.dataset.summary import Range, Summary
 
-__all__ = ["inspect", "summary_blocks"]
-
 
 @command(
     "data",

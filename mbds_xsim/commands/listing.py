@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from mbds_xsim.catalogue import EngineRow, SceneRow
     from mbds_xsim.scene import Scene
 
-__all__ = ["engines", "scenes", "show"]
-
 
 @command("check")
 def engines(

@@ -26,8 +26,6 @@ from mbds_xsim.commands.shared import (
 )
 from mbds_xsim.errors import InputError
 
-__all__ = ["match"]
-
 
 @command(
     "study",

@@ -28,8 +28,6 @@ from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_
 if TYPE_CHECKING:
     from mbds_xsim.dataset.estimate import CostPlan, Estimate
 
-__all__ = ["plan", "plan_blocks"]
-
 _SIZES = ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 _TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3600, "s"))
 _HEADINGS = ("variant", "each", "simulate", "check", "core-h", "wall", "size", "published")

@@ -23,8 +23,6 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
-__all__ = ["shift"]
-
 _MODELS = typer.Argument(metavar="MODELS", help="Folder that train has written.")
 _DATA = typer.Argument(metavar="DATA", help="Folder that generate has written.")
 

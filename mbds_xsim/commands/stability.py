@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from mbds_xsim.studies.stability.definition import Study, Value
     from mbds_xsim.studies.stability.rows import Sweep
 
-__all__ = ["stability"]
-
 T = TypeVar("T")
 
 _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json": ".json"}

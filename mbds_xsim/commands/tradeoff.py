@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from mbds_xsim.scene import Scene
     from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
 
-__all__ = ["tradeoff"]
-
 
 @command(
     "study",

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from mbds_xsim.learn.runs import Cost
     from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan, TrainingRequest
 
-__all__ = ["train"]
-
-
 _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
 ]

@@ -28,8 +28,6 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
-__all__ = ["validate"]
-
 
 @command(
     "check",

@@ -27,8 +27,6 @@ from mbds_xsim.report.blocks import Block, Remark, Remarks, Text
 if TYPE_CHECKING:
     from mbds_xsim.dataset.verify import Verified
 
-__all__ = ["verify"]
-
 _MOST = 20
 """Problems that are listed."""
 

@@ -29,8 +29,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES, Batch, Trajectory
 
-__all__ = ["Audited", "Provenance", "audit_file"]
-
 Array = NDArray[np.float64]
 
 _OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)

@@ -25,14 +25,6 @@ from mbds_xsim.dataset.summary import counts_of, rejected_beside
 from mbds_xsim.safe_text import in_markdown, sentence
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = [
-    "CARD",
-    "CROISSANT",
-    "descriptions",
-    "missing_lines",
-    "write_card",
-]
-
 CARD = "README.md"
 CROISSANT = "croissant.json"
 _HDF5 = "application/x-hdf5"

@@ -22,8 +22,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.registry import package_version
 
-__all__ = ["Cluster"]
-
 _PATIENCE = 10.0  # for the scheduler's first answer [s]
 _LOOK = 0.5  # between two looks at what has ended [s]
 _FETCH = 10.0  # for an answer that is there [s]

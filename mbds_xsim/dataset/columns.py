@@ -15,8 +15,6 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 
-__all__ = ["PER_STEP", "TIME", "Group", "groups", "read_csv", "rounding_of"]
-
 Array = NDArray[np.float64]
 
 TIME = "time"

@@ -21,8 +21,6 @@ from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.scene import Scene
 
-__all__ = ["CostPlan", "Estimate", "ShardCost", "estimate", "plan"]
-
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
 _JOINED_BYTES = 9  # of a trajectory in the joined file: its index and split

@@ -20,8 +20,6 @@ from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.errors import InputError
 from mbds_xsim.safe_text import in_markdown, on_a_line
 
-__all__ = ["LOST", "Exported", "Form", "export"]
-
 Form = Literal["npz", "csv"]
 
 _FIGURES = "figures of the checks (check/…), starts as drawn (start/…; frame 0 has them)"

@@ -19,8 +19,6 @@ from typing import TypeVar
 
 from mbds_xsim.errors import InputError
 
-__all__ = ["locked", "put", "tidied"]
-
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"
 _DIRECT = getattr(os, "O_DIRECT", 0)

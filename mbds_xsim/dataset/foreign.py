@@ -34,8 +34,6 @@ from mbds_xsim.dataset.proof import scene_of
 from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Clock, Scene
 
-__all__ = ["FACTS", "Foreign", "read_foreign"]
-
 Array = NDArray[np.float64]
 
 _NATURAL = "a whole number from 0"

@@ -32,8 +32,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.simulate import Simulation, simulate
 from mbds_xsim.state import STATES, Batch, Trajectory
 
-__all__ = ["SHARED", "CheckTable", "Making", "judge_rows", "limit_faults", "sample_findings"]
-
 Array = NDArray[np.float64]
 
 # The checks make many passes over arrays: pieces that stay in a core's cache are twice as fast,

@@ -24,8 +24,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.silence import Silent
 
-__all__ = ["Generated", "Request", "generate"]
-
 
 @dataclass(frozen=True)
 class Request:

@@ -22,22 +22,6 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.layout import FIELDS, Field
 from mbds_xsim.errors import InputError
 
-__all__ = [
-    "CONTENT",
-    "Attributes",
-    "Datasets",
-    "NewFile",
-    "check_content",
-    "check_sources",
-    "datasets_in",
-    "encode",
-    "open_hdf5",
-    "plain",
-    "refuse_bomb",
-    "refuse_other",
-    "values_of",
-]
-
 _SMALL = 2**26  # bytes that any file may unpack to
 _DENSEST = 100  # times that what is larger may be packed; motions come to 5 at most
 

@@ -19,8 +19,6 @@ from mbds_xsim.dataset.layout import FIELDS, SHARED, SUFFIX, Field, split_of
 from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.variant import Variant
 
-__all__ = ["JOINT", "VariantCount", "cause_of", "causes", "join", "valid_numbers"]
-
 JOINT = f"joint{SUFFIX}"
 """Name of the file that says which trajectories are valid in all variants of a scene."""
 

@@ -12,25 +12,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ATTRIBUTES",
-    "AUDITED",
-    "AUDIT_EVERY",
-    "AUDIT_SAMPLE",
-    "CHECKS",
-    "FIELDS",
-    "FORMAT",
-    "INTEGRITY",
-    "SHARED",
-    "SPLITS",
-    "SUFFIX",
-    "VERSION",
-    "Field",
-    "Kind",
-    "sampled",
-    "split_of",
-]
-
 FORMAT = "mbds-xsim data"
 VERSION = 1
 """Of the layout. A reader refuses what is newer; a new optional dataset does not raise it."""

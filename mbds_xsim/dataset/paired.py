@@ -18,16 +18,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES
 
-__all__ = [
-    "STARTS",
-    "PairedData",
-    "PairedSeries",
-    "check_alike",
-    "check_paired",
-    "load_pairs",
-    "numbers_in",
-]
-
 Numbers = NDArray[np.int64]
 
 STARTS = tuple(f"start/{name}" for name in STATES)

@@ -15,8 +15,6 @@ from mbds_xsim.sampling import noise_components
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Trajectory
 
-__all__ = ["Points", "Recovered", "recover"]
-
 Array = NDArray[np.float64]
 
 

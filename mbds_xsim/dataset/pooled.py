@@ -10,8 +10,6 @@ from mbds_xsim.judge import failed_lines, finding_result
 from mbds_xsim.result import FindingResult
 from mbds_xsim.state import Batch
 
-__all__ = ["Pooled"]
-
 
 class Pooled:
     """Keeps of each check the figures, and what comes off worst."""

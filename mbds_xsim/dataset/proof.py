@@ -19,8 +19,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 
-__all__ = ["attributes_of", "check_fit", "misfits", "scene_of"]
-
 _JOINT = (*SHARED, "kind", "count")
 _ALLOWED: dict[Kind, tuple[str, Callable[[Any], bool]]] = {
     "text": ("text", lambda got: isinstance(got, str)),

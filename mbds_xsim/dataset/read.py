@@ -19,9 +19,6 @@ from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES, Batch, Failure, Trajectory
 
-__all__ = ["Dataset", "joined_files", "labelled", "load_dataset", "parse_numbers"]
-
-
 _LONGEST = 10_000_000  # range of numbers of trajectories
 _AT_ONCE = ("index", "split", "reason")
 

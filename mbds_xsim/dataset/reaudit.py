@@ -25,8 +25,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import STATES, Trajectory
 
-__all__ = ["FileReport", "making_of", "reaudit"]
-
 _SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
 _SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
 _ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
 from mbds_xsim.errors import InputError
 
-__all__ = ["MappedFile", "Series", "Windows"]
-
 _OPEN = 256  # files that are mapped at a time
 
 Stamp = tuple[int, int, int]

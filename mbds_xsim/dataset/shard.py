@@ -28,16 +28,6 @@ from mbds_xsim.sampling_terms import Wind
 from mbds_xsim.simulate import simulate
 from mbds_xsim.state import STATES, Batch, Failure, Trajectory
 
-__all__ = [
-    "LOG",
-    "Crashes",
-    "claim",
-    "make_shard",
-    "make_shards",
-    "rejected_folder",
-    "try_out",
-]
-
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
 

@@ -16,8 +16,6 @@ from mbds_xsim.dataset.layout import SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["Range", "Summary", "counts_of", "rejected_beside", "summaries", "summary_of"]
-
 
 @dataclass(frozen=True)
 class Range:

@@ -19,8 +19,6 @@ from mbds_xsim.registry import load_adapter, package_version
 from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 
-__all__ = ["Item", "Variant", "check_same_draws", "folder_name", "pending"]
-
 _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300
 _BODY_BYTES = 13 * 8  # of a body in a frame

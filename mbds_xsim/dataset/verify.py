@@ -26,8 +26,6 @@ from mbds_xsim.isolate import LIMIT, Crash, Task, run_tasks
 from mbds_xsim.registry import package_version
 from mbds_xsim.silence import Silent
 
-__all__ = ["Verified", "recheck", "verify"]
-
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
 _FILES = "distribution"  # entry of the metadata that lists files
 _AGAIN = 3  # trajectories of a shard that are simulated again

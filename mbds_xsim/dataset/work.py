@@ -15,8 +15,6 @@ from mbds_xsim.dataset.shard import LOG, Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.isolate import Crash, Task
 
-__all__ = ["Carrier", "ShardProgress", "make", "watched"]
-
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
 _FEW = 5

@@ -13,15 +13,6 @@ import msgspec
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.train import CurvePoint
 
-__all__ = [
-    "EventLog",
-    "LearningCurve",
-    "check_events",
-    "log_whole",
-    "read_curve",
-    "write_curve",
-]
-
 
 class LearningCurve(msgspec.Struct, frozen=True):
     """How a run went so far."""

@@ -11,8 +11,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.isolate import core_count
 from mbds_xsim.learn.model import LearnedModel, PointModel
 
-__all__ = ["check_device", "compile_networks", "precision", "process_count", "put"]
-
 
 def check_device(device: str, *, here: bool = True) -> None:
     """Raise InputError for a device that is not known or, if it is to be here, is not there."""

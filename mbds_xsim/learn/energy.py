@@ -28,17 +28,6 @@ from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
 from mbds_xsim.sampling import noise_components
 
-__all__ = [
-    "Drag",
-    "EnergyNetwork",
-    "EnergyShape",
-    "Kinetic",
-    "NodeEnergy",
-    "mass_matrix",
-    "momentum",
-    "potential_force",
-]
-
 
 @dataclass(frozen=True)
 class Kinetic:

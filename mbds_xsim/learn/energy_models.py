@@ -45,16 +45,6 @@ from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample, Start
 
-__all__ = [
-    "HGNN",
-    "LGNN",
-    "EnergyModel",
-    "EnergySettings",
-    "Hamiltonian",
-    "Lagrangian",
-    "NodeDynamics",
-]
-
 
 class EnergySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Hyper-parameters of LGNN and HGNN."""

@@ -22,8 +22,6 @@ from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample
 
-__all__ = ["GNS", "GNSSettings", "Interaction", "random_walk"]
-
 _KINDS = 2  # of nodes: particle, anchor
 _EMBEDDING = 16
 

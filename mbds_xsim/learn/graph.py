@@ -16,8 +16,6 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 
-__all__ = ["DIMENSION", "Graph"]
-
 DIMENSION = 3
 """Of all positions here: what a data file leaves out of a plane or line scene is put back."""
 

@@ -25,8 +25,6 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 
-__all__ = ["Share", "TrainingGroup", "check_share", "groups", "mixed", "shares_of", "turns"]
-
 Numbers = NDArray[np.int64]
 
 _ALIKE = {

@@ -27,8 +27,6 @@ from mbds_xsim.learn.mechanics_points import NodePoints, PointRows, points_of, r
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 
-__all__ = ["Jacobian", "Mechanics", "Terms", "constrained"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

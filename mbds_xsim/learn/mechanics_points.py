@@ -26,8 +26,6 @@ from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.sampling import draw_batch
 from mbds_xsim.spin import idle_axes
 
-__all__ = ["BodyPoints", "NodePoints", "PointRows", "distinct", "kinds_of", "points_of", "rows_of"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

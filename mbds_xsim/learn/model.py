@@ -16,22 +16,6 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 
-__all__ = [
-    "Change",
-    "FlowModel",
-    "LearnedModel",
-    "PointModel",
-    "build",
-    "go_on",
-    "load_model",
-    "model_names",
-    "pushed",
-    "refusal",
-    "roll",
-    "rollout",
-    "trainable",
-]
-
 Change = Literal["acceleration", "displacement"]
 
 _PLACES = {

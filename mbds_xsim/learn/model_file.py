@@ -31,9 +31,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.scene_file import write_scene
 from mbds_xsim.write import write_whole
 
-__all__ = ["array", "arrays", "read_facts", "read_model", "read_stored", "save_model"]
-
-
 _FORMAT = "mbds-xsim model 1"
 _LARGEST = 10_000
 """Of all whole numbers in settings: layers, widths, passes, steps in a frame."""

@@ -24,23 +24,6 @@ from mbds_xsim.reference.cache import read_sealed, sealed
 from mbds_xsim.state import Batch
 from mbds_xsim.write import write_whole
 
-__all__ = [
-    "EXPLODED",
-    "LOST",
-    "ParticleMotion",
-    "RigidPairs",
-    "RolloutFigures",
-    "figures_on",
-    "gap",
-    "measure",
-    "one_step_error",
-    "particle_error",
-    "read_figures",
-    "sunk",
-    "unexplained_energy",
-    "way",
-]
-
 Array = NDArray[np.float64]
 
 LOST = 0.1

@@ -8,8 +8,6 @@ import msgspec
 
 from mbds_xsim import bounds
 
-__all__ = ["PROFILES", "SETTLED", "WITHOUT_END", "Cosine", "Decay", "Plateau", "Profile", "Recipe"]
-
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
     """Lower the rate where the validation loss stops falling."""

@@ -33,18 +33,6 @@ from mbds_xsim.learn.train import Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.write import write_whole
 
-__all__ = [
-    "Cost",
-    "TrainingRun",
-    "carry_out",
-    "check_data",
-    "facts_of",
-    "finished",
-    "measure",
-    "prepared",
-]
-
-
 Parts = tuple[Motions, Motions]
 
 _FEW = 32  # trajectories to try it on

@@ -22,9 +22,6 @@ from mbds_xsim.learn.sgnn_network import Hierarchy, Network, pool
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Moments, Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample
 
-__all__ = ["SGNN", "SGNNSettings", "nearest_rigid"]
-
-
 UP = (0.0, 0.0, 1.0)
 
 

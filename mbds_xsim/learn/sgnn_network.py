@@ -17,16 +17,6 @@ from torch.nn import functional
 
 from mbds_xsim.learn.layers import keep, mlp
 
-__all__ = [
-    "Edges",
-    "Hierarchy",
-    "Network",
-    "Passing",
-    "Scalars",
-    "SubequivariantMap",
-    "pool",
-]
-
 LEAST_NORM = 1e-6
 """Under which a Gram matrix of normalised vectors counts as zero; keeps gradients finite."""
 OBJECT_SCALE = 0.001

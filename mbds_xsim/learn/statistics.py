@@ -21,8 +21,6 @@ from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.sampling_terms import HingeTorque
 
-__all__ = ["CHANNELS", "Channels", "Moments", "Statistics"]
-
 Array = NDArray[np.float64]
 AxisWeights = tuple[Array, Array, Array, Array]
 """How a hinge's axis follows from the particles: `along`, `first`, `second` and `fixed`."""

@@ -27,16 +27,6 @@ from mbds_xsim.learn.recipe import SETTLED, WITHOUT_END, Cosine, Decay, Plateau,
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 from mbds_xsim.write import write_whole
 
-__all__ = [
-    "CurvePoint",
-    "Training",
-    "check_identity",
-    "optimiser",
-    "read_identity",
-    "train",
-    "validation_error",
-]
-
 _ANEW = "remove it to start anew"
 _End = Literal["", "steps", "level", "diverged"]
 

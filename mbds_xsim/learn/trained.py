@@ -28,16 +28,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "Known",
-    "TrainedModel",
-    "carry_on",
-    "known_start",
-    "particle_motion",
-    "trained_in",
-    "trained_model",
-]
-
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
 """Facts that trainings must share to differ in their engines alone."""

@@ -24,20 +24,6 @@ from mbds_xsim.learn.recipe import PROFILES, Profile
 from mbds_xsim.learn.runs import Cost, TrainingRun, carry_out, check_data, finished, measure
 from mbds_xsim.learn.window import names_read
 
-__all__ = [
-    "LONG",
-    "TrainingOutcome",
-    "TrainingPlan",
-    "TrainingRequest",
-    "TrainingSink",
-    "carry",
-    "costs",
-    "diverged",
-    "planned",
-    "profile_named",
-    "watched",
-]
-
 Facts = dict[str, dict[str, str]]
 """Of runs, by their name."""
 

@@ -12,8 +12,6 @@ from mbds_xsim.learn.model import Change, PointModel
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import KnownInputs, Sample
 
-__all__ = ["ConstantAcceleration", "ConstantVelocity", "Hold"]
-
 
 class Hold(PointModel):
     """Everything stays where it is. The loss is the mean squared error [m²]."""

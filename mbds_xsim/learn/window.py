@@ -15,8 +15,6 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 
-__all__ = ["HISTORY", "KnownInputs", "Motions", "Sample", "Start", "names_read"]
-
 HISTORY = 6
 """Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
 

@@ -21,8 +21,6 @@ from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Trajectory
 
-__all__ = ["contact_findings"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

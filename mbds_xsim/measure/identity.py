@@ -18,8 +18,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 from mbds_xsim.versions import CHECKS
 
-__all__ = ["machine", "row_key"]
-
 
 def row_key(scene: Scene, start: Batch, engine: str, settings: Settings) -> str:
     """Name a row by its content.

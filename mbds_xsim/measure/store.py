@@ -17,8 +17,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.reference.cache import directory
 from mbds_xsim.studies.tradeoff.rows import Row
 
-__all__ = ["Store"]
-
 
 class _Keyed(Protocol):
     @property

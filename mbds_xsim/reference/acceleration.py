@@ -9,8 +9,6 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference.dynamics import dynamics_of
 
-__all__ = ["accelerations"]
-
 Array = NDArray[np.float64]
 
 _AT_ONCE = 256  # states; more only cost memory

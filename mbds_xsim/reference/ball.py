@@ -19,17 +19,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = [
-    "STILL",
-    "Ball",
-    "Contact",
-    "Load",
-    "Motion",
-    "flown",
-    "has_only_balls",
-    "time_to_ground",
-]
-
 Array = NDArray[np.float64]
 
 STILL = 1e-12

@@ -24,8 +24,6 @@ from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.state import Failure
 
-__all__ = ["march_balls", "through_frame"]
-
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 

@@ -25,17 +25,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 from mbds_xsim.versions import PHYSICS
 
-__all__ = [
-    "Arrays",
-    "complete",
-    "directory",
-    "key_of",
-    "load",
-    "read_sealed",
-    "sealed",
-    "store",
-]
-
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[int, int], None]
 

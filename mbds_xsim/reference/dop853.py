@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
-__all__ = ["Derivative", "error_ratio", "next_step", "try_step"]
-
 Array = NDArray[np.float64]
 Derivative = Callable[[Array], Array]
 

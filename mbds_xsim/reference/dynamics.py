@@ -24,8 +24,6 @@ from mbds_xsim.reference.multipliers import POOR, Multipliers
 from mbds_xsim.reference.singular import interpolated, projected_onto_branch, typical_states
 from mbds_xsim.reference.topology import topology_of
 
-__all__ = ["Dynamics", "dynamics_of"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -19,8 +19,6 @@ from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
 from mbds_xsim.reference.sliding import Slide, slide
 from mbds_xsim.reference.turning import turned
 
-__all__ = ["EvenBall"]
-
 Array = NDArray[np.float64]
 _Law = Callable[[float], Slide]
 

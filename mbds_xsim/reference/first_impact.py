@@ -14,8 +14,6 @@ from scipy.optimize import brentq
 
 from mbds_xsim.state import Failure
 
-__all__ = ["TOUCHING", "FirstImpact", "dips", "first_touch", "resting"]
-
 Array = NDArray[np.float64]
 
 TOUCHING = 1e-12

@@ -17,8 +17,6 @@ from mbds_xsim.reference.solution import checked_tolerance, integrate, start_sta
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch
 
-__all__ = ["sensitivity"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Progress = Callable[[int, int], None]

@@ -19,8 +19,6 @@ from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, res
 from mbds_xsim.reference.singular import BIFURCATION, has_branch
 from mbds_xsim.state import Failure
 
-__all__ = ["MOST_STEPS", "Inputs", "Marched", "branchless", "march", "stopped"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Progress = Callable[[int, int], None]

@@ -16,8 +16,6 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from mbds_xsim.reference.topology import Topology
 
-__all__ = ["POOR", "Multipliers"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

@@ -18,8 +18,6 @@ from mbds_xsim import rotation
 if TYPE_CHECKING:
     from mbds_xsim.reference.dynamics import Dynamics
 
-__all__ = ["BIFURCATION", "has_branch", "interpolated", "projected_onto_branch", "typical_states"]
-
 Array = NDArray[np.float64]
 
 BIFURCATION = (

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
-__all__ = ["Slide", "slide"]
-
 # Of the slip, across the drive, below which the path is straight to rounding.
 _STRAIGHT = 1e-15
 

@@ -20,8 +20,6 @@ from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["checked_tolerance", "integrate", "solve", "start_states"]
-
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 

@@ -17,8 +17,6 @@ from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless
 from mbds_xsim.reference.singular import BIFURCATION
 from mbds_xsim.state import Failure
 
-__all__ = ["is_stiff", "march_stiff"]
-
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism, PlacedJoint
 
-__all__ = ["Topology", "topology_of"]
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 

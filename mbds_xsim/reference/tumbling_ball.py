@@ -21,8 +21,6 @@ from scipy.optimize import brentq
 from mbds_xsim import rotation
 from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
 
-__all__ = ["TumblingBall"]
-
 Array = NDArray[np.float64]
 
 _RTOL = {"DOP853": 1e-13, "LSODA": 1e-12}

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 
-__all__ = ["turned"]
-
 Array = NDArray[np.float64]
 
 _NODES = 0.5 + math.sqrt(15.0) / 10.0 * np.array([-1.0, 0.0, 1.0])

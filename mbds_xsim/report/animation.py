@@ -17,8 +17,6 @@ from mbds_xsim.report.palette import Style
 from mbds_xsim.report.skeleton import Skeleton, skeleton
 from mbds_xsim.result import Evidence
 
-__all__ = ["encoded", "pack", "packed_base", "packed_entry"]
-
 Array = NDArray[np.float64]
 
 _BYTES = 3_000_000

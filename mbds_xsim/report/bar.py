@@ -24,8 +24,6 @@ from rich.text import Text
 
 from mbds_xsim.safe_text import on_a_line
 
-__all__ = ["GeneratingBar", "ProgressBar", "StudyBar", "TrainingBar"]
-
 _EVERY = 60.0  # off a terminal [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left look back over so long [s]
 

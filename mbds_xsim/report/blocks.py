@@ -14,28 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 if TYPE_CHECKING:
     from mbds_xsim.report.palette import Style
 
-__all__ = [
-    "EVERYWHERE",
-    "Block",
-    "Cell",
-    "Column",
-    "Figure",
-    "Figures",
-    "Key",
-    "Legend",
-    "Mark",
-    "Motion",
-    "Place",
-    "Remark",
-    "Remarks",
-    "Report",
-    "Row",
-    "Section",
-    "Table",
-    "Text",
-    "table_of",
-]
-
 Mark: TypeAlias = Literal["", "pass", "warn", "fail", "over", "strong", "muted"]
 """How something stands: a verdict, a figure beyond its budget, or a tone."""
 Place: TypeAlias = Literal["terminal", "markdown", "page"]

@@ -27,8 +27,6 @@ from mbds_xsim.safe_text import in_figure
 from mbds_xsim.scene import Scene
 from mbds_xsim.write import write_whole
 
-__all__ = ["draw_scene"]
-
 Array = NDArray[np.float64]
 
 _INK = "#1c2733"

@@ -8,8 +8,6 @@ from mbds_xsim.catalogue import EngineRow, MethodRow, by_reason
 from mbds_xsim.engine import Feature
 from mbds_xsim.report.markdown import table_lines
 
-__all__ = ["engines_page"]
-
 _HEAD = """\
 # Engines
 

@@ -14,8 +14,6 @@ from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.safe_text import csv_text
 from mbds_xsim.write import write_whole
 
-__all__ = ["link", "rows_csv", "write_if", "write_reports"]
-
 _LEFT_OUT = {"key"}
 
 

@@ -8,8 +8,6 @@ from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Sectio
 from mbds_xsim.report.terminal import SIGNS
 from mbds_xsim.safe_text import as_code, in_markdown, sentence
 
-__all__ = ["table_lines", "to_markdown"]
-
 
 def to_markdown(reports: Iterable[Report]) -> str:
     """Give a chapter a report; what a column means is told where it first stands."""

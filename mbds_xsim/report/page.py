@@ -13,8 +13,6 @@ from mbds_xsim.report.blocks import Block, Figure, Motion, Report, Section
 from mbds_xsim.report.terminal import SIGNS
 from mbds_xsim.safe_text import printable, sentence
 
-__all__ = ["to_html"]
-
 
 def to_html(reports: Sequence[Report], title: str) -> str:
     """Give the page; the motion of the first report that has one can be played.

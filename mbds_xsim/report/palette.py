@@ -13,22 +13,6 @@ from dataclasses import dataclass
 from mbds_xsim import registry
 from mbds_xsim.result import EngineResult
 
-__all__ = [
-    "DARK",
-    "ENGINES",
-    "INTERVALS",
-    "LIGHT",
-    "METHODS",
-    "MODELS",
-    "PARTS",
-    "Style",
-    "engine_style",
-    "marker_of",
-    "model_colour",
-    "model_style",
-    "styles",
-]
-
 ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
 MODELS = {"gns": "#7a4fb5", "hgnn": "#a8123e", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}
 _OTHER = "#6b6b6b"

@@ -18,8 +18,6 @@ from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.write import write_whole
 
-__all__ = ["draw_paths"]
-
 Array = NDArray[np.float64]
 
 _INK = "#1c2733"

@@ -6,8 +6,6 @@ import math
 
 from mbds_xsim.counted import apart
 
-__all__ = ["NONE", "beside", "length", "number", "span", "with_unit"]
-
 NONE = "–"
 """Shown where there is no figure."""
 

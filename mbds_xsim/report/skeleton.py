@@ -15,8 +15,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Trajectory
 
-__all__ = ["Projection", "Skeleton", "outline", "point_of", "pose_of", "skeleton"]
-
 Array = NDArray[np.float64]
 Edge = tuple[int, int]
 

@@ -25,8 +25,6 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.safe_text import printable
 
-__all__ = ["SIGNS", "Outlet", "print_blocks", "print_report"]
-
 _PIPED = 160
 """Columns where nobody says how many there are."""
 _WIDE = 104

@@ -16,8 +16,6 @@ from mbds_xsim.report.palette import LIGHT
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["GREY", "INK", "PAPER", "SOURCE", "checksum", "few_colours", "png", "svg"]
-
 SOURCE = "Source"
 """Key of the checksum in a PNG."""
 

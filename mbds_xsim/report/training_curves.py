@@ -15,8 +15,6 @@ from mbds_xsim.learn.curves import LearningCurve
 from mbds_xsim.report.palette import LIGHT, engine_style
 from mbds_xsim.report.themed import INK, png
 
-__all__ = ["looks", "to_png"]
-
 Look = tuple[str, str | tuple[int, tuple[int, ...]]]
 _PANEL = (4.2, 3.0)  # [in]
 _ABREAST = 4

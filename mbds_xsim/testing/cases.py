@@ -31,8 +31,6 @@ from mbds_xsim.scene import (
 )
 from mbds_xsim.state import Trajectory
 
-__all__ = ["CASES", "Case"]
-
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 

@@ -39,23 +39,6 @@ from mbds_xsim.scene import (
 from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.testing.straight_car import straight_run
 
-__all__ = [
-    "CONTACT_CASES",
-    "RADIUS",
-    "RESTITUTIONS",
-    "ContactCase",
-    "at_rest",
-    "ball",
-    "bounces",
-    "crate",
-    "driven_car",
-    "gaps",
-    "laid_cubli",
-    "rebound_heights",
-    "rolling",
-    "sliding_crate",
-]
-
 Array = NDArray[np.float64]
 
 RADIUS = PARTICLE_RADIUS

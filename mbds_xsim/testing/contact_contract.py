@@ -28,8 +28,6 @@ from mbds_xsim.testing.contact_cases import (
     rebound_heights,
 )
 
-__all__ = ["ContactContract"]
-
 Array = NDArray[np.float64]
 
 _G = -GRAVITY[2]

@@ -35,8 +35,6 @@ from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.testing.cases import CASES, Case
 from mbds_xsim.testing.contact_contract import ContactContract
 
-__all__ = ["AdapterContract", "measured_order"]
-
 Array = NDArray[np.float64]
 
 _STEPS_PER_FRAME = (4, 8, 16)

@@ -12,8 +12,6 @@ from mbds_xsim.joint_space import LinkStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene
 
-__all__ = ["random_links", "random_tree"]
-
 Array = NDArray[np.float64]
 Kind = Literal["fixed", "hinge", "slider", "ball", "free"]
 

@@ -21,8 +21,6 @@ from mbds_xsim.sampling import draw_batch
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["straight_run"]
-
 Array = NDArray[np.float64]
 
 _STILL = 1e-12  # slip that is none [m/s]

@@ -29,8 +29,6 @@ from mbds_xsim.learn.shift.gaps import (
 )
 from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap, values
 
-__all__ = ["MATCHED", "ROBUST", "SPEED", "answers_by_interval", "answers_of"]
-
 RESOLVABLE, ROBUST, MATCHED, SPEED = "resolvable", "robust", "matched", "speed"
 """Kinds of answers beside those that are named after a kind of training."""
 

@@ -31,19 +31,6 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import STATES, Batch, Trajectory
 from mbds_xsim.write import write_whole
 
-__all__ = [
-    "REFERENCE",
-    "Domain",
-    "Paired",
-    "Recorded",
-    "ReferenceFrames",
-    "Solved",
-    "load_paired",
-    "read_reference",
-    "scenes_in",
-    "solve_domain",
-]
-
 Array = NDArray[np.float64]
 
 REFERENCE = "reference"

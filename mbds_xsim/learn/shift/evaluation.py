@@ -19,21 +19,6 @@ from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, value
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
 
-__all__ = [
-    "CHAOS_START",
-    "ENGINE",
-    "RESTART",
-    "Evaluation",
-    "cells_of",
-    "chaos_floor",
-    "floors_of",
-    "known_mean",
-    "median",
-    "noise_floor",
-    "oracles",
-    "valid_time",
-]
-
 Array = NDArray[np.float64]
 
 ENGINE = "engine"

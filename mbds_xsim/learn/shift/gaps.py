@@ -22,29 +22,6 @@ from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, values
 from mbds_xsim.learn.trained import TrainedModel
 
-__all__ = [
-    "ALL",
-    "DRAWS",
-    "LEAVE_ONE_OUT",
-    "PAPER",
-    "SINGLE",
-    "UNKNOWN",
-    "UNSURE",
-    "WEAK",
-    "Draws",
-    "ModelSeeds",
-    "Resampler",
-    "agreements_of",
-    "bounds_of",
-    "gaps_of",
-    "kind_of",
-    "paper_errors",
-    "paper_rows",
-    "ranks_alike",
-    "trainings_of",
-    "why_unresolved",
-]
-
 Array = NDArray[np.float64]
 Errors = dict[tuple[str, int], float]
 """Mean errors by model and frame."""

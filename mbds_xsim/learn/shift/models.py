@@ -12,16 +12,6 @@ from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.trained import TrainedModel, trained_model
 
-__all__ = [
-    "TRIVIAL",
-    "WHOLE",
-    "Selection",
-    "check_budget",
-    "check_data",
-    "find_models",
-    "trivial_models",
-]
-
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
 

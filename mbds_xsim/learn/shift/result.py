@@ -11,24 +11,6 @@ from collections.abc import Iterable
 
 import msgspec
 
-__all__ = [
-    "FRAMES",
-    "INTERVALS",
-    "SCHEMA",
-    "Agreement",
-    "Answer",
-    "BoundedRatio",
-    "DomainFacts",
-    "ErrorCell",
-    "ErrorFloor",
-    "Gap",
-    "ModelFacts",
-    "Shift",
-    "Values",
-    "to_json",
-    "values",
-]
-
 SCHEMA = "mbds-xsim/shift/1"
 FRAMES = (1, 10, 20, 30, 40, 50, 60, 90, 100)
 """Frames behind the last known one at which errors are told."""

@@ -40,8 +40,6 @@ from mbds_xsim.simulate import simulate
 from mbds_xsim.state import Batch
 from mbds_xsim.versions import MODELS
 
-__all__ = ["Evaluated", "RolloutMeter", "RolloutPlan", "evaluate", "restarted"]
-
 _TIMEOUT = 4 * 3600.0  # of the work of a process [s]
 _MODELS = 6  # a process: starting one takes seconds
 _RESTARTS = 3  # a process: one engine may take longest by far

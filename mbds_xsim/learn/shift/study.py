@@ -52,16 +52,6 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.registry import package_version
 
-__all__ = [
-    "SampleRollout",
-    "Samples",
-    "ShiftQuestion",
-    "ShiftStudy",
-    "question_of",
-    "samples_of",
-    "study",
-]
-
 Array = NDArray[np.float64]
 _AT = 10
 

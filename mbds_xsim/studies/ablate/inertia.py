@@ -15,8 +15,6 @@ from mbds_xsim import rotation
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Body, Inertia, Scene
 
-__all__ = ["own_inertia", "rod_inertia", "rotary_inertia", "wheel_inertia"]
-
 Array = NDArray[np.float64]
 
 _LEAST = 1e-3  # of an inertia that is dropped

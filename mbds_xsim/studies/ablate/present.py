@@ -10,8 +10,6 @@ from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, 
 from mbds_xsim.studies.ablate import result as ablate_result
 from mbds_xsim.studies.ablate.result import Ablation, Size
 
-__all__ = ["present"]
-
 _MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
 _COLUMNS: tuple[tuple[Column, Callable[[ablate_result.Row], str]], ...] = (
     (Column("effect", "what the scene models", words=True), lambda row: row.effect),

@@ -6,8 +6,6 @@ from typing import Literal
 
 import msgspec
 
-__all__ = ["SCHEMA", "Ablation", "Floor", "Row", "Size", "Verdict"]
-
 SCHEMA = "mbds-xsim/ablate/1"
 
 Verdict = Literal["needed", "not needed", "not resolvable", "not possible"]

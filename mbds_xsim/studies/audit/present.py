@@ -24,8 +24,6 @@ from mbds_xsim.report.blocks import (
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.result import FindingResult
 
-__all__ = ["present"]
-
 _LEAST = 1e-6
 """Smaller shares of a budget are drawn as this one."""
 _COLUMNS = tuple(

@@ -30,20 +30,6 @@ from mbds_xsim.scene import (
 from mbds_xsim.simulate import recorded
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = [
-    "CRATE_MASS",
-    "FRICTION",
-    "PULL",
-    "RADIUS",
-    "RESTITUTION",
-    "ContactBench",
-    "ContactFigure",
-    "ball",
-    "crate",
-    "reason",
-    "wheel",
-]
-
 Array = NDArray[np.float64]
 
 PULL = -GRAVITY[2]

@@ -14,8 +14,6 @@ from mbds_xsim.studies.contact.impacts import RESTITUTIONS
 from mbds_xsim.studies.contact.study import ContactStudy
 from mbds_xsim.write import write_whole
 
-__all__ = ["draw_study"]
-
 _MARKS = "12x+34"
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]
 _ASKED: dict[str, Any] = {

@@ -26,8 +26,6 @@ from mbds_xsim.studies.contact.bench import (
     wheel,
 )
 
-__all__ = ["HEADINGS", "PUSHES", "friction"]
-
 Array = NDArray[np.float64]
 
 _BALL_GROUND = Ground(FRICTION, RESTITUTION)

@@ -25,8 +25,6 @@ from mbds_xsim.studies.contact.bench import (
     reason,
 )
 
-__all__ = ["DEPTH_SPEEDS", "RESTITUTIONS", "SPEEDS", "impacts", "rebounds"]
-
 Array = NDArray[np.float64]
 
 RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)

@@ -21,8 +21,6 @@ from mbds_xsim.studies.contact.bench import (
     ball,
 )
 
-__all__ = ["DROPS", "SPINS", "limits"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -36,8 +36,6 @@ from mbds_xsim.studies.contact.present import (
 )
 from mbds_xsim.studies.contact.study import ContactStudy
 
-__all__ = ["contact_page", "words_of"]
-
 _PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
 _HEAD = """\
 # What contact means in each engine

@@ -13,28 +13,6 @@ from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.limits import DROPS, SPINS
 from mbds_xsim.studies.contact.study import ContactStudy
 
-__all__ = [
-    "FRICTION_LAW",
-    "JUDGED",
-    "LINES",
-    "NOWHERE",
-    "REBOUND_LAW",
-    "SPREAD",
-    "STARTS",
-    "STILL",
-    "STRAIGHT",
-    "Line",
-    "coefficient",
-    "degrees",
-    "figure_of",
-    "near",
-    "percent",
-    "present",
-    "rows_of",
-    "speed",
-    "tiny_length",
-]
-
 JUDGED = (
     "Marked is what is further from the law that was asked for than 0.01 of restitution, 2 % of "
     "friction, 1° of its direction, 1 mm of hops, 1 mm/s of creep or trembling, 2 % of energy in a "

@@ -14,8 +14,6 @@ from mbds_xsim.errors import InputError
 from mbds_xsim.studies.diff.read import read_views
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 
-__all__ = ["Change", "Comparison", "Diff", "EntryDiff", "FigureChange", "OnlyIn", "compare_files"]
-
 SCHEMA = "mbds-xsim/diff/1"
 RTOL = 1e-6
 """Relative difference of a figure of physics up to which it is the same."""

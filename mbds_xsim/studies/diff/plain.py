@@ -8,8 +8,6 @@ from typing import Any
 
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 
-__all__ = ["plain_view"]
-
 _ABOUT = ("scene", "scenes", "study")
 _SAMPLE = ("seed", "trajectories", "index", "budget", "limit_s", "duration_s", "length_m")
 _CIRCUMSTANCES = ("versions", "machine", "workers")

@@ -19,8 +19,6 @@ from mbds_xsim.report.blocks import (
 from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
 from mbds_xsim.studies.diff.view import Value
 
-__all__ = ["present", "remarks_of"]
-
 _HEADINGS = ("entry", "what", "before", "now", "change")
 _COLUMNS = tuple(Column(heading, words=heading != "change") for heading in _HEADINGS)
 _MOST_FIGURES, _MOST_TIMES = 40, 12

@@ -19,8 +19,6 @@ from mbds_xsim.studies.match import search as match
 from mbds_xsim.studies.stability import rows as stability_rows
 from mbds_xsim.studies.tradeoff import rows
 
-__all__ = ["READERS", "read_views"]
-
 T = TypeVar("T")
 
 _RESULT = re.compile("mbds-xsim/[a-z]+/1")

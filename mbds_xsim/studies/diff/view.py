@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["FAILING", "Entry", "Figure", "Value", "View"]
-
 Value = float | int | bool | str | None
 
 FAILING = 2

@@ -12,8 +12,6 @@ import tomli_w
 from mbds_xsim.errors import InputError
 from mbds_xsim.studies.match.search import Found, Match
 
-__all__ = ["matched_toml", "stored_path"]
-
 _HEAD = """\
 # Settings whose trajectories are published: the cheapest of each engine that keep all budgets of
 # the scene on {held_out} held-out starts of each interval. Found by

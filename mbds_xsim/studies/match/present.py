@@ -9,8 +9,6 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, Row, Table
 from mbds_xsim.studies.match.search import Found, Match
 
-__all__ = ["present"]
-
 _COLUMNS = tuple(
     Column(heading, meaning, words=heading in ("engine", "method", "until now", ""))
     for heading, meaning in (

@@ -29,8 +29,6 @@ from mbds_xsim.state import Batch
 from mbds_xsim.studies.tradeoff.bench import Meter
 from mbds_xsim.studies.tradeoff.sweep import NATIVE, Curve, curves_of
 
-__all__ = ["Found", "Match", "match"]
-
 SCHEMA = "mbds-xsim/match/1"
 
 _SAMPLE = 3  # trajectories that run at other steps too

@@ -15,8 +15,6 @@ from mbds_xsim.report.training_curves import looks
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.studies.shift.matrix import Matrix, at, matrix_of, trained_models
 
-__all__ = ["draw_curves", "draw_matrix", "map_size", "to_png"]
-
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
 _LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large

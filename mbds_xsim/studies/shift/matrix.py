@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from mbds_xsim.learn.shift.models import TRIVIAL
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 
-__all__ = ["Matrix", "Pick", "at", "best_formula", "matrix_of", "mean", "trained_models"]
-
 Pick = Callable[[ErrorCell], float | None]
 
 

@@ -15,8 +15,6 @@ from mbds_xsim.report.palette import LIGHT, Style, model_style
 from mbds_xsim.safe_text import in_figure
 from mbds_xsim.sampling_terms import INTERVALS
 
-__all__ = ["draw_samples", "name_of", "pack", "picture_size", "samples_png", "styles_of"]
-
 Array = NDArray[np.float64]
 
 _REACH = 4.0

@@ -25,8 +25,6 @@ from mbds_xsim.studies.shift.matrix import at, matrix_of, trained_models
 from mbds_xsim.studies.shift.motion import draw_samples, name_of, pack, picture_size, styles_of
 from mbds_xsim.studies.shift.tables import tables
 
-__all__ = ["answers", "present", "protocol"]
-
 _ENOUGH = 3  # seeds
 _CURVES = (6.6, 3.4)
 _PAGE: frozenset[Place] = frozenset({"page"})

@@ -12,8 +12,6 @@ from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import ShiftStudy
 from mbds_xsim.safe_text import csv_text
 
-__all__ = ["to_csv"]
-
 
 def to_csv(studies: Sequence[ShiftStudy]) -> bytes:
     """Give the rows of all studies; `inf` is a lost prediction, empty what is not known."""

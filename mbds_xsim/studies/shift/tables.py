@@ -23,8 +23,6 @@ from mbds_xsim.studies.shift.matrix import (
     trained_models,
 )
 
-__all__ = ["tables"]
-
 
 def tables(shift: Shift) -> Iterator[Table]:
     """Give all tables that there are figures for."""

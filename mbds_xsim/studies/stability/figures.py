@@ -14,17 +14,6 @@ from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.definition import text_of
 from mbds_xsim.studies.stability.rows import Cell, Outcome, Panel, Sweep
 
-__all__ = [
-    "LIGHT_LOOKS",
-    "LOOKS",
-    "Look",
-    "charts_of",
-    "draw_legend",
-    "draw_map",
-    "size_of",
-    "tips",
-]
-
 
 @dataclass(frozen=True)
 class Look:

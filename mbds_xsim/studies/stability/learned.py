@@ -48,8 +48,6 @@ from mbds_xsim.studies.stability.rows import LEARNED, Options, Outcome
 from mbds_xsim.studies.stability.verdict import Judged, Signs, Verdict, part_of_way
 from mbds_xsim.versions import CHECKS, MODELS
 
-__all__ = ["LearnedContender", "judge_particles", "models_in", "run_model", "run_models"]
-
 Array = NDArray[np.float64]
 
 

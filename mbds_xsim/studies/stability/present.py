@@ -39,8 +39,6 @@ from mbds_xsim.studies.stability.figures import (
 )
 from mbds_xsim.studies.stability.rows import Sweep
 
-__all__ = ["cells_of", "listing", "present", "to_png"]
-
 _ACROSS = 4
 """Maps side by side in a picture."""
 _CELL = 0.5

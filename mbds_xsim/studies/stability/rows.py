@@ -8,19 +8,6 @@ import msgspec
 
 from mbds_xsim.engine import Profile
 
-__all__ = [
-    "FAILED",
-    "LEARNED",
-    "SCHEMA",
-    "Cell",
-    "Options",
-    "Outcome",
-    "Panel",
-    "Sweep",
-    "Told",
-    "to_json",
-]
-
 SCHEMA = "mbds-xsim/stability/1"
 
 LEARNED = "learned"

@@ -20,8 +20,6 @@ from mbds_xsim.studies.stability.runs import Measuring
 from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff.bench import Meter
 
-__all__ = ["survey"]
-
 _REFERENCE_LIMIT = 120.0  # [s]
 
 

@@ -11,21 +11,6 @@ from mbds_xsim.report import quantity
 from mbds_xsim.studies.stability.definition import text_of
 from mbds_xsim.studies.stability.rows import Cell, Panel, Sweep
 
-__all__ = [
-    "breaking",
-    "command_of",
-    "conclusion",
-    "holding",
-    "learned_told",
-    "limit",
-    "milliseconds",
-    "name_of",
-    "reading",
-    "swept",
-    "told",
-    "what_happened",
-]
-
 _WHO = {
     "engine": "the engine",
     "adapter": "the adapter's watch on the states; the engine itself says nothing",

@@ -20,8 +20,6 @@ from mbds_xsim.studies.tradeoff.rows import Kind, Row
 from mbds_xsim.studies.tradeoff.sweep import Curve
 from mbds_xsim.studies.tradeoff.truths import Place, Truths
 
-__all__ = ["Bench", "Job", "Meter"]
-
 _GRACE = 30.0
 """What a task may take beside its rollouts [s]."""
 _PATIENCE = 3.0

@@ -13,8 +13,6 @@ from mbds_xsim.studies.tradeoff.models import model_told
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
-__all__ = ["Panel", "colour_of", "draw_panel", "legend_entries", "marker_of", "panels_of", "tips"]
-
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"
 _REFERENCE = 1e-9

@@ -45,8 +45,6 @@ from mbds_xsim.versions import CHECKS, MODELS
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["AT_ONCE", "ModelStarts", "measure_model", "models_of", "with_models"]
-
 Array = NDArray[np.float64]
 
 AT_ONCE = 64

@@ -8,13 +8,6 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.studies.tradeoff.rows import Learned, Tradeoff
 
-__all__ = [
-    "model_told",
-    "models_short",
-    "models_table",
-    "models_told",
-]
-
 
 def models_table(study: Tradeoff) -> Table:
     """Give a row a model."""

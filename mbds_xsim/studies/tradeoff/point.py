@@ -17,8 +17,6 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["INSTANT", "WARM_UP", "Measured", "Timing", "Truth", "horizon_of", "measure", "timed"]
-
 Array = NDArray[np.float64]
 Made = TypeVar("Made")
 Seconds = tuple[float, ...]

@@ -39,8 +39,6 @@ from mbds_xsim.studies.tradeoff.figures import (
 from mbds_xsim.studies.tradeoff.models import models_short, models_table, models_told
 from mbds_xsim.studies.tradeoff.rows import Point, Tradeoff
 
-__all__ = ["present", "to_png"]
-
 _MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)
 _PICTURE = (14.0, 5.4)
 _MOST_LINES = 7

@@ -9,19 +9,6 @@ import msgspec
 
 from mbds_xsim.errors import InputError
 
-__all__ = [
-    "SCHEMA",
-    "CurveResult",
-    "Kind",
-    "Learned",
-    "Point",
-    "Ratio",
-    "Row",
-    "Tradeoff",
-    "read_tradeoff",
-    "to_json",
-]
-
 SCHEMA = "mbds-xsim/tradeoff/1"
 
 Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]

@@ -28,8 +28,6 @@ from mbds_xsim.studies.tradeoff.rows import SCHEMA, Row, Tradeoff
 from mbds_xsim.studies.tradeoff.sweep import Curve, curves_of
 from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT, Truths, first_impact, references
 
-__all__ = ["LIMIT", "STARTS", "tradeoff", "tradeoff_with_rows"]
-
 STARTS = 3
 LIMIT = 30.0
 """Longest rollout of one start [s]."""

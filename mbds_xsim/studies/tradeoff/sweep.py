@@ -11,8 +11,6 @@ from mbds_xsim.errors import Unsupported
 from mbds_xsim.matched import settings_for
 from mbds_xsim.scene import Scene
 
-__all__ = ["COUNTS", "NATIVE", "SPAN", "Curve", "curves_of"]
-
 Options = Mapping[str, float | int | bool | str]
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

@@ -17,8 +17,6 @@ from mbds_xsim.state import Batch, Trajectory
 from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
 from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve
 
-__all__ = ["LIMIT_COUNT", "Truths", "first_impact", "references"]
-
 LIMIT_COUNT = 2 * SPAN
 """Steps a frame that stand for a vanishing step."""
 

@@ -13,21 +13,6 @@ from mbds_xsim.report.blocks import Column
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Tradeoff
 from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
-__all__ = [
-    "BUSY",
-    "cheapest_within",
-    "columns",
-    "conclusion",
-    "failures",
-    "machine_told",
-    "main_curves",
-    "options_that_pay",
-    "order_told",
-    "places",
-    "steps_told",
-    "what_is_charted",
-]
-
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""
 BUSY = 1.1

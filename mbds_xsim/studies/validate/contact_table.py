@@ -11,8 +11,6 @@ from mbds_xsim.report.blocks import Cell, Column, Row, Table
 from mbds_xsim.report.palette import Style
 from mbds_xsim.studies.validate.episodes import Contact
 
-__all__ = ["tables"]
-
 _Tell = Callable[[Contact, int, Contact], str]
 """Of a motion, a trajectory, and the reference."""
 

@@ -18,8 +18,6 @@ from mbds_xsim.result import Evidence
 from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
-__all__ = ["Contact", "Episode", "contact_of", "contacts_of"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -17,15 +17,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact
 
-__all__ = [
-    "check_series",
-    "consistency",
-    "error_growth",
-    "matrix",
-    "plotted_checks",
-    "restitution",
-]
-
 Array = NDArray[np.float64]
 
 _SIZE = (4.5, 3.1)

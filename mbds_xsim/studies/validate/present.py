@@ -27,8 +27,6 @@ from mbds_xsim.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import contact_table, figures, timeline, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of
 
-__all__ = ["present"]
-
 _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
 _FEW = 6

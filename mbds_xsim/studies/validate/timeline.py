@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from mbds_xsim.result import Evidence, Validation
 from mbds_xsim.studies.validate.episodes import Contact
 
-__all__ = ["pack", "reading"]
-
 
 def pack(
     validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...], count: int

@@ -10,19 +10,6 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column
 from mbds_xsim.result import EngineResult, Evidence, Validation
 
-__all__ = [
-    "COLUMNS",
-    "conclusion",
-    "contact_words",
-    "ends",
-    "growth_words",
-    "label",
-    "odd_one_out",
-    "reference_line",
-    "remarks",
-    "sampled",
-]
-
 
 def label(result: EngineResult) -> str:
     """Name a row: engine and profile."""
