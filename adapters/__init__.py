@@ -1,1 +1,1 @@
-"""Adapters: one engine a file. Loaded by name through `mbds_xsim.registry`, never imported."""
+"""Adapters: one engine a package. Loaded by name through `mbds_xsim.registry`, never imported."""

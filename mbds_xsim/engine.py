@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib.metadata import version
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
 
@@ -133,10 +134,49 @@ class Settings:
 
 @dataclass(frozen=True)
 class Option:
-    """A knob of an adapter: its default and what it does."""
+    """A knob of an adapter: its default, what it does and which values it takes.
+
+    Values are of the default's kind: true or false, a whole number, a finite number or a name.
+    """
 
     default: float | int | bool | str
     meaning: str
+    least: float | None = None
+    """Smallest number allowed; None sets no bound, here and below."""
+    most: float | None = None
+    above: float | None = None
+    """Bound that numbers must exceed."""
+    names: tuple[str, ...] = ()
+    """All names allowed."""
+
+    def check(self, what: str, value: object) -> None:
+        """Raise InputError, which calls the option `what`, unless the value is allowed."""
+        if self.names:
+            if value not in self.names:
+                raise UnknownName.of(what, str(value), list(self.names))
+        elif not (self._kind_fits(value) and self._is_within(value)):
+            raise InputError(f"{what}: got {value!r}, allowed is {self._allowed()}")
+
+    def _kind_fits(self, value: object) -> bool:
+        if isinstance(self.default, bool | str):
+            return isinstance(value, type(self.default))
+        number = int if isinstance(self.default, int) else int | float
+        return isinstance(value, number) and not isinstance(value, bool) and math.isfinite(value)
+
+    def _is_within(self, value: Any) -> bool:
+        return (
+            (self.least is None or value >= self.least)
+            and (self.most is None or value <= self.most)
+            and (self.above is None or value > self.above)
+        )
+
+    def _allowed(self) -> str:
+        if isinstance(self.default, bool | str):
+            return "true or false" if isinstance(self.default, bool) else "a text"
+        kind = "a whole number" if isinstance(self.default, int) else "a finite number"
+        bounds = {"more than": self.above, "at least": self.least, "at most": self.most}
+        told = [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
+        return ", ".join([kind, *([" and ".join(told)] if told else [])])
 
 
 @dataclass(frozen=True)
@@ -311,9 +351,10 @@ class Adapter(ABC):
         """Raise as `open` would, without loading anything."""
         if settings.method not in self.methods:
             raise UnknownName.of(f"method of {self.name}", settings.method, sorted(self.methods))
-        for key in settings.options:
+        for key, value in settings.options.items():
             if key not in self.options:
                 raise UnknownName.of(f"option of {self.name}", key, sorted(self.options))
+            self.options[key].check(f"option {key} of {self.name}", value)
         settings.substeps(scene.clock.frame)
         refusals = self.refusals(scene, settings.method)
         if refusals:
@@ -345,9 +386,9 @@ class Adapter(ABC):
         """Tell how finely contact is resolved; impulses of one step unless an adapter says so."""
         return ContactScales(settings.step)
 
-    @abstractmethod
     def version(self) -> str:
-        """Version of the installed engine."""
+        """Version of the installed engine: that of its distribution unless an adapter says so."""
+        return version(self.package)
 
     @abstractmethod
     def settings(self, scene: Scene, profile: Profile) -> Settings:

@@ -78,6 +78,22 @@ class PointPair:
     stiffness: float = 0.0
     damping: float = 0.0
 
+    def pull(self, line: Array, rate: Array) -> Array:
+        """Give the force on the first end, of which the second gets the opposite [N].
+
+        Args:
+            line: From the first end to the second in W [m], shape (3,).
+            rate: Its rate [m/s].
+        """
+        length = float(np.linalg.norm(line))
+        along = line / length
+        tension = self.stiffness * (length - self.length) + self.damping * float(along @ rate)
+        return np.asarray(tension * along)
+
+    def as_read(self, line: Array) -> tuple[float, float, float, float]:
+        """Give stiffness, damping, rest length and present length, as `Readback.spring` has it."""
+        return self.stiffness, self.damping, self.length, float(np.linalg.norm(line))
+
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
@@ -135,6 +151,16 @@ class Mechanism:
         """Particle centres in W [m], shape (…, particle, 3), from body states (…, body, 3|4)."""
         turn = self.native_rotation(orientation)[..., self.particle_body, :]
         return position[..., self.particle_body, :] + rotation.rotate(turn, self.particle_offset)
+
+    def sphere_heights(self, position: Array, native: Array) -> Array:
+        """Heights of the contact spheres' centres [m], shape (…, sphere).
+
+        Args:
+            position: Centres of mass, shape (…, body, 3).
+            native: Rotations of the native frames, shape (…, body, 4).
+        """
+        arm = rotation.rotate(native[..., self.sphere_body, :], self.sphere_offset)
+        return np.asarray(position[..., self.sphere_body, 2] + arm[..., 2])
 
 
 @functools.lru_cache(maxsize=64)

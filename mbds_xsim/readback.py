@@ -1,15 +1,20 @@
-"""Hold the native model, as the engine tells it, against the scene, before the first step."""
+"""Hold the native model, as the engine tells it, against the scene, before the first step.
+
+Adapters that hold the spanning tree put its joints into the scene's order by `joint_axes` and
+`joint_anchors`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.engine import Readback, Settings
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene import WORLD
 from mbds_xsim.spin import idle_axes
 from mbds_xsim.state import Batch
@@ -58,6 +63,47 @@ def compare(
     lines += _sphere_differences(mechanism, batch, readback.sphere)
     lines += _spring_differences(mechanism, batch, readback.spring)
     return lines + _contact(mechanism, readback)
+
+
+def joint_axes(
+    mechanism: Mechanism,
+    of_link: Callable[[Link], Array],
+    of_loop: Callable[[PlacedJoint], Array] | None = None,
+) -> Array:
+    """Give what `Readback.joint_axis` tells, in W, shape (joint, 3).
+
+    Args:
+        mechanism: Of the scene.
+        of_link: The axis of a link's joint, as it points in the spanning tree.
+        of_loop: The axis of a joint that closes a loop; NaN where there is no such function.
+    """
+    links = {link.joint.index: link for link in mechanism.links if link.joint}
+    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
+    axes = np.full((len(jointed), 3), np.nan)
+    for axis, joint in zip(axes, jointed, strict=True):
+        if (link := links.get(joint.index)) is not None:
+            axis[:] = of_link(link) if link.body == joint.child else -of_link(link)
+        elif of_loop is not None:
+            axis[:] = of_loop(joint)
+    return axes
+
+
+def joint_anchors(
+    mechanism: Mechanism, of_link: Callable[[Link], tuple[Array, Array] | None]
+) -> Array:
+    """Give what `Readback.anchor` tells, in W; NaN of loops, shape (joint, 2, 3).
+
+    Args:
+        mechanism: Of the scene.
+        of_link: The anchor of a link's joint, as fixed in the tree parent and in the body; None
+            where the engine does not tell.
+    """
+    anchors = np.full((len(mechanism.joints), 2, 3), np.nan)
+    for link in mechanism.links:
+        if link.joint is not None and (ends := of_link(link)) is not None:
+            forwards = mechanism.joints[link.joint.index].child == link.body
+            anchors[link.joint.index] = ends if forwards else ends[::-1]
+    return anchors
 
 
 def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> Readback:

@@ -96,7 +96,7 @@ def test_a_velocity_lag_that_is_not_declared_fails() -> None:
 @pytest.mark.parametrize(
     ("name", "table", "hinge"),
     [
-        ("mujoco", "_mujoco_model.CLOSING_POINTS", (0.0,)),
+        ("mujoco", "mujoco.model.CLOSING_POINTS", (0.0,)),
         ("dart", "_dart_listing._LOOPS", lambda _, joint: [_dart_pin(joint)]),
     ],
 )

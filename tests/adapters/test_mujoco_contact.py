@@ -33,7 +33,7 @@ from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 
 mujoco: Any = pytest.importorskip("mujoco")
-impact_law: Any = importlib.import_module("mbds_xsim_adapters._mujoco_impact").impact_law
+impact_law: Any = importlib.import_module("mbds_xsim_adapters.mujoco.contact").impact_law
 
 Array = NDArray[np.float64]
 ENGINE = load_adapter("mujoco")
@@ -300,7 +300,9 @@ def test_a_cars_loads_come_to_a_limit_where_contacts_leave_half_to_the_spring() 
     assert settings_for(scene, ENGINE, "matched").options["contact_hardness"] == 0.5
     own = msgspec.structs.replace(scene, name="my car")
     assert ENGINE.settings(own, "matched").options == {"contact_hardness": 0.5}
-    with pytest.raises(InputError, match=r"contact_hardness: got 1, allowed is above 0, up to"):
+    with pytest.raises(
+        InputError, match=r"contact_hardness of mujoco: got 1, allowed .* more than 0 and at most"
+    ):
         ENGINE.open(scene, Settings("RK4", 0.005, {"contact_hardness": 1}))
 
 

@@ -121,7 +121,7 @@ def test_what_spins_or_bends_too_far_is_simulated_with_spin(what: str) -> None:
 @pytest.mark.parametrize(("name", "value"), [("turn", -1.0), ("turn", "far"), ("spin", "no")])
 def test_wrong_values_are_refused(name: str, value: float | str) -> None:
     scene = load_scene("2pendulum")
-    with pytest.raises(InputError, match=f"{name}: got {value!r}, allowed is"):
+    with pytest.raises(InputError, match=f"option {name} of mujoco: got {value!r}, allowed is"):
         ENGINE.open(scene, Settings("RK4", 0.01, {name: value}))
 
 

@@ -98,7 +98,7 @@ def _exudyn() -> AbstractContextManager[object]:
 
 
 def _damped_mujoco(damping: float) -> AbstractContextManager[object]:
-    adapter = _adapter("_mujoco_run")
+    adapter = _adapter("mujoco.run")
     text = adapter.text
 
     def text_with_damping(root: Any) -> Any:
@@ -121,7 +121,7 @@ def _damped_dart(damping: float) -> AbstractContextManager[object]:
 
 def _one_sided_mujoco() -> AbstractContextManager[object]:
     """Drive a point of the child instead of the joint."""
-    model = _adapter("_mujoco_model")
+    model = _adapter("mujoco.model")
     add_motors = model._motors
 
     def add_one_sided(actuators: Any, bodies: Any, mechanism: Any) -> None:

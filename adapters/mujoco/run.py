@@ -12,24 +12,22 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_links
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.joint_space import BodyStates, to_links
+from mbds_xsim.mechanism import Link, Mechanism, PlacedJoint
+from mbds_xsim.readback import joint_anchors, joint_axes
+from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_fast
 from mbds_xsim.spin import carried
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.state import Batch, Trajectory
 
-from ._mujoco_bodies import Frames
-from ._mujoco_cardan import Hanger
-from ._mujoco_contact import Spheres, sunk_spheres
-from ._mujoco_model import CLOSING_POINTS, Stepping, closing_point, mjcf, text, with_start
-from ._mujoco_state import Coordinates
-from ._mujoco_steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
+from .contact import Spheres
+from .model import CLOSING_POINTS, Stepping, closing_point, mjcf, text, with_start
+from .state import Coordinates, Frames, Hanger
+from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
 
 __all__ = ["ModelRun"]
 
 Array = NDArray[np.float64]
 
-# A body that crosses so many scene lengths in a frame has blown up.
-_LENGTHS_PER_FRAME = 1e3
 _STATES = 16_000  # of bodies that are worked on at a time
 
 
@@ -105,18 +103,10 @@ class ModelRun(Run):
         return Frames(self._model, self._data, self._bodies, count, length)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
-        bodies = BodyStates(
-            batch.position,
-            self._mechanism.native_rotation(batch.orientation),
-            batch.velocity,
-            batch.angular_velocity,
-        )
-        return self._coordinates.from_links(self._to_links(bodies))
-
-    def _to_links(self, bodies: BodyStates) -> LinkStates:
+        bodies = starts(self._mechanism, batch)
         if self._idle.any():
             bodies = self._hanger.hung(bodies)
-        return to_links(self._mechanism, bodies)
+        return self._coordinates.from_links(to_links(self._mechanism, bodies))
 
     def _put(self, qpos: Array, qvel: Array) -> None:
         """Start afresh, without the solver's memory of an earlier trajectory."""
@@ -144,41 +134,19 @@ class ModelRun(Run):
             if len(second):
                 bends[k + 1] = qpos[second]
 
-    def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
+    def _trajectory(self, bodies: BodyStates, warned: list[str | None]) -> Trajectory:
         """Cut every trajectory off at its first frame that is not a number or a blow-up."""
-        scene = self._mechanism.scene
-        fastest = rotation.norm(bodies.velocity).max(axis=-1)
-        limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
-        sunk = sunk_spheres(self._mechanism, bodies)
-        failures: list[Failure | None] = []
-        for row, reason in enumerate(reasons):
-            # Written so that NaN counts as bad.
-            blown = ~(fastest[row] < limit)
-            bad = np.flatnonzero(blown | sunk[row])
-            if not len(bad):
-                failures.append(None)
-                continue
-            what = (
-                f"a body's speed passes {limit:.3g} m/s or is not a number"
-                if blown[bad[0]]
-                else "a contact sphere is in the ground with its centre"
-            )
-            failures.append(Failure(int(bad[0]), reason or what))
-            for values in (
-                bodies.position,
-                bodies.native,
-                bodies.velocity,
-                bodies.angular_velocity,
-            ):
-                values[row, bad[0] :] = np.nan
-        return Trajectory(
-            scene.clock.frame * np.arange(fastest.shape[1]),
-            bodies.position,
-            self._mechanism.body_orientation(bodies.native),
-            bodies.velocity,
-            bodies.angular_velocity,
-            tuple(failures),
-        )
+        mechanism = self._mechanism
+        blown = too_fast(mechanism, bodies.velocity)
+        sunk = np.any(mechanism.sphere_heights(bodies.position, bodies.native) < 0.0, axis=-1)
+
+        def reason(row: int, frame: int) -> str:
+            if warning := warned[row]:
+                return warning
+            sunken = "a contact sphere is in the ground with its centre"
+            return blow_up(mechanism) if blown[row, frame] else sunken
+
+        return recorded(mechanism, bodies, first_failures(blown | sunk, reason))
 
     def readback(self, batch: Batch) -> Readback:
         model, data = self._model, self._data
@@ -198,7 +166,7 @@ class ModelRun(Run):
             angular_velocity=twists[:, :3],
             gravity=model.opt.gravity.copy(),
             step=float(model.opt.timestep) * (self._division or 1),
-            joint_axis=self._joint_axes(),
+            joint_axis=joint_axes(self._mechanism, self._axis, self._loop_axis),
             damping=self._unasked_damping(),
             contact=self._spheres.coefficients(model),
             sphere=self._spheres.centers(data),
@@ -212,37 +180,27 @@ class ModelRun(Run):
         mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_BODY, body, twist, 0)
         return twist
 
-    def _joint_axes(self) -> Array:
-        """Of a loop's hinge, the line through the two points that close it."""
-        data = self._data
-        in_tree = {link.joint.index: link.joint for link in self._mechanism.links if link.joint}
-        axes = []
-        for joint in self._mechanism.joints:
-            if joint.kind not in ("hinge", "slider"):
-                continue
-            if joint.index in in_tree:
-                turned = 1.0 if in_tree[joint.index].parent == joint.parent else -1.0
-                axes.append(turned * data.joint(joint.name).xaxis)
-            else:
-                ends = [data.site(f"{closing_point(joint, k)} parent").xpos for k in (0, 1)]
-                axes.append((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
-        return np.array(axes).reshape(-1, 3)
+    def _axis(self, link: Link) -> Array:
+        assert link.joint is not None
+        return np.asarray(self._data.joint(link.joint.name).xaxis)
+
+    def _loop_axis(self, hinge: PlacedJoint) -> Array:
+        """The line through the two points that close it."""
+        ends = [self._data.site(f"{closing_point(hinge, k)} parent").xpos for k in (0, 1)]
+        return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+
+    def _link_anchor(self, link: Link) -> tuple[Array, Array] | None:
+        """A fixed joint has no place in MuJoCo, both hinges of a Cardan joint have the same."""
+        model, body = self._model, self._bodies[link.body]
+        if not model.body_jntnum[body]:
+            return None
+        point = model.jnt_pos[model.body_jntadr[body]]
+        above = self._place(model.body_parentid[body], model.body_pos[body] + point)
+        return above, self._place(body, point)
 
     def _anchors(self) -> Array:
-        """As fixed in the parent and in the child, in W; a fixed joint has no place in MuJoCo."""
-        data, anchors = self._data, np.full((len(self._mechanism.joints), 2, 3), np.nan)
-        for link in self._mechanism.links:
-            if link.joint is None:
-                continue
-            body = self._bodies[link.body]
-            forwards = self._mechanism.joints[link.joint.index].child == link.body
-            for joint in self._model.body(body).jntadr[: self._model.body(body).jntnum[0]]:
-                above = self._model.body_pos[body] + self._model.jnt_pos[joint]
-                ends = (
-                    self._place(self._model.body_parentid[body], above),
-                    self._place(body, self._model.jnt_pos[joint]),
-                )
-                anchors[link.joint.index] = ends if forwards else ends[::-1]
+        """As fixed in the parent and in the child, in W."""
+        data, anchors = self._data, joint_anchors(self._mechanism, self._link_anchor)
         for loop in self._mechanism.loops:
             points = range(len(CLOSING_POINTS[loop.kind]))
             for end, side in enumerate(("parent", "child") if points else ()):

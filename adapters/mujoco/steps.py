@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ._mujoco_contact import Spheres
+from .contact import Spheres
 
 __all__ = ["FinerNearGround", "FinerWhereFast", "OneCall", "Stepper", "turning_rates"]
 

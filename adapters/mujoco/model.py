@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
-from ._mujoco_cardan import slim
-from ._mujoco_contact import Impact, add_ground, cone_options
-from ._mujoco_numbers import numbers
+from .contact import Impact, add_ground, cone_options, numbers
+from .state import slim
 
 __all__ = ["CLOSING_POINTS", "Stepping", "closing_point", "mjcf", "text", "with_start"]
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
-from importlib.metadata import version
 from typing import ClassVar
 
 import numpy as np
@@ -21,7 +19,7 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.errors import InputError, UnknownName
+from mbds_xsim.errors import InputError
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene import Scene
@@ -29,10 +27,10 @@ from mbds_xsim.spin import idle_axes
 from mbds_xsim.steps import careful_step, nearest_step
 from mbds_xsim.stiffness import spring_step
 
-from ._mujoco_contact import CONTACT_LAW, HARDEST, Impact
-from ._mujoco_model import Stepping
-from ._mujoco_run import ModelRun
-from ._mujoco_spinless import SpinlessRun
+from .contact import CONTACT_LAW, HARDEST, Impact
+from .model import Stepping
+from .run import ModelRun
+from .spinless import SpinlessRun
 
 __all__ = ["MuJoCo"]
 
@@ -79,28 +77,34 @@ class MuJoCo(Adapter):
         # Shorter, and RK4's stages, which leave the constraint by O(h²), come back as an error of
         # the velocities; longer, and gaps widen. Euler is unstable below 1.3.
         "loop_time_constant": Option(
-            3.0, "of loop constraints, in steps; 0 leaves MuJoCo's default solref and solimp"
+            3.0,
+            "of loop constraints, in steps; 0 leaves MuJoCo's default solref and solimp",
+            least=0,
         ),
         # MuJoCo leaves J̇·v out of a tendon's row, so a gap of |J̇·v|·τ² stays.
         "link_time_constant": Option(
-            1.5, "of distance links, in steps; 0 leaves MuJoCo's default solref and solimp"
+            1.5, "of distance links, in steps; 0 leaves MuJoCo's default solref and solimp", least=0
         ),
         "contact_substeps": Option(
             50,
             "semi-implicit Euler steps into which a step near the ground is divided; 0 leaves "
             "MuJoCo's default contact",
+            least=0,
         ),
         "impact_steps": Option(
             12,
             "such steps that an impact lasts, 4 or more; or 1, right where all contact spheres are "
             "around the centres of mass of free bodies, the others",
+            least=1,
         ),
         "contact_hardness": Option(
             HARDEST,
             "share of an acceleration into the ground that a contact takes, whatever its depth; "
             "with little below 1 what stands on several spheres rattles, with less it sinks more",
+            above=0,
+            most=HARDEST,
         ),
-        "solver": Option("Newton", "constraint solver: Newton, CG or PGS"),
+        "solver": Option("Newton", "constraint solver: Newton, CG or PGS", names=_SOLVERS),
         "spin": Option(
             True,
             "model the spin of rods that nothing in the scene turns about themselves; without, two "
@@ -111,6 +115,7 @@ class MuJoCo(Adapter):
             0.125,
             "angle [rad] that a joint may turn in a frame before it takes more steps; 0 makes "
             "all steps equal; for RK4 without contact",
+            least=0,
         ),
     }
     sweeps: ClassVar = {
@@ -143,9 +148,6 @@ class MuJoCo(Adapter):
             f"{moment[body]:.3g} kg·m², MuJoCo's compiler takes {self.smallest}, or more"
         )
 
-    def version(self) -> str:
-        return version(self.package)
-
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         frame = scene.clock.frame
         if profile == "native":
@@ -168,72 +170,33 @@ class MuJoCo(Adapter):
         division = self.option(settings, "contact_substeps")
         if not division:
             return ContactScales(_DEFAULT_IMPACT)
-        return ContactScales(self._impact_steps(settings) * settings.step / division)
+        return ContactScales(self.option(settings, "impact_steps") * settings.step / division)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
-        solver = self.option(settings, "solver")
-        if solver not in _SOLVERS:
-            raise UnknownName.of("solver of mujoco", str(solver), list(_SOLVERS))
-        substeps = settings.substeps(scene.clock.frame)
-        step = scene.clock.frame / substeps
-        division = self._division(scene, settings)
+        option = partial(self.option, settings)
+        solver, impact_steps = option("solver"), option("impact_steps")
+        if 1 < impact_steps < _SHORTEST_IMPACT:
+            msg = f"impact_steps: got {impact_steps}, allowed is 1, or {_SHORTEST_IMPACT} and more"
+            raise InputError(msg)
+        division = option("contact_substeps") if scene.contacts else 0
         if division and solver == "PGS":
             msg = "solver: PGS does not converge on contacts, allowed is Newton or CG"
             raise InputError(msg)
+        substeps = settings.substeps(scene.clock.frame)
+        step = scene.clock.frame / substeps
         finer = step / division if division else 0.0
         stepping = Stepping(
             "Euler" if division else settings.method,
             finer or step,
             solver,
-            step * self._positive(settings, "loop_time_constant"),
-            step * self._positive(settings, "link_time_constant"),
-            Impact(finer, self._impact_steps(settings), self._hardness(settings)),
+            step * option("loop_time_constant"),
+            step * option("link_time_constant"),
+            Impact(finer, impact_steps, option("contact_hardness")),
         )
-        turn = self._turn(scene, settings)
+        turn = 0.0 if scene.contacts or settings.method != "RK4" else option("turn")
         mechanism = Mechanism.of(scene)
         run = partial(ModelRun, mechanism, stepping, settings.method, substeps, division, turn)
         idle = idle_axes(scene)
-        if self._truth(settings, "spin") or not idle.any():
+        if option("spin") or not idle.any():
             return run()
         return SpinlessRun(mechanism, idle, run(idle), run)
-
-    def _division(self, scene: Scene, settings: Settings) -> int:
-        """Finer steps of a step near the ground; 0 where contact needs none."""
-        value = self.option(settings, "contact_substeps")
-        if not (isinstance(value, int) and value >= 0):
-            msg = f"contact_substeps: got {value!r}, allowed is a whole number of steps, or 0"
-            raise InputError(msg)
-        return value if scene.contacts else 0
-
-    def _impact_steps(self, settings: Settings) -> int:
-        value = self.option(settings, "impact_steps")
-        if not (isinstance(value, int) and (value == 1 or value >= _SHORTEST_IMPACT)):
-            msg = f"impact_steps: got {value!r}, allowed is 1, or {_SHORTEST_IMPACT} and more"
-            raise InputError(msg)
-        return value
-
-    def _hardness(self, settings: Settings) -> float:
-        value = self.option(settings, "contact_hardness")
-        if not (isinstance(value, int | float) and 0 < value <= HARDEST):
-            msg = f"contact_hardness: got {value!r}, allowed is above 0, up to {HARDEST}"
-            raise InputError(msg)
-        return value
-
-    def _turn(self, scene: Scene, settings: Settings) -> float:
-        """Angle that a joint may turn in a frame of equal steps; 0 where all are equal."""
-        turn = self._positive(settings, "turn")
-        return 0.0 if scene.contacts or settings.method != "RK4" else turn
-
-    def _truth(self, settings: Settings, name: str) -> bool:
-        value = self.option(settings, name)
-        if not isinstance(value, bool):
-            msg = f"{name}: got {value!r}, allowed is true or false"
-            raise InputError(msg)
-        return value
-
-    def _positive(self, settings: Settings, name: str) -> float:
-        value = self.option(settings, name)
-        if not (isinstance(value, int | float) and 0 <= value < math.inf):
-            msg = f"{name}: got {value!r}, allowed is 0 or more"
-            raise InputError(msg)
-        return value

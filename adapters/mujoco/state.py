@@ -1,0 +1,202 @@
+"""Bodies' states as MuJoCo's coordinates, and out of its kinematics.
+
+Rods that never spin about themselves hang on Cardan joints in place of ball joints. Two hinges say
+where such a rod points. The frames that they turn do spin about the rods, to no effect: the model's
+rods have next to no inertia about themselves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.joint_space import BodyStates, LinkStates
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+
+__all__ = ["Coordinates", "Frames", "Hanger", "slim"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Of the moment across; MuJoCo wants one above 1e-15 kg·m².
+_SLIM = 1e-9
+
+
+class Coordinates:
+    """Where each link's coordinates lie in qpos and qvel.
+
+    MuJoCo's ball joint turns child to parent with its rate in the child's frame, its free joint
+    has a velocity in W and a rate in the body's frame: as in `LinkStates`. Rods with an axis in
+    `idle` hang on Cardan joints.
+    """
+
+    def __init__(self, model: Any, mechanism: Mechanism, idle: Array) -> None:
+        kinds = [
+            "cardan" if idle[link.body].any() else link.joint.kind if link.joint else "free"
+            for link in mechanism.links
+        ]
+        self._sizes = (model.nq, model.nv)
+        # MuJoCo numbers bodies depth first, the links breadth first: only names tell.
+        bodies = [model.body(mechanism.scene.bodies[link.body].name).id for link in mechanism.links]
+        first = model.body_jntadr[bodies]
+        qpos, qvel = model.jnt_qposadr[first], model.jnt_dofadr[first]
+
+        def of(*wanted: str) -> Indices:
+            return np.array([k for k, kind in enumerate(kinds) if kind in wanted], dtype=np.int64)
+
+        self._scalar, self._ball, self._free = of("hinge", "slider"), of("ball"), of("free")
+        self._scalar_at = qpos[self._scalar], qvel[self._scalar]
+        self._ball_at = (
+            qpos[self._ball, None] + np.arange(4),
+            qvel[self._ball, None] + np.arange(3),
+        )
+        self._free_at = (
+            qpos[self._free, None] + np.arange(7),
+            qvel[self._free, None] + np.arange(6),
+        )
+        self._cardan = of("cardan")
+        self._cross = _cross_axes(idle[[mechanism.links[k].body for k in self._cardan]])
+        self._cardan_at = (
+            qpos[self._cardan, None] + np.arange(2),
+            qvel[self._cardan, None] + np.arange(2),
+        )
+        self.second = self._cardan_at[0][:, 1]
+        """Places in qpos of the Cardan joints' second angles; a right angle is where they lock."""
+
+    def from_links(self, links: LinkStates) -> tuple[Array, Array]:
+        """Give qpos (…, nq) and qvel (…, nv)."""
+        lead = links.coordinate.shape[:-1]
+        qpos, qvel = (np.zeros((*lead, size)) for size in self._sizes)
+        scalar, ball, free = self._scalar, self._ball, self._free
+        qpos[..., self._scalar_at[0]] = links.coordinate[..., scalar]
+        qvel[..., self._scalar_at[1]] = links.rate[..., scalar]
+        qpos[..., self._ball_at[0]] = links.rotation[..., ball, :]
+        qvel[..., self._ball_at[1]] = links.angular_velocity[..., ball, :]
+        qpos[..., self._cardan_at[0]], qvel[..., self._cardan_at[1]] = _angles(
+            links.rotation[..., self._cardan, :],
+            links.angular_velocity[..., self._cardan, :],
+            self._cross,
+        )
+        qpos[..., self._free_at[0]] = np.concatenate(
+            [links.position[..., free, :], links.rotation[..., free, :]], axis=-1
+        )
+        qvel[..., self._free_at[1]] = np.concatenate(
+            [links.velocity[..., free, :], links.angular_velocity[..., free, :]], axis=-1
+        )
+        return qpos, qvel
+
+
+class Frames:
+    """Trajectories under way, all frames not a number at first.
+
+    MuJoCo numbers bodies depth first, W the first, and gives rates about the centre of mass of the
+    tree that a body belongs to: the numbers are sorted out once, at the end.
+
+    Args:
+        model: The compiled model.
+        data: Its state.
+        bodies: MuJoCo's numbers of the scene's bodies.
+        count: Trajectories.
+        frames: Frames of each.
+    """
+
+    def __init__(
+        self, model: Any, data: Any, bodies: NDArray[np.int64], count: int, frames: int
+    ) -> None:
+        self._model, self._data, self._bodies = model, data, bodies
+        self._roots = model.body_rootid[bodies]
+        self._told = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])
+        self._kept = tuple(np.full((count, frames, *told.shape), np.nan) for told in self._told)
+
+    def keep(self, row: int, frame: int, *, placed: bool = False) -> None:
+        """Keep the present state; bodies may be placed by its coordinates already."""
+        model, data = self._model, self._data
+        if not placed:
+            mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        at = row, frame
+        place, turn, twist, centre = self._kept
+        place[at], turn[at], twist[at], centre[at] = self._told
+
+    def states(self) -> BodyStates:
+        """Give what was kept, of the scene's bodies."""
+        place, turn, twist, centre = self._kept
+        bodies, roots = self._bodies - 1, self._roots - 1
+        position, rates = place[:, :, bodies], twist[:, :, bodies]
+        spin = np.ascontiguousarray(rates[..., :3])
+        velocity = rates[..., 3:] + rotation.cross(spin, position - centre[:, :, roots])
+        return BodyStates(position, turn[:, :, bodies], velocity, spin)
+
+
+def slim(inertia: Array, axis: Array) -> Array:
+    """Leave next to nothing of the inertia about the axis."""
+    across = np.eye(3) - np.outer(axis, axis)
+    moment = np.trace(across @ inertia) / 2
+    return np.asarray(moment * (across + _SLIM * np.outer(axis, axis)))
+
+
+class Hanger:
+    """Turns rods about themselves as Cardan joints on their tree parents would.
+
+    Args:
+        mechanism: Of the scene.
+        axes: Unit axes in native frames, zero for bodies that stay as they are, (body, 3).
+    """
+
+    def __init__(self, mechanism: Mechanism, axes: Array) -> None:
+        self._axes = axes
+        self._joints = [
+            (link.body, link.parent, np.stack([*rotation.normal_to(axis), axis], axis=-1))
+            for link in mechanism.links
+            if (axis := axes[link.body]).any()
+        ]
+
+    def hung(self, bodies: BodyStates) -> BodyStates:
+        """Turn them, in states of all bodies, shape (…, body, …)."""
+        turns, spin = rotation.matrix(bodies.native), bodies.angular_velocity.copy()
+        points = np.einsum("...bij,bj->...bi", turns, self._axes)
+        # Matrices, because this is called with a few states at a time.
+        for body, above, basis in self._joints:
+            held = above == WORLD_INDEX
+            parent = np.eye(3) if held else turns[..., above, :, :]
+            rate = np.zeros(3) if held else spin[..., above, :]
+            frame, point = parent @ basis, points[..., body, :]
+            aside, ahead = (np.vecdot(point, frame[..., k])[..., None] for k in (1, 2))
+            cosine = np.hypot(aside, ahead)
+            second = (ahead * frame[..., 1] - aside * frame[..., 2]) / cosine
+            first = rotation.cross(second, point)
+            turns[..., body, :, :] = np.stack([first, second, point], axis=-1) @ basis.T
+            relative = spin[..., body, :] - rate
+            along, across = (np.vecdot(relative, axis)[..., None] for axis in (first, second))
+            spin[..., body, :] = rate + along / cosine * frame[..., 0] + across * second
+        rods = self._axes.any(axis=-1, keepdims=True)
+        native = np.where(rods, rotation.from_matrix(turns), bodies.native)
+        return BodyStates(bodies.position, native, bodies.velocity, spin)
+
+
+def _cross_axes(axes: Array) -> Array:
+    """Give both axes of each joint, the first of which is fixed in the parent, (…, 2, 3)."""
+    return np.array([rotation.normal_to(axis) for axis in axes]).reshape(-1, 2, 3)
+
+
+def _angles(turn: Array, rate: Array, cross: Array) -> tuple[Array, Array]:
+    """Read both angles and their rates off rods relative to their parents.
+
+    Args:
+        turn: Of the joints, child to parent, shape (…, joint, 4).
+        rate: Angular velocities in the children's frames, shape (…, joint, 3).
+        cross: As `_cross_axes` gives them.
+
+    Returns:
+        Angles and rates, shape (…, joint, 2).
+    """
+    along = np.einsum("...ji,jki->...jk", turn[..., 1:], cross)
+    both = 2.0 * np.arctan2(along, turn[..., :1])
+    rates = np.einsum("...ji,jki->...jk", rate, cross)
+    rates[..., 0] /= np.cos(both[..., 1])
+    return both, rates
