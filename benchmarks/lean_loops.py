@@ -195,12 +195,7 @@ def lean_pybullet(run: Any, batch: Batch) -> Lean:
 def lean_dart(run: Any, batch: Batch) -> Lean:
     model, count, constraint = run._model, run._step_count, dartpy.constraint
     skeleton, step = model.skeleton, model.world.step
-    start, rate = (
-        values[0]
-        for values in model.coordinates(
-            batch.position, batch.orientation, batch.velocity, batch.angular_velocity
-        )
-    )
+    start, rate = (values[0] for values in run._start(batch))
     q, u = np.empty((2, batch.steps, len(start)))
     frames = [[(model.bodies[k].setExtForce, f[k]) for k in _pushed(f)] for f in batch.force[0]]
     driven = [(k, joint.setForce) for k, joint in run._loads._driven]

@@ -97,7 +97,7 @@ def test_a_velocity_lag_that_is_not_declared_fails() -> None:
     ("name", "table", "hinge"),
     [
         ("mujoco", "mujoco.model.CLOSING_POINTS", (0.0,)),
-        ("dart", "_dart_listing._LOOPS", lambda _, joint: [_dart_pin(joint)]),
+        ("dart", "dart.script._LOOPS", lambda _, joint: [_dart_pin(joint)]),
     ],
 )
 def test_a_hinge_loop_made_as_a_ball_fails_in_space_alone(
@@ -110,5 +110,5 @@ def test_a_hinge_loop_made_as_a_ball_fails_in_space_alone(
 
 
 def _dart_pin(joint: PlacedJoint) -> str:
-    pin: str = importlib.import_module("mbds_xsim_adapters._dart_listing")._pin(joint, joint.anchor)
+    pin: str = importlib.import_module("mbds_xsim_adapters.dart.script")._pin(joint, joint.anchor)
     return pin

@@ -334,7 +334,7 @@ def test_a_split_tree_moves_as_the_whole(limit: int, monkeypatch: pytest.MonkeyP
     with ENGINE.open(probe, settings) as run:
         whole = run.rollout(batch)
         assert run.size.constraints == 0
-    parts = sys.modules[type(run).__module__.rpartition(".")[0] + "._pybullet_parts"]
+    parts = sys.modules["mbds_xsim_adapters.pybullet.parts"]
     monkeypatch.setattr(parts, "COORDINATE_LIMIT", limit)
     with ENGINE.open(probe, settings) as run:
         split = run.rollout(batch)

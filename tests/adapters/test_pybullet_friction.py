@@ -23,7 +23,7 @@ from mbds_xsim.studies.contact.bench import wheel
 from mbds_xsim.studies.contact.friction import sliding
 
 pytest.importorskip("pybullet")
-axes: Any = importlib.import_module("mbds_xsim_adapters._pybullet_friction")
+axes: Any = importlib.import_module("mbds_xsim_adapters.pybullet.contact")
 
 ENGINE = load_adapter("pybullet")
 Array = NDArray[np.float64]

@@ -78,7 +78,7 @@ def _pybullet_pairs(
 
 
 def _pybullet_box() -> AbstractContextManager[object]:
-    contact = _adapter("_pybullet_contact").Contact
+    contact = _adapter("pybullet.contact").Contact
     set_solver = contact._set_solver
 
     def set_box(self: Any, law: Any, step: float) -> None:
@@ -97,11 +97,11 @@ def _dart_box() -> AbstractContextManager[object]:
 
 
 def _slow_pybullet() -> AbstractContextManager[object]:
-    return mock.patch.object(_adapter("_pybullet_model"), "SPEED_CAP", _FASTEST)
+    return mock.patch.object(_adapter("pybullet.model"), "SPEED_CAP", _FASTEST)
 
 
 def _slow_dart() -> AbstractContextManager[object]:
-    adapter = _adapter("dart")
+    adapter = _adapter("dart.run")
     listing = adapter.build_listing
     return mock.patch.object(adapter, "build_listing", lambda *given: listing(*given) + _DART_LIMIT)
 

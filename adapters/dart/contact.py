@@ -27,6 +27,7 @@ from mbds_xsim.engine import ContactLaw
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.recording import first_failures
 from mbds_xsim.state import Failure
 
 __all__ = [
@@ -169,7 +170,7 @@ class ContactSolver:
 
 def contact_failures(
     mechanism: Mechanism, bodies: BodyStates, frame: float
-) -> Iterator[Failure | None]:
+) -> tuple[Failure | None, ...]:
     """Say of each trajectory where a contact was first lost or a rebound may have been cut.
 
     Args:
@@ -183,19 +184,17 @@ def contact_failures(
     rebound = ground.restitution * approach if ground else 0.0 * approach
     # What is two frames from the ground may reach it before the next one.
     cut = (rebound > _NEARLY * _FASTEST_REBOUND) & (-overlap < 2.0 * approach * frame)
-    lost = overlap > mechanism.sphere_radius
-    for row in range(len(height)):
-        hit = np.argwhere(cut[row] | lost[row])
-        if not len(hit):
-            yield None
-            continue
-        k, sphere = hit[0]
-        reason = f"contact sphere {sphere} is {overlap[row, k, sphere]:.3g} m in the ground"
-        if cut[row, k, sphere]:
-            reason = f"contact sphere {sphere} hits the ground at {approach[row, k, sphere]:.4g} "
-            reason += f"m/s: DART cuts rebounds to {_FASTEST_REBOUND:g} m/s"
-        # Frame 0 is the start, which is given.
-        yield Failure(max(1, int(k)), reason)
+    wrong = np.asarray(cut | (overlap > mechanism.sphere_radius))
+
+    def reason(row: int, frame: int) -> str:
+        sphere = wrong[row, frame].argmax()
+        deep, fast = overlap[row, frame, sphere], approach[row, frame, sphere]
+        if not cut[row, frame, sphere]:
+            return f"contact sphere {sphere} is {deep:.3g} m in the ground"
+        limit = f"DART cuts rebounds to {_FASTEST_REBOUND:g} m/s"
+        return f"contact sphere {sphere} hits the ground at {fast:.4g} m/s: {limit}"
+
+    return first_failures(np.asarray(wrong.any(axis=-1)), reason, earliest=1)
 
 
 def _spheres(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
@@ -203,5 +202,5 @@ def _spheres(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
     at = mechanism.sphere_body
     arm = rotation.rotate(bodies.native[..., at, :], mechanism.sphere_offset)
     turning = np.cross(bodies.angular_velocity[..., at, :], arm)
-    height = bodies.position[..., at, 2] + arm[..., 2]
+    height = mechanism.sphere_heights(bodies.position, bodies.native)
     return height, -bodies.velocity[..., at, 2] - turning[..., 2]

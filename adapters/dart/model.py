@@ -55,13 +55,10 @@ class Model:
         self.skeleton.setPositions(q)
         self.skeleton.setVelocities(u)
 
-    def coordinates(
-        self, position: Array, orientation: Array, velocity: Array, angular_velocity: Array
-    ) -> tuple[Array, Array]:
-        """Generalised coordinates and velocities (…, coordinate) of published body states."""
-        native = self.mechanism.native_rotation(orientation)
-        links = to_links(self.mechanism, BodyStates(position, native, velocity, angular_velocity))
-        q = np.zeros((*position.shape[:-2], self.coordinate_count))
+    def coordinates(self, bodies: BodyStates) -> tuple[Array, Array]:
+        """Generalised coordinates and velocities (…, coordinate) of body states."""
+        links = to_links(self.mechanism, bodies)
+        q = np.zeros((*links.coordinate.shape[:-1], self.coordinate_count))
         u = np.zeros_like(q)
         q[..., self.turning_at] = rotation.to_vector(links.rotation[..., self.turning, :])
         u[..., self.turning_at] = links.angular_velocity[..., self.turning, :]

@@ -9,8 +9,8 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
-from ._pybullet_client import Client, Constant
-from ._pybullet_model import Model
+from .client import Client, Constant
+from .model import Model
 
 __all__ = ["Loads"]
 
@@ -72,9 +72,8 @@ class Loads:
 
     def springs(self, state: BodyStates) -> Array:
         """Give what `Readback.spring` tells."""
-        constants = [(pair.stiffness, pair.damping, pair.length) for pair in self._springs]
-        lengths = [np.linalg.norm(np.subtract(*_ends(pair, state)[0])) for pair in self._springs]
-        return np.column_stack([np.array(constants).reshape(-1, 3), lengths])
+        told = [pair.as_read(np.subtract(*_ends(pair, state)[0][::-1])) for pair in self._springs]
+        return np.array(told).reshape(-1, 4)
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:
@@ -91,13 +90,9 @@ class Loads:
 
     def _pull(self, spring: PointPair, state: BodyStates) -> None:
         (first, second), faster = _ends(spring, state)
-        apart = second - first
-        length = float(np.linalg.norm(apart))
-        along = apart / length
-        rate = float(along @ faster)
-        tension = spring.stiffness * (length - spring.length) + spring.damping * rate
-        self._push(spring.bodies[0], tension * along, first)
-        self._push(spring.bodies[1], -tension * along, second)
+        force = spring.pull(second - first, faster)
+        self._push(spring.bodies[0], force, first)
+        self._push(spring.bodies[1], -force, second)
 
 
 def _ends(pair: PointPair, state: BodyStates) -> tuple[tuple[Array, Array], Array]:

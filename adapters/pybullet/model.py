@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.engine import ModelSize
 from mbds_xsim.joint_space import BodyStates, to_links
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+from mbds_xsim.readback import joint_anchors, joint_axes
 
-from ._pybullet_client import Client, Constant
-from ._pybullet_contact import Contact
-from ._pybullet_parts import Part, Place, split
+from .client import Client, Constant
+from .contact import Contact
+from .parts import Part, Place, split
 
 __all__ = ["RATES", "SPEED_CAP", "Damping", "Model"]
 
@@ -189,37 +190,29 @@ class Model:
     def joint_axis(self) -> Array:
         """Of hinges and sliders in scene order, in W at the present state, shape (joint, 3)."""
         turn = self.read()[:, [6, 3, 4, 5]]
-        closed = {joint.index for joint in self.closures}
-        carried = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
-        axes = []
-        for joint in (j for j in self.mechanism.joints if j.kind in ("hinge", "slider")):
-            if joint.index in closed:
-                axes.append(np.full(3, np.nan))
-                continue
-            body = carried[joint.index]
+
+        def axis(link: Link) -> Array:
+            if link.joint in self.closures:
+                return np.full(3, np.nan)
             # Bullet tells the axis in the child's inertial frame.
-            local = np.array(self.client.function("getJointInfo")(*self.address(body))[13])
-            sign = 1.0 if body == joint.child else -1.0
-            axes.append(sign * rotation.rotate(turn[body], local))
-        return np.array(axes).reshape(-1, 3)
+            local = np.array(self.client.function("getJointInfo")(*self.address(link.body))[13])
+            return rotation.rotate(turn[link.body], local)
+
+        return joint_axes(self.mechanism, axis)
+
+    def _anchor(self, link: Link, told: Array) -> tuple[Array, Array] | None:
+        if link.body not in self._links:
+            return None
+        above = np.array(self.client.function("getJointInfo")(*self.address(link.body))[14])
+        # Where the inertial frame is in the link frame, which sits at the joint.
+        below = -rotation.rotate(
+            self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
+        )
+        return _placed(told, link.parent, above), _placed(told, link.body, below)
 
     def anchors(self, told: Array) -> Array:
         """As fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
-        anchors = np.full((len(self.mechanism.joints), 2, 3), np.nan)
-        for link in (link for part in self.parts for link in part.links if link.joint):
-            assert link.joint is not None
-            address = self.address(link.body)
-            above = np.array(self.client.function("getJointInfo")(*address)[14])
-            # Where the inertial frame is in the link frame, which sits at the joint.
-            below = -rotation.rotate(
-                self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
-            )
-            ends = {
-                link.parent: _placed(told, link.parent, above),
-                link.body: _placed(told, link.body, below),
-            }
-            joint = self.mechanism.joints[link.joint.index]
-            anchors[joint.index] = ends[joint.parent], ends[joint.child]
+        anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, told))
         info = self.client.function("getConstraintInfo")
         for index in {tie.joint for tie in self._ties}:
             points = [

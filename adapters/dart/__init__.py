@@ -1,0 +1,111 @@
+"""DART: generalised coordinates, one skeleton, loops closed by velocity constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from mbds_xsim.engine import (
+    LOOPS,
+    Adapter,
+    Feature,
+    Method,
+    Option,
+    Profile,
+    Run,
+    Settings,
+    Sweep,
+)
+from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene import Scene
+from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.stiffness import spring_step
+
+from .contact import CONTACT_LAW, DETECTORS, SOLVERS, contact_statements
+from .run import DartRun
+from .stepping import STEPPERS
+
+__all__ = ["Dart"]
+
+_NATIVE_STEP = 1e-3
+# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+_CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.5, 0.5
+# Keeps the ball scenes' budgets; what follows on an impact of several spheres knows none.
+_CONTACT_STEP = 1e-4
+# The gap falls up to 1, where an error that is put right too late would be put right twice.
+_LOOP_ERROR_REDUCTION = 0.8
+_ERROR_REDUCTION = "error_reduction"
+_DETECTOR, _FRICTION = "collision_detector", "friction_solver"
+_NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts"
+_NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
+
+
+class Dart(Adapter):
+    """DART through dartpy."""
+
+    name = "dart"
+    package = "dartpy"
+    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    contact_law = CONTACT_LAW
+    methods: ClassVar[Mapping[str, Method]] = {
+        "semi-implicit-euler": Method(
+            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
+        ),
+        "forward-dynamics-RK4": Method(
+            "forward-dynamics-RK4",
+            "toolkit RK4",
+            4,
+            refuses={
+                Feature.LOOP_BALL: _NO_LOOPS,
+                Feature.LOOP_HINGE: _NO_LOOPS,
+                Feature.LOOP_FIXED: _NO_LOOPS,
+                Feature.CONTACT: _NO_CONTACT,
+            },
+            own=False,
+        ),
+    }
+    options: ClassVar[Mapping[str, Option]] = {
+        _ERROR_REDUCTION: Option(
+            0.01,
+            "share of a loop's gap that DART closes in a step (its error reduction parameter)",
+            least=0,
+            most=1,
+        ),
+        _DETECTOR: Option("fcl", f"what finds contacts: {', '.join(DETECTORS)}", names=DETECTORS),
+        _FRICTION: Option(
+            "dantzig",
+            "what solves contacts: dantzig (friction bounded by a box along x and y, "
+            "DART's own choice) or nsgs (a round cone)",
+            names=SOLVERS,
+        ),
+    }
+    sweeps: ClassVar[Mapping[str, Sweep]] = {
+        _ERROR_REDUCTION: Sweep((0.01, 0.2, 0.8), needs=LOOPS),
+        _FRICTION: Sweep(SOLVERS, needs=frozenset({Feature.CONTACT})),
+    }
+    limits: ClassVar[Mapping[Feature, str]] = {
+        Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
+        Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
+    }
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        method, frame = next(iter(self.methods)), scene.clock.frame
+        if profile == "native":
+            return Settings(method, nearest_step(frame, _NATIVE_STEP))
+        options: dict[str, float | str] = {}
+        if Mechanism.of(scene).loops:
+            options[_ERROR_REDUCTION] = _LOOP_ERROR_REDUCTION
+        if scene.contacts:
+            options |= {_DETECTOR: "ode", _FRICTION: "nsgs"}
+        longest = _CONTACT_STEP if scene.contacts else _CAREFUL_STEP
+        longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
+        return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        detector, solver = self.option(settings, _DETECTOR), self.option(settings, _FRICTION)
+        step = scene.clock.frame / settings.substeps(scene.clock.frame)
+        contact = contact_statements(Mechanism.of(scene), step, detector, solver)
+        share = float(self.option(settings, _ERROR_REDUCTION))
+        return DartRun(scene, settings, STEPPERS[settings.method], share, contact)

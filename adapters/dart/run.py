@@ -1,0 +1,237 @@
+"""A loaded scene: trajectories out of it, and what DART says of its model."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+
+import dartpy
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import ModelSize, Readback, Run, Settings
+from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism
+from mbds_xsim.readback import joint_anchors, joint_axes
+from mbds_xsim.recording import recorded, starts
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Failure, Trajectory
+
+from .contact import ContactSolver, centers, contact_failures, pairs
+from .model import Model
+from .script import build_listing, script
+from .stepping import Loads, Stepper
+
+__all__ = ["DartRun"]
+
+Array = NDArray[np.float64]
+
+# A joint rate [rad/s or m/s] that only a blow-up reaches.
+_BLOW_UP = 1e5
+_INPUTS = """
+# Inputs are left out. Of a frame: joints[k].setForce(0, torque) of each driven hinge; of a step:
+# bodies[k].setExtForce(force) of each pushed body, as DART turns forces with bodies.
+"""
+
+
+class DartRun(Run):
+    """A world of its own, stepped frame by frame.
+
+    Args:
+        scene: What is simulated.
+        settings: How.
+        stepper: Its method.
+        error_reduction: Share of a loop's gap that is closed in a step.
+        contact: Statements that put spheres and the ground into the model.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        stepper: type[Stepper],
+        error_reduction: float,
+        contact: Iterable[str],
+    ) -> None:
+        self._mechanism = Mechanism.of(scene)
+        self._step_count = settings.substeps(scene.clock.frame)
+        self._step = scene.clock.frame / self._step_count
+        self._frame = scene.clock.frame
+        self._error_reduction = error_reduction
+        self._listing = build_listing(self._mechanism, self._step, error_reduction, contact)
+        with _error_reduction(error_reduction):
+            self._model = Model(self._mechanism, self._listing)
+        self._loads = Loads(self._model)
+        self._contact = ContactSolver(self._model.world)
+        self._stepper = stepper(self._model, self._loads, self._step)
+        rows = {"ball": 3, "hinge": 6, "fixed": 6}
+        self.size = ModelSize(
+            self._model.coordinate_count,
+            sum(rows[joint.kind] for joint in self._mechanism.loops),
+            len(scene.contacts),
+        )
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        model = self._model
+        start_q, start_u = self._start(batch)
+        q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
+        u = np.full_like(q, np.nan)
+        with _error_reduction(self._error_reduction), _CaughtWarnings() as caught:
+            failures = tuple(
+                self._roll(batch, row, start_q[row], start_u[row], q[row], u[row], caught)
+                for row in range(len(batch))
+            )
+        bodies = model.body_states(q, u)
+        if self._mechanism.scene.contacts:
+            found = contact_failures(self._mechanism, bodies, self._frame)
+            failures = tuple(_earlier(*two) for two in zip(failures, found, strict=True))
+        motion = recorded(self._mechanism, bodies, failures)
+        orientation = rotation.continuous(motion.orientation, batch.orientation)
+        return dataclasses.replace(motion, orientation=orientation)
+
+    def _roll(
+        self,
+        batch: Batch,
+        row: int,
+        start_q: Array,
+        start_u: Array,
+        q: Array,
+        u: Array,
+        caught: _CaughtWarnings,
+    ) -> Failure | None:
+        """Fill q and u (frame, coordinate) with one trajectory."""
+        skeleton, printed = self._model.skeleton, caught.size()
+        self._model.set_state(start_q, start_u)
+        self._contact.restart()
+        q[0], u[0] = start_q, start_u
+        for k in range(batch.steps):
+            self._loads.hold(batch.force[row, k], batch.torque[row, k])
+            self._stepper.advance(self._step_count)
+            here, rate = skeleton.getPositions(), skeleton.getVelocities()
+            if caught.size() > printed:
+                return Failure(k + 1, f"DART: {caught.first_since(printed)}")
+            fastest = float(np.abs(rate).max())
+            if not (fastest < _BLOW_UP and np.isfinite(here).all()):
+                return Failure(k + 1, f"blow-up: a joint rate of {fastest:.3g} rad/s or m/s")
+            if trouble := self._contact.trouble():
+                return Failure(k + 1, trouble)
+            q[k + 1], u[k + 1] = here, rate
+        return None
+
+    def readback(self, batch: Batch) -> Readback:
+        model = self._model
+        q, u = self._start(batch[:1])
+        model.set_state(q[0], u[0])
+        places = [body.getWorldTransform() for body in model.bodies]
+        native = rotation.from_matrix(np.array([place.rotation() for place in places]))
+        inertia = [body.getInertia() for body in model.bodies]
+        return Readback(
+            mass=np.array([item.getMass() for item in inertia]),
+            inertia=np.array([item.getMoment() for item in inertia]),
+            com=np.array([body.getCOM() for body in model.bodies]),
+            orientation=self._mechanism.body_orientation(native),
+            velocity=np.array([body.getCOMLinearVelocity() for body in model.bodies]),
+            angular_velocity=np.array([body.getAngularVelocity() for body in model.bodies]),
+            gravity=np.array(model.world.getGravity()),
+            step=float(model.world.getTimeStep()),
+            joint_axis=joint_axes(self._mechanism, self._axis),
+            damping=self._damping(),
+            contact=pairs(model.shapes),
+            sphere=centers(model.shapes),
+            anchor=joint_anchors(self._mechanism, self._link_anchor),
+            spring=self._loads.springs(),
+        )
+
+    def _axis(self, link: Link) -> Array:
+        turn = self._model.bodies[link.body].getWorldTransform().rotation()
+        return np.asarray(turn @ self._model.joints[link.body].getAxis())
+
+    def _link_anchor(self, link: Link) -> tuple[Array, Array]:
+        joint, body = self._model.joints[link.body], self._model.bodies[link.body]
+        above = joint.getTransformFromParentBodyNode().translation()
+        if link.parent != WORLD_INDEX:
+            above = self._model.bodies[link.parent].getWorldTransform().multiply(above)
+        below = joint.getTransformFromChildBodyNode().translation()
+        return above, body.getWorldTransform().multiply(below)
+
+    def _damping(self) -> Array:
+        return np.array(
+            [
+                value
+                for joint in self._model.joints
+                for k in range(joint.getNumDofs())
+                for value in (
+                    joint.getDampingCoefficient(k),
+                    joint.getCoulombFriction(k),
+                    joint.getSpringStiffness(k),
+                )
+            ]
+        )
+
+    def native(self, batch: Batch) -> str:
+        q, u = self._start(batch)
+        count = self._step_count * self._mechanism.scene.clock.steps
+        run = script(self._mechanism, q[0], u[0], self._stepper.call, count)
+        return f"{self._listing}{_INPUTS}{run}"
+
+    def _start(self, batch: Batch) -> tuple[Array, Array]:
+        return self._model.coordinates(starts(self._mechanism, batch))
+
+    def close(self) -> None:
+        vars(self).clear()
+
+
+class _CaughtWarnings:
+    """What DART prints in a `with` block: C++ writes past Python, so stderr goes to a file."""
+
+    def __enter__(self) -> _CaughtWarnings:
+        sys.stderr.flush()
+        self._saved = os.dup(2)
+        self._file = tempfile.TemporaryFile()
+        os.dup2(self._file.fileno(), 2)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        os.dup2(self._saved, 2)
+        os.close(self._saved)
+        self._file.close()
+
+    def size(self) -> int:
+        """Number of bytes printed so far."""
+        return os.fstat(self._file.fileno()).st_size
+
+    def first_since(self, size: int) -> str:
+        """Give the first line printed after so many bytes, without its colours."""
+        line = os.pread(self._file.fileno(), 400, size).decode(errors="replace").partition("\n")[0]
+        return re.sub(r"\x1b\[[0-9;]*m", "", line).strip()
+
+
+@contextlib.contextmanager
+def _error_reduction(value: float) -> Iterator[None]:
+    """Set DART's process-wide parameter, and put it back."""
+    kinds = (dartpy.constraint.BallJointConstraint, dartpy.constraint.WeldJointConstraint)
+    before = [kind.getErrorReductionParameter() for kind in kinds]
+    try:
+        for kind in kinds:
+            kind.setErrorReductionParameter(value)
+        yield
+    finally:
+        for kind, old in zip(kinds, before, strict=True):
+            kind.setErrorReductionParameter(old)
+
+
+def _earlier(first: Failure | None, second: Failure | None) -> Failure | None:
+    if first is None or second is None:
+        return first or second
+    return min(first, second, key=lambda failure: failure.frame)

@@ -1,0 +1,141 @@
+"""PyBullet: Featherstone multibodies stepped by semi-implicit Euler, loops by impulses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from mbds_xsim.engine import (
+    LOOPS,
+    Adapter,
+    Feature,
+    Method,
+    Option,
+    Profile,
+    Run,
+    Settings,
+    Sweep,
+)
+from mbds_xsim.mechanism import Link, Mechanism
+from mbds_xsim.scene import Scene
+from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.stiffness import spring_step
+
+from .contact import CONTACT_LAW
+from .run import PyBulletRun
+
+__all__ = ["PyBullet"]
+
+_USUAL_STEP = 1 / 240
+# Keeps the budgets of the pendulums; in a scene that moves faster, a hundredth of a frame.
+_CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.5, 0.5
+# Ten leave a body on four corners with 1e-6 m/s, and turn it where it comes down flat.
+_CAREFUL_CONTACT = {"solver_iterations": 50}
+# Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
+_LEAST = float(np.finfo(float).eps)
+# PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
+_USUAL_CONTACT = {
+    "bounce_threshold": 0.2,
+    "contact_reach": 1e18,
+    "contact_slop": 1e-5,
+    "friction_axes": False,
+}
+_USUAL_CONTACT_ERP = 0.08
+# What the engine takes without a word is more than what means something.
+_MOST_SWEEPS = 1_000_000
+
+
+class PyBullet(Adapter):
+    """Bullet's multibody dynamics through the package `pybullet`."""
+
+    name = "pybullet"
+    package = "pybullet"
+    methods: ClassVar[Mapping[str, Method]] = {
+        "semi-implicit-euler": Method(
+            "semi-implicit-euler", "semi-implicit Euler", 1, velocity_lag=-0.5
+        ),
+    }
+    options: ClassVar[Mapping[str, Option]] = {
+        "solver_iterations": Option(
+            10, "sweeps over loops and contacts in each step", 1, _MOST_SWEEPS
+        ),
+        "residual_threshold": Option(0.0, "the sweeps stop early below this residual; 0: never", 0),
+        "erp": Option(
+            0.8, "part of a loop's gap that a step closes (error reduction parameter)", 0, 1
+        ),
+        "linear_damping": Option(
+            0.0, "drag on every link [1/s]; a user of the engine gets 0.04", 0
+        ),
+        "angular_damping": Option(0.0, "the same for its rotation [1/s]", 0),
+        "contact_recovery": Option(1.0, "time that pushes an overlap with the ground out [s]", 0),
+        "bounce_threshold": Option(0.0, "slowest approach that bounces [m/s]; 0: 4 steps' fall", 0),
+        "contact_reach": Option(1e-6, "gap from which on a contact acts [m]", 0),
+        "contact_slop": Option(0.0, "overlap with the ground that counts as none [m]", 0),
+        "friction_axes": Option(
+            True,
+            "turn the axes of friction once a frame so that friction opposes the slip; without, "
+            "it is turned towards the axis, x or y, along which a body yields less",
+        ),
+    }
+    sweeps: ClassVar[Mapping[str, Sweep]] = {
+        "solver_iterations": Sweep((3, 10, 50, 200), needs=LOOPS | {Feature.CONTACT}),
+        "erp": Sweep((0.2, 1.0), needs=LOOPS),
+        "contact_recovery": Sweep((0.1, 10.0), needs=frozenset({Feature.CONTACT})),
+    }
+    limits: ClassVar[Mapping[Feature, str]] = {
+        Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
+        Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
+    }
+    coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
+    contact_law = CONTACT_LAW
+    smallest = (
+        f"masses of {_LEAST:.3g} kg where a body is free or on a slider, moments about a hinge of "
+        f"{_LEAST:.3g} kg·m²: what is less stands still without a warning"
+    )
+
+    def too_small(self, scene: Scene) -> str:
+        mechanism = Mechanism.of(scene)
+        for link in mechanism.links:
+            moved = _moved(mechanism, link)
+            if moved < _LEAST:
+                held = f"PyBullet moves {_LEAST:.3g} or more"
+                return f"{scene.bodies[link.body].name!r} has {moved:.3g} kg or kg·m², {held}"
+        return ""
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        method = next(iter(self.methods))
+        if profile == "native":
+            usual = {
+                "solver_iterations": 50,
+                "residual_threshold": 1e-7,
+                "erp": 0.2,
+                "linear_damping": 0.04,
+                "angular_damping": 0.04,
+            }
+            step = nearest_step(scene.clock.frame, _USUAL_STEP)
+            if scene.contacts:
+                usual |= {**_USUAL_CONTACT, "contact_recovery": step / _USUAL_CONTACT_ERP}
+            return Settings(method, step, usual)
+        longest = min(_CAREFUL_STEP, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
+        step = careful_step(scene.clock.frame, longest, _CAREFUL_COUNT)
+        return Settings(method, step, _CAREFUL_CONTACT if scene.contacts else {})
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        return PyBulletRun(
+            scene, settings, {name: self.option(settings, name) for name in self.options}
+        )
+
+
+def _moved(mechanism: Mechanism, link: Link) -> float:
+    """Give what a body has against the motion of its joint: mass [kg] or moment [kg·m²]."""
+    mass, joint = float(mechanism.mass[link.body]), link.joint
+    if joint is None or joint.kind == "slider":
+        return mass
+    if joint.kind != "hinge":
+        return np.inf
+    arm = np.cross(joint.axis, joint.in_child)
+    return float(joint.axis @ mechanism.inertia[link.body] @ joint.axis + mass * arm @ arm)

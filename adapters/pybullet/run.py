@@ -1,0 +1,264 @@
+"""A loaded scene: trajectories out of it, and what Bullet says of its model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import rotation
+from mbds_xsim.engine import Readback, Run, Settings
+from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PointPair
+from mbds_xsim.recording import first_failures, recorded, starts
+from mbds_xsim.scene import Scene
+from mbds_xsim.state import Batch, Trajectory
+
+from .client import Client
+from .contact import Contact, Law
+from .loads import Loads
+from .model import RATES, SPEED_CAP, Damping, Model
+
+__all__ = ["PyBulletRun"]
+
+Array = NDArray[np.float64]
+
+_BLOW_UP = 0.5 * SPEED_CAP
+# A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
+_TURN_CAP = math.pi / 4
+# Steps of free fall that still count as rest.
+_FALLS = 4.0
+_SPRINGS = """
+import numpy as np
+
+
+def motion(address, point):
+    if address is None:
+        return np.array(point), np.zeros(3)
+    if address[1] == -1:
+        state = p.getBasePositionAndOrientation(address[0]) + p.getBaseVelocity(address[0])
+    else:
+        state = [p.getLinkState(*address, 1, 1)[k] for k in (0, 1, 6, 7)]
+    arm = np.reshape(p.getMatrixFromQuaternion(state[1]), (3, 3)) @ point
+    return state[0] + arm, state[2] + np.cross(state[3], arm)
+
+
+def pull(ends, points, length, stiffness, damping):
+    (first, first_rate), (second, second_rate) = map(motion, ends, points)
+    line = second - first
+    along = line / np.linalg.norm(line)
+    tension = stiffness * (np.linalg.norm(line) - length)
+    tension += damping * along @ (second_rate - first_rate)
+    for end, place, sign in zip(ends, (first, second), (1, -1)):
+        if end is not None:
+            p.applyExternalForce(*end, list(sign * tension * along), list(place), p.WORLD_FRAME)
+
+"""
+_RESULT = """\
+for body in range(p.getNumBodies()):
+    print(body, "base", p.getBasePositionAndOrientation(body), p.getBaseVelocity(body))
+    for link in range(p.getNumJoints(body)):
+        position, turn, *_, velocity, rate = p.getLinkState(body, link, 1, 1)
+        print(body, link, position, turn, velocity, rate)
+"""
+
+
+class PyBulletRun(Run):
+    """A world of its own in a connection of its own.
+
+    Args:
+        scene: What is simulated.
+        settings: How.
+        options: All of the adapter's, by name.
+    """
+
+    def __init__(self, scene: Scene, settings: Settings, options: Mapping[str, Any]) -> None:
+        self._client = Client()
+        self._mechanism = mechanism = Mechanism.of(scene)
+        self._frame = scene.clock.frame
+        self._substeps = settings.substeps(self._frame)
+        self._step = _divisible_step(self._frame, self._substeps)
+        self._client.build("setGravity", *scene.gravity)
+        self._client.build(
+            "setPhysicsEngineParameter",
+            numSolverIterations=int(options["solver_iterations"]),
+            solverResidualThreshold=float(options["residual_threshold"]),
+            erp=float(options["erp"]),
+            deterministicOverlappingPairs=1,
+        )
+        damping = Damping(
+            float(options["linear_damping"]),
+            float(options["angular_damping"]),
+        )
+        self._contact = self._lay_ground(options)
+        self._model = Model(self._client, mechanism, damping, self._contact)
+        self._loads = Loads(self._client, self._model, mechanism)
+        self._advance = self._client.function("stepSimulation")
+        self._set_stepping(self._substeps)
+        self.size = self._model.size
+        # Only ball joints and free bodies are integrated as rotations.
+        turning = [link for link in mechanism.links if not link.joint or link.joint.kind == "ball"]
+        self._turning = np.array([link.body for link in turning], dtype=np.int64)
+        self._carrier = np.array([link.parent for link in turning], dtype=np.int64)
+
+    def _lay_ground(self, options: Mapping[str, Any]) -> Contact | None:
+        scene = self._mechanism.scene
+        if scene.ground is None:
+            return None
+        recovery, threshold, reach, slop = (
+            float(options[name])
+            for name in ("contact_recovery", "bounce_threshold", "contact_reach", "contact_slop")
+        )
+        threshold = threshold or _FALLS * math.hypot(*scene.gravity) * self._step
+        turns = bool(options["friction_axes"])
+        law = Law(recovery, threshold, reach, slop, turns)
+        return Contact(self._client, self._mechanism, scene.ground, law, self._step)
+
+    def rollout(self, batch: Batch) -> Trajectory:
+        shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
+        told = np.full(shape, np.nan)
+        each_step = self._loads.change_within_frame(batch.torque)
+        self._set_stepping(1 if each_step else self._substeps)
+        for row in range(len(batch)):
+            self._roll(batch, row, told[row], self._substeps if each_step else 1)
+        failures = first_failures(
+            self._bad(told),
+            lambda row, frame: self._trouble(self._model.states(told[row, frame])),
+            earliest=1,
+        )
+        states = self._model.states(told)
+        copies = BodyStates(*(values.copy() for values in vars(states).values()))
+        return recorded(self._mechanism, copies, failures)
+
+    def _roll(self, batch: Batch, row: int, told: Array, calls: int) -> None:
+        """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
+        read, apply, advance = self._model.read, self._loads.apply, self._advance
+        self._start(batch, row)
+        here = told[0] = read()
+        for k in range(batch.steps):
+            force, torque = batch.force[row, k], batch.torque[row, k]
+            if self._contact:
+                self._contact.turn(self._model.states(here), self._frame)
+            for _ in range(calls):
+                apply(force, torque, here)
+                advance()
+                here = read()
+            told[k + 1] = here
+            # Written so that NaN counts as bad.
+            if not np.abs(here[:, RATES]).max() <= _BLOW_UP:
+                return
+
+    def _start(self, batch: Batch, row: int) -> None:
+        if self._contact:
+            self._contact.forget()
+        start = starts(self._mechanism, batch[[row]])
+        self._model.put(BodyStates(*(values[0] for values in vars(start).values())))
+
+    def _bad(self, told: Array) -> NDArray[np.bool_]:
+        """Find what went wrong, shape (trajectory, frame): Bullet never says it."""
+        state = self._model.states(told)
+        fine = np.isfinite(told).all(axis=(2, 3))
+        fine &= np.abs(told[..., RATES]).max(axis=(2, 3)) <= _BLOW_UP
+        fine &= self._turn(state) <= _TURN_CAP
+        if self._contact:
+            fine &= self._contact.heights(state).min(axis=-1) >= 0.0
+        return ~fine
+
+    def _turn(self, state: BodyStates) -> Array:
+        """Largest angle [rad] by which a body turns against its carrier in a step, shape (…)."""
+        rate = state.angular_velocity
+        carried = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
+        relative = carried[..., self._turning, :] - carried[..., self._carrier, :]
+        return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
+
+    def _trouble(self, state: BodyStates) -> str:
+        """Say what is wrong with a state."""
+        rates = np.concatenate([state.velocity, state.angular_velocity])
+        if not (np.isfinite(rates).all() and np.isfinite(state.position).all()):
+            return "the state is not finite"
+        fastest = np.abs(rates).max()
+        if fastest > _BLOW_UP:
+            return f"blow-up: {fastest:.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
+        turn = self._turn(state)
+        if turn > _TURN_CAP:
+            return f"a body turns by {turn:.3g} rad in a step, the engine cuts that at π/4"
+        return self._contact.trouble(state) if self._contact else "a rotation is not finite"
+
+    def _set_stepping(self, substeps: int) -> None:
+        # Loads stay as they are over the sub-steps of one call.
+        self._client.build(
+            "setPhysicsEngineParameter", fixedTimeStep=self._step * substeps, numSubSteps=substeps
+        )
+
+    def readback(self, batch: Batch) -> Readback:
+        inertia = self._model.inertia()  # puts the model at its reference pose
+        self._start(batch, 0)
+        told = self._model.read()
+        state = self._model.states(told)
+        world = self._client.function("getPhysicsEngineParameters")()
+        joint_axis = self._model.joint_axis()
+        return Readback(
+            mass=self._model.mass(),
+            inertia=inertia,
+            com=state.position,
+            orientation=self._mechanism.body_orientation(state.native),
+            velocity=state.velocity,
+            angular_velocity=state.angular_velocity,
+            gravity=np.array([world[f"gravityAcceleration{axis}"] for axis in "XYZ"]),
+            step=world["fixedTimeStep"] / max(1, world["numSubSteps"]),
+            joint_axis=joint_axis,
+            damping=self._model.damping(),
+            contact=self._contact.readback(self._model.address) if self._contact else None,
+            sphere=self._contact.centers(self._model.address, told) if self._contact else None,
+            anchor=self._model.anchors(told),
+            spring=self._loads.springs(state),
+        )
+
+    def native(self, batch: Batch) -> str:
+        self._start(batch, 0)
+        if self._contact:
+            self._contact.turn(self._model.states(self._model.read()), self._frame)
+        calls = self._substeps if self._mechanism.springs else 1
+        self._set_stepping(self._substeps // calls)
+        count = calls * self._mechanism.scene.clock.steps
+        return self._client.listing() + _script(self._model, count)
+
+    def close(self) -> None:
+        self._client.close()
+
+
+def _script(model: Model, count: int) -> str:
+    """Write the end of a script: springs, calls of the engine's step, and what came of it."""
+    pulls = [_pull(spring, model) for spring in model.mechanism.springs]
+    springs = [_SPRINGS] if pulls else [""]
+    loop = [f"for _ in range({count}):", *pulls, "    p.stepSimulation()"]
+    return "\n".join([*springs, *loop, _RESULT])
+
+
+def _pull(spring: PointPair, model: Model) -> str:
+    ends = ", ".join(
+        "None" if body == WORLD_INDEX else repr(model.address(body)) for body in spring.bodies
+    )
+    points = ", ".join(repr(point.tolist()) for point in _points(spring, model.principal))
+    law = f"{spring.length!r}, {spring.stiffness!r}, {spring.damping!r}"
+    return f"    pull(({ends}), ({points}), {law})"
+
+
+def _points(spring: PointPair, principal: Array) -> Iterator[Array]:
+    for body, point in zip(spring.bodies, spring.in_body, strict=True):
+        axes = rotation.IDENTITY if body == WORLD_INDEX else principal[body]
+        yield rotation.rotate(rotation.conjugate(axes), point)
+
+
+def _divisible_step(frame: float, substeps: int) -> float:
+    """The step without its last bits, so that `substeps` of them add up without rounding.
+
+    Bullet counts the steps of a frame as the whole part of frame / step and carries the rest
+    over: rounded down it takes one too few, now and then.
+    """
+    mantissa, exponent = math.frexp(frame / substeps)
+    bits = 53 - substeps.bit_length()
+    return math.ldexp(round(math.ldexp(mantissa, bits)), exponent - bits)
