@@ -395,9 +395,9 @@ def test_wrong_requests_are_one_clear_line() -> None:
     scene = load_scene("5pendulum")
     with pytest.raises(Unsupported, match=r"exudyn RK44 cannot do ball joint: .*constraints"):
         ENGINE.open(scene, Settings("RK44", 0.002))
-    with pytest.raises(UnknownName, match=r"linear solver .*'LU'.* EigenSparse"):
+    with pytest.raises(UnknownName, match=r"linear_solver of exudyn .*'LU'.* EigenSparse"):
         ENGINE.open(scene, Settings("trapezoidal", 0.002, {"linear_solver": "LU"}))
-    with pytest.raises(InputError, match="spectral_radius: got 2"):
+    with pytest.raises(InputError, match="spectral_radius of exudyn: got 2"):
         ENGINE.open(scene, Settings("generalised-alpha", 0.002, {"spectral_radius": 2}))
 
 

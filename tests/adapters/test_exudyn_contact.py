@@ -29,7 +29,7 @@ from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from mbds_xsim.testing.straight_car import straight_run
 
 pytest.importorskip("exudyn")
-impact: Any = importlib.import_module("mbds_xsim_adapters._exudyn_impact")
+impact: Any = importlib.import_module("mbds_xsim_adapters.exudyn.contact")
 
 Array = NDArray[np.float64]
 ENGINE = load_adapter("exudyn")
@@ -125,7 +125,7 @@ def test_without_restitution_nothing_comes_back(speed: float) -> None:
 
 
 def test_a_restitution_that_the_law_cannot_have_is_refused() -> None:
-    scene = ball(ground=Ground(MU, 0.5 * impact.LEAST))
+    scene = ball(ground=Ground(MU, 0.5 * impact._LEAST))
     with pytest.raises(Unsupported, match=r"restitution: got 0.005, allowed is 0, or 0.01 to 1"):
         ENGINE.open(scene, ENGINE.settings(scene, "matched"))
 
@@ -353,5 +353,5 @@ def test_wrong_requests_are_one_clear_line() -> None:
     with pytest.raises(Unsupported, match="RK67 cannot do sphere on the ground: friction"):
         ENGINE.open(scene, Settings("RK67", 0.002))
     for option, value in (("contact_substeps", 0), ("impact_steps", 2), ("slip_speed", 0.0)):
-        with pytest.raises(InputError, match=f"{option}: got {value}"):
+        with pytest.raises(InputError, match=f"option {option} of exudyn: got {value}"):
             ENGINE.open(scene, Settings("trapezoidal", 0.002, {option: value}))

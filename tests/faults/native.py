@@ -84,7 +84,7 @@ def _beside(put: Any) -> Any:
 
 
 def _exudyn() -> AbstractContextManager[object]:
-    bodies = _adapter("_exudyn_bodies")
+    bodies = _adapter("exudyn.model")
     listing = bodies.loads_listing
 
     def listed_beside(mechanism: Any) -> Iterator[str]:
@@ -169,7 +169,7 @@ def _one_sided_dart() -> AbstractContextManager[object]:
 
 
 def _one_sided_exudyn() -> AbstractContextManager[object]:
-    run = _adapter("_exudyn_run").ExudynRun
+    run = _adapter("exudyn.run").ExudynRun
     load = run._load
 
     def load_one_sided(self: Any, force: Any, torque: Any) -> None:

@@ -1,9 +1,13 @@
-"""Rigid bodies of six coordinates each, held together by constraints."""
+"""A mechanism in Exudyn's terms: what every way of putting it must tell, and rigid bodies.
+
+Rigid bodies have six coordinates each and are held together by constraints.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import exudyn
 import numpy as np
@@ -12,14 +16,31 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.shapes import THIN, shapes
 
-from ._exudyn_model import Held, inertia_text, loads_listing, springs_listing
-from ._exudyn_script import graphics_listing
-
-__all__ = ["RigidBodies"]
+__all__ = [
+    "HEAD",
+    "Held",
+    "Model",
+    "RigidBodies",
+    "inertia_text",
+    "loads_listing",
+    "springs_listing",
+]
 
 Array = NDArray[np.float64]
 
+# Exudyn wants names that no other item has, so the scene's names are comments.
+HEAD = """\
+import exudyn as exu
+import exudyn.itemInterface as items
+import numpy as np
+from exudyn.utilities import RigidBodyInertia, TreeLink
+
+container = exu.SystemContainer()
+mbs = container.AddSystem()
+ground = mbs.CreateGround()
+bodies, joints, frames, springs, forces, torques = [], [], [], [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
@@ -29,6 +50,52 @@ _CALLS = {
 _AXIS_COLUMN = {"JointRevoluteZ": 2, "JointPrismaticX": 0}
 # Exudyn keeps the inertia tensor as xx, yy, zz, yz, xz, xy.
 _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Mass properties as Exudyn holds them, in native frames, body by body."""
+
+    mass: Array
+    """[kg], shape (body,)."""
+    inertia: Array
+    """About the centre of mass [kg·m²], shape (body, 3, 3)."""
+    com: Array
+    """From the body's marker in `frames` [m], shape (body, 3): nil if all is well."""
+    gravity: Array
+    """Acting on each body [m/s²], shape (body, 3)."""
+
+
+class Model(Protocol):
+    """A mechanism in Exudyn's terms.
+
+    `names` are those that the listing leaves behind, among them `mbs` and, body by body, `frames`:
+    markers at the centres of mass, parallel to the native frames.
+    """
+
+    def statements(self) -> Iterator[str]:
+        """Lines that build the model, after `HEAD`."""
+
+    def graphics(self) -> Iterator[str]:
+        """Lines that give bodies something to be seen by, where the engine draws nothing."""
+
+    def marker(self, body: int, point: Array) -> str:
+        """Write a marker at a point of a body's native frame, parallel to it."""
+
+    def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
+        """Coordinates and velocities of body states, each of shape (…, coordinate)."""
+
+    def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
+        """Body states of coordinates and velocities."""
+
+    def held(self, names: Mapping[str, Any]) -> Held:
+        """Read mass properties back."""
+
+    def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
+        """Anchors in the parent and in the child, in W as the bodies are, shape (joint, 2, 3)."""
+
+    def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
+        """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
 
 
 class RigidBodies:
@@ -52,7 +119,21 @@ class RigidBodies:
         yield from loads_listing(mechanism)
 
     def graphics(self) -> Iterator[str]:
-        yield from graphics_listing(self._mechanism)
+        parts: dict[int, list[str]] = {body: [] for body in range(self._mechanism.body_count)}
+        for shape in shapes(self._mechanism):
+            begin, *ends = shape.points
+            parts[shape.body].append(
+                f"graphics.Cylinder({begin!r}, {ends[0]!r}, {shape.radius!r})"
+                if ends
+                else f"graphics.Sphere({begin!r}, {shape.radius!r})"
+            )
+        yield "import exudyn.graphics as graphics"
+        yield ""
+        size = 2.0 * THIN * self._mechanism.scene.length
+        yield f"container.visualizationSettings.connectors.defaultSize = {size!r}"
+        for body, drawn in parts.items():
+            made = ", ".join(drawn)
+            yield f"mbs.SetObjectParameter(bodies[{body}], 'VgraphicsData', [{made}])"
 
     def marker(self, body: int, point: Array) -> str:
         return (
@@ -155,3 +236,36 @@ def _joined(first: Array, second: Array) -> Array:
 def _parted(values: Array) -> tuple[Array, Array]:
     parts = values.reshape(*values.shape[:-1], -1, 6)
     return parts[..., :3], parts[..., 3:]
+
+
+def springs_listing(mechanism: Mechanism, ends: Callable[[PointPair], str]) -> Iterator[str]:
+    """Lines that make `springs`, their ends as the model writes them."""
+    for spring in mechanism.springs:
+        yield (
+            f"springs.append(mbs.CreateSpringDamper({ends(spring)}, "
+            f"referenceLength={spring.length!r}, stiffness={spring.stiffness!r}, "
+            f"damping={spring.damping!r}))"
+        )
+
+
+def loads_listing(mechanism: Mechanism) -> Iterator[str]:
+    """Lines that make `forces`, one a body, and `torques`, pairs (child, parent) of a hinge."""
+    for k in range(mechanism.body_count):
+        yield f"forces.append(mbs.CreateForce(itemNumber=frames[{k}]))"
+    for joint in mechanism.hinges:
+        # The axis is fixed in both bodies, so loads in their frames turn with it.
+        pair = ", ".join(
+            f"mbs.CreateTorque(itemNumber=frames[{end}], bodyFixed=True)"
+            if end != WORLD_INDEX
+            else "None"
+            for end in (joint.child, joint.parent)
+        )
+        yield f"torques.append(({pair}))"
+
+
+def inertia_text(mass: float, inertia: Array, com: Array) -> str:
+    """Write mass properties; the tensor is about the centre of mass."""
+    return (
+        f"RigidBodyInertia(mass={float(mass)!r}, inertiaTensor=np.array({inertia.tolist()!r}), "
+        f"com=np.array({com.tolist()!r}), inertiaTensorAtCOM=True)"
+    )

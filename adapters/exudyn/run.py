@@ -10,21 +10,34 @@ from numpy.typing import NDArray
 
 from mbds_xsim import rotation
 from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_fast
+from mbds_xsim.state import Batch, Trajectory
 
-from ._exudyn_contact import Contact, Spheres, contact_listing
-from ._exudyn_model import HEAD, Model
-from ._exudyn_script import script
-from ._exudyn_settings import Stepping
+from .contact import Contact, Spheres, contact_listing
+from .model import HEAD, Model
+from .stepping import Stepping
 
 __all__ = ["ExudynRun"]
 
 Array = NDArray[np.float64]
 
-# A body that crosses so many scene lengths in a frame has blown up.
-_LENGTHS_PER_FRAME = 1e3
+_START = """
+# Inputs are left out: of a frame, loads of `forces` and `torques` by mbs.SetLoadParameter.
+start = exu.ConfigurationType.Initial
+mbs.systemData.SetODE2Coordinates({coordinates!r}, start)
+mbs.systemData.SetODE2Coordinates_t({velocities!r}, start)
+"""
+_MEMORY = "mbs.systemData.SetDataCoordinates({memory!r}, start)\n"
+_RUN = """
+# To watch it: container.renderer.Start(); container.renderer.DoIdleTasks()
+for _ in range({count}):
+    next_frame()
+kinds = exu.OutputVariableType
+for body, frame in enumerate(frames):  # centre of mass, rotation matrix, velocity, angular velocity
+    told = (kinds.Position, kinds.RotationMatrix, kinds.Velocity, kinds.AngularVelocity)
+    print(body, *(mbs.GetMarkerOutput(frame, kind).tolist() for kind in told))
+"""
 
 
 class ExudynRun(Run):
@@ -57,13 +70,15 @@ class ExudynRun(Run):
         reasons = [
             self._record(batch[[row]], positions[row], velocities[row]) for row in range(len(batch))
         ]
-        return self._trajectory(self._model.to_bodies(positions, velocities), reasons)
+        bodies = self._model.to_bodies(positions, velocities)
+        failures = first_failures(
+            too_fast(self._mechanism, bodies.velocity),
+            lambda row, _: reasons[row] or blow_up(self._mechanism),
+        )
+        return recorded(self._mechanism, bodies, failures)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
-        native = self._mechanism.native_rotation(batch.orientation)
-        return self._model.from_bodies(
-            BodyStates(batch.position, native, batch.velocity, batch.angular_velocity)
-        )
+        return self._model.from_bodies(starts(self._mechanism, batch))
 
     def _put(self, coordinates: Array, velocities: Array) -> None:
         """Start afresh, without the solver's memory of an earlier trajectory."""
@@ -114,31 +129,6 @@ class ExudynRun(Run):
                 if load is not None:
                     put(load, "loadVector", sign * moment * joint.axis)
 
-    def _trajectory(self, bodies: BodyStates, reasons: list[str | None]) -> Trajectory:
-        """Cut every trajectory off at its first frame that is not a number or a blow-up."""
-        scene = self._mechanism.scene
-        fastest = np.linalg.norm(bodies.velocity, axis=-1).max(axis=-1)
-        limit = _LENGTHS_PER_FRAME * scene.length / scene.clock.frame
-        failures: list[Failure | None] = []
-        for row, reason in enumerate(reasons):
-            # Written so that NaN counts as bad.
-            bad = np.flatnonzero(~(fastest[row] < limit))
-            if not len(bad):
-                failures.append(None)
-                continue
-            blow_up = f"a body's speed passes {limit:.3g} m/s or is not a number"
-            failures.append(Failure(int(bad[0]), reason or blow_up))
-            for values in vars(bodies).values():
-                values[row, bad[0] :] = np.nan
-        return Trajectory(
-            scene.clock.frame * np.arange(fastest.shape[1]),
-            bodies.position,
-            self._mechanism.body_orientation(bodies.native),
-            bodies.velocity,
-            bodies.angular_velocity,
-            tuple(failures),
-        )
-
     def readback(self, batch: Batch) -> Readback:
         coordinates, velocities = self._start(batch[:1])
         self._put(coordinates[0], velocities[0])
@@ -182,12 +172,12 @@ class ExudynRun(Run):
     def native(self, batch: Batch) -> str:
         coordinates, velocities = (values[0] for values in self._start(batch))
         self._put(coordinates, velocities)
-        memory = None if self._spheres is None else self._spheres.memory().tolist()
+        start = _START.format(coordinates=coordinates.tolist(), velocities=velocities.tolist())
+        if self._spheres is not None:
+            start += _MEMORY.format(memory=self._spheres.memory().tolist())
         seen = "\n".join(self._model.graphics())
-        count = self._mechanism.scene.clock.steps
-        return f"{self._listing}\n{seen}\n" + script(
-            coordinates.tolist(), velocities.tolist(), memory, count
-        )
+        run = _RUN.format(count=self._mechanism.scene.clock.steps)
+        return f"{self._listing}\n{seen}\n{start}{run}"
 
     def close(self) -> None:
         self._names.clear()

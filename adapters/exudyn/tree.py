@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.readback import joint_anchors, joint_axes
 
-from ._exudyn_model import Held, inertia_text, loads_listing, springs_listing
+from .model import Held, inertia_text, loads_listing, springs_listing
 
 __all__ = ["KinematicTree"]
 
@@ -109,27 +110,22 @@ class KinematicTree:
     def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
         tree = names["mbs"].GetObject(names["tree"])
         frames = turn @ np.swapaxes(self._back(names), -1, -2)
-        anchors = np.zeros((len(self._mechanism.joints), 2, 3))
-        origin: dict[int, Array] = {}
-        for k, link in enumerate(self._mechanism.links):
-            body, joint = link.body, _joint(link)
-            origin[body] = com[body] - frames[body] @ tree["linkCOMs"][k]
-            above = np.array(tree["jointOffsets"][k])
+        origin = {
+            link.body: com[link.body] - frames[link.body] @ tree["linkCOMs"][k]
+            for k, link in enumerate(self._mechanism.links)
+        }
+
+        def ends(link: Link) -> tuple[Array, Array]:
+            above = np.array(tree["jointOffsets"][self._order.index(link.body)])
             if link.parent != WORLD_INDEX:
                 above = origin[link.parent] + frames[link.parent] @ above
-            ends = (above, origin[body])
-            forwards = self._mechanism.joints[joint.index].child == body
-            anchors[joint.index] = ends if forwards else ends[::-1]
-        return anchors
+            return above, origin[link.body]
+
+        return joint_anchors(self._mechanism, ends)
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
-        axes = np.zeros((len(self._mechanism.joints), 3))
-        for link in self._mechanism.links:
-            joint = _joint(link)
-            sign = 1.0 if self._mechanism.joints[joint.index].parent == joint.parent else -1.0
-            axes[joint.index] = sign * link_frames[link.body][:, 2]
-        return axes
+        return joint_axes(self._mechanism, lambda link: link_frames[link.body][:, 2])
 
     def _back(self, names: Mapping[str, Any]) -> Array:
         """Native frames as seen in link frames, from the markers; shape (body, 3, 3)."""

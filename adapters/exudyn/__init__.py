@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from importlib.metadata import version
 from typing import ClassVar
 
 from mbds_xsim.engine import (
@@ -18,17 +16,15 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.errors import InputError, UnknownName
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.steps import careful_step, nearest_step
 
-from ._exudyn_bodies import RigidBodies
-from ._exudyn_contact import CONTACT_LAW, Contact
-from ._exudyn_model import Model
-from ._exudyn_run import ExudynRun
-from ._exudyn_settings import LINEAR_SOLVERS, Stepping, has_redundant_constraints
-from ._exudyn_tree import KinematicTree
+from .contact import CONTACT_LAW, Contact
+from .model import Model, RigidBodies
+from .run import ExudynRun
+from .stepping import LINEAR_SOLVERS, Stepping, has_redundant_constraints
+from .tree import KinematicTree
 
 __all__ = ["Exudyn"]
 
@@ -84,23 +80,26 @@ class Exudyn(Adapter):
     }
     options: ClassVar = {
         "spectral_radius": Option(
-            0.9, "of generalised-alpha at infinite frequency: 1 damps nothing, 0 the most"
+            0.9, "of generalised-alpha at infinite frequency: 1 damps nothing, 0 the most", 0, 1
         ),
         "linear_solver": Option(
-            "auto", "EXUdense, EigenDense or EigenSparse; auto takes the faster for the size"
+            "auto",
+            "EXUdense, EigenDense or EigenSparse; auto takes the faster for the size",
+            names=LINEAR_SOLVERS,
         ),
         "modified_newton": Option(
             True, "whether Newton's method keeps its Jacobian over several steps"
         ),
         "contact_substeps": Option(
-            10, "steps into which a step is divided in frames in which a sphere may touch"
+            10, "steps into which a step is divided in frames in which a sphere may touch", least=1
         ),
-        "impact_steps": Option(12, "such steps that an impact lasts, at least"),
+        "impact_steps": Option(12, "such steps that an impact lasts, at least", _SHORTEST_IMPACT),
         "slip_speed": Option(
             1e-2,
             "[m/s]: below it friction is proportional to the slip, above it Coulomb's; 1e-4 is as "
             "stable as 1e-2 (14 and 15 of 36 cells of `stability throw`) and has Exudyn report "
             "15 of 22 failures, not 1 of 21",
+            above=0,
         ),
     }
     sweeps: ClassVar = {
@@ -113,9 +112,6 @@ class Exudyn(Adapter):
     limits: ClassVar[dict[Feature, str]] = {}
     coordinates = "maximal"
     contact_law = CONTACT_LAW
-
-    def version(self) -> str:
-        return version(self.package)
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         # `SolveDynamic` knows no step, it makes 100 of any time; the engine's examples of such
@@ -138,41 +134,23 @@ class Exudyn(Adapter):
         return ContactScales(contact.duration, contact.slip_speed)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
-        solver, radius = (
-            self.option(settings, key) for key in ("linear_solver", "spectral_radius")
-        )
-        if solver not in LINEAR_SOLVERS:
-            raise UnknownName.of("linear solver of exudyn", str(solver), list(LINEAR_SOLVERS))
-        if not (isinstance(radius, int | float) and 0 <= radius <= 1):
-            msg = f"spectral_radius: got {radius!r}, allowed is 0 to 1"
-            raise InputError(msg)
         stepping = Stepping(
             method=settings.method,
             frame=scene.clock.frame,
             substeps=settings.substeps(scene.clock.frame),
-            linear_solver=solver,
-            spectral_radius=float(radius),
-            modified_newton=bool(self.option(settings, "modified_newton")),
-            division=self._count(settings, "contact_substeps", 1) if scene.contacts else 0,
+            linear_solver=self.option(settings, "linear_solver"),
+            spectral_radius=float(self.option(settings, "spectral_radius")),
+            modified_newton=self.option(settings, "modified_newton"),
+            division=self.option(settings, "contact_substeps") if scene.contacts else 0,
         )
         mechanism = Mechanism.of(scene)
         model = _MODELS.get(settings.method, RigidBodies)(mechanism)
         return ExudynRun(mechanism, model, stepping, self._contact(settings))
 
     def _contact(self, settings: Settings) -> Contact:
-        speed = self.option(settings, "slip_speed")
-        if not (isinstance(speed, int | float) and 0 < speed < math.inf):
-            msg = f"slip_speed: got {speed!r}, allowed is any speed above 0"
-            raise InputError(msg)
-        finest = settings.step / self._count(settings, "contact_substeps", 1)
-        return Contact(finest * self._count(settings, "impact_steps", _SHORTEST_IMPACT), speed)
-
-    def _count(self, settings: Settings, name: str, least: int) -> int:
-        value = self.option(settings, name)
-        if not (isinstance(value, int) and value >= least):
-            msg = f"{name}: got {value!r}, allowed is a whole number of steps from {least}"
-            raise InputError(msg)
-        return value
+        finest = settings.step / self.option(settings, "contact_substeps")
+        duration = finest * self.option(settings, "impact_steps")
+        return Contact(duration, self.option(settings, "slip_speed"))
 
 
 _MODELS: dict[str, Callable[[Mechanism], Model]] = {"tree-RK44": KinematicTree}
