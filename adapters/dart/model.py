@@ -11,13 +11,13 @@ from mbds_xsim import rotation
 from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["Model"]
+__all__ = ["SkeletonModel"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Model:
+class SkeletonModel:
     """One skeleton for all bodies.
 
     DART's coordinates, as measured on 6.20: a ball joint's positions are the rotation vector of

@@ -24,9 +24,9 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Failure, Trajectory
 
 from .contact import ContactSolver, centers, contact_failures, pairs
-from .model import Model
+from .model import SkeletonModel
 from .script import build_listing, script
-from .stepping import Loads, Stepper
+from .stepping import DartStepper, FrameLoads
 
 __all__ = ["DartRun"]
 
@@ -55,7 +55,7 @@ class DartRun(Run):
         self,
         scene: Scene,
         settings: Settings,
-        stepper: type[Stepper],
+        stepper: type[DartStepper],
         error_reduction: float,
         contact: Iterable[str],
     ) -> None:
@@ -66,8 +66,8 @@ class DartRun(Run):
         self._error_reduction = error_reduction
         self._listing = build_listing(self._mechanism, self._step, error_reduction, contact)
         with _error_reduction(error_reduction):
-            self._model = Model(self._mechanism, self._listing)
-        self._loads = Loads(self._model)
+            self._model = SkeletonModel(self._mechanism, self._listing)
+        self._loads = FrameLoads(self._model)
         self._contact = ContactSolver(self._model.world)
         self._stepper = stepper(self._model, self._loads, self._step)
         rows = {"ball": 3, "hinge": 6, "fixed": 6}

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.mechanism import WORLD_INDEX, PointPair
 
-from .model import Model
+from .model import SkeletonModel
 
-__all__ = ["STEPPERS", "Loads", "Stepper"]
+__all__ = ["STEPPERS", "DartStepper", "FrameLoads"]
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 _TINY = 1e-150
 
 
-class Loads:
+class FrameLoads:
     """Applies the loads of a frame.
 
     DART keeps external forces in the axes of the body they act on, so a force that is constant in
@@ -31,7 +31,7 @@ class Loads:
     drive: they get opposite external torques about the axis fixed in either body.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: SkeletonModel) -> None:
         self._model = model
         self._springs = [_Spring(pair, model.bodies) for pair in model.mechanism.springs]
         self._pulled = {k for spring in self._springs for k in spring.moving}
@@ -117,13 +117,13 @@ def _motion(body: Any, point: Array) -> tuple[Array, Array]:
     return place.translation() + place.rotation() @ point, body.getLinearVelocity(point)
 
 
-class Stepper(ABC):
+class DartStepper(ABC):
     """Moves the skeleton from where it is."""
 
     call: ClassVar[str]
     """The engine's call of a step; empty where it has none."""
 
-    def __init__(self, model: Model, loads: Loads, step: float) -> None:
+    def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
         self.model = model
         self.loads = loads
         self.step = step
@@ -133,7 +133,7 @@ class Stepper(ABC):
         """Take steps under the loads that are held."""
 
 
-class SemiImplicitEuler(Stepper):
+class SemiImplicitEuler(DartStepper):
     """DART's own `World.step`: velocities first, constraint impulses, then positions."""
 
     call = "world.step(False)"
@@ -141,7 +141,7 @@ class SemiImplicitEuler(Stepper):
     def advance(self, step_count: int) -> None:
         step, loads = self.model.world.step, self.loads
         for _ in range(step_count):
-            # As `Loads.apply`, whose call in each step would be felt.
+            # As `FrameLoads.apply`, whose call in each step would be felt.
             for push, force in loads.forces:
                 push(force)
             for act in loads.others:
@@ -149,7 +149,7 @@ class SemiImplicitEuler(Stepper):
             step(False)
 
 
-class ForwardDynamicsRK4(Stepper):
+class ForwardDynamicsRK4(DartStepper):
     """Classical Runge–Kutta on DART's `computeForwardDynamics`.
 
     Rotations are advanced on their group: within a step they are the start's times the
@@ -160,7 +160,7 @@ class ForwardDynamicsRK4(Stepper):
 
     call = ""
 
-    def __init__(self, model: Model, loads: Loads, step: float) -> None:
+    def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
         super().__init__(model, loads, step)
         # A ball's increments stand on the right of its rotation, a free body's on the left.
         self._turns = np.concatenate([model.turning_at, model.free_turn_at])
@@ -234,7 +234,7 @@ def _composed(q: Array, increment: Array, side: Array) -> Array:
     return v * (turned / np.maximum(sine, _TINY) + 2.0 * (sine < _TINY))[:, None]
 
 
-STEPPERS: Mapping[str, type[Stepper]] = {
+STEPPERS: Mapping[str, type[DartStepper]] = {
     "semi-implicit-euler": SemiImplicitEuler,
     "forward-dynamics-RK4": ForwardDynamicsRK4,
 }

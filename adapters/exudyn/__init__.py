@@ -20,8 +20,8 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.scene import Scene
 from mbds_xsim.steps import careful_step, nearest_step
 
-from .contact import CONTACT_LAW, Contact
-from .model import Model, RigidBodies
+from .contact import CONTACT_LAW, PenaltyContact
+from .model import Formulation, RigidBodies
 from .run import ExudynRun
 from .stepping import LINEAR_SOLVERS, Stepping, has_redundant_constraints
 from .tree import KinematicTree
@@ -147,10 +147,10 @@ class Exudyn(Adapter):
         model = _MODELS.get(settings.method, RigidBodies)(mechanism)
         return ExudynRun(mechanism, model, stepping, self._contact(settings))
 
-    def _contact(self, settings: Settings) -> Contact:
+    def _contact(self, settings: Settings) -> PenaltyContact:
         finest = settings.step / self.option(settings, "contact_substeps")
         duration = finest * self.option(settings, "impact_steps")
-        return Contact(duration, self.option(settings, "slip_speed"))
+        return PenaltyContact(duration, self.option(settings, "slip_speed"))
 
 
-_MODELS: dict[str, Callable[[Mechanism], Model]] = {"tree-RK44": KinematicTree}
+_MODELS: dict[str, Callable[[Mechanism], Formulation]] = {"tree-RK44": KinematicTree}

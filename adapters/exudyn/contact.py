@@ -45,7 +45,14 @@ from mbds_xsim.engine import ContactLaw
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.mechanism import Mechanism
 
-__all__ = ["CONTACT_LAW", "Contact", "Spheres", "coefficient", "contact_listing", "delivered"]
+__all__ = [
+    "CONTACT_LAW",
+    "PenaltyContact",
+    "TouchingSpheres",
+    "coefficient",
+    "contact_listing",
+    "delivered",
+]
 
 Array = NDArray[np.float64]
 
@@ -94,7 +101,7 @@ def may_touch(duration):  # whether a sphere can get to the ground within a time
 
 
 @dataclass(frozen=True)
-class Contact:
+class PenaltyContact:
     """How hard the ground is."""
 
     duration: float
@@ -103,7 +110,7 @@ class Contact:
     """Slip from which on friction is Coulomb's [m/s]."""
 
 
-def contact_listing(mechanism: Mechanism, contact: Contact, marker: Marker) -> Iterator[str]:
+def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marker) -> Iterator[str]:
     """Lines that make `spheres`, markers at the centres, and `contacts`, one a sphere.
 
     Args:
@@ -163,7 +170,7 @@ def _stiffness(mechanism: Mechanism, sphere: int, duration: float) -> float:
     return float(lightest * (math.pi / duration) ** 2)
 
 
-class Spheres:
+class TouchingSpheres:
     """The contact spheres of a model that is built."""
 
     def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:

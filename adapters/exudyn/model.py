@@ -20,8 +20,8 @@ from mbds_xsim.shapes import THIN, shapes
 
 __all__ = [
     "HEAD",
-    "Held",
-    "Model",
+    "Formulation",
+    "MassProperties",
     "RigidBodies",
     "inertia_text",
     "loads_listing",
@@ -53,7 +53,7 @@ _VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class MassProperties:
     """Mass properties as Exudyn holds them, in native frames, body by body."""
 
     mass: Array
@@ -66,7 +66,7 @@ class Held:
     """Acting on each body [m/s²], shape (body, 3)."""
 
 
-class Model(Protocol):
+class Formulation(Protocol):
     """A mechanism in Exudyn's terms.
 
     `names` are those that the listing leaves behind, among them `mbs` and, body by body, `frames`:
@@ -88,7 +88,7 @@ class Model(Protocol):
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
         """Body states of coordinates and velocities."""
 
-    def held(self, names: Mapping[str, Any]) -> Held:
+    def held(self, names: Mapping[str, Any]) -> MassProperties:
         """Read mass properties back."""
 
     def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
@@ -153,9 +153,9 @@ class RigidBodies:
         position = self._mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
 
-    def held(self, names: Mapping[str, Any]) -> Held:
+    def held(self, names: Mapping[str, Any]) -> MassProperties:
         bodies = [names["mbs"].GetObject(number) for number in names["bodies"]]
-        return Held(
+        return MassProperties(
             mass=np.array([body["mass"] for body in bodies]),
             inertia=np.array([body["inertia"] for body in bodies])[:, _VOIGT],
             com=np.array([body["centerOfMass"] for body in bodies]),

@@ -14,8 +14,8 @@ from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_fast
 from mbds_xsim.state import Batch, Trajectory
 
-from .contact import Contact, Spheres, contact_listing
-from .model import HEAD, Model
+from .contact import PenaltyContact, TouchingSpheres, contact_listing
+from .model import HEAD, Formulation
 from .stepping import Stepping
 
 __all__ = ["ExudynRun"]
@@ -44,7 +44,7 @@ class ExudynRun(Run):
     """Runs the listing, then the solver once a frame."""
 
     def __init__(
-        self, mechanism: Mechanism, model: Model, stepping: Stepping, contact: Contact
+        self, mechanism: Mechanism, model: Formulation, stepping: Stepping, contact: PenaltyContact
     ) -> None:
         self._mechanism = mechanism
         self._model = model
@@ -58,7 +58,7 @@ class ExudynRun(Run):
         data = self._mbs.systemData
         count = len(mechanism.sphere_body)
         self.size = ModelSize(data.ODE2Size(), data.AEsize(), contact_pairs=count)
-        self._spheres = Spheres(mechanism, self._names) if count else None
+        self._spheres = TouchingSpheres(mechanism, self._names) if count else None
         # Also the multipliers, which a later trajectory would start Newton's method from.
         self._rest = data.GetSystemState(exudyn.ConfigurationType.Initial)
 
@@ -184,7 +184,7 @@ class ExudynRun(Run):
         self._mbs = None
 
 
-def _listing(mechanism: Mechanism, model: Model, contact: Contact) -> str:
+def _listing(mechanism: Mechanism, model: Formulation, contact: PenaltyContact) -> str:
     lines = [HEAD, *model.statements()]
     if mechanism.scene.contacts:
         lines += contact_listing(mechanism, contact, model.marker)

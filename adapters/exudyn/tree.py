@@ -13,7 +13,7 @@ from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.readback import joint_anchors, joint_axes
 
-from .model import Held, inertia_text, loads_listing, springs_listing
+from .model import MassProperties, inertia_text, loads_listing, springs_listing
 
 __all__ = ["KinematicTree"]
 
@@ -93,14 +93,14 @@ class KinematicTree:
         links = LinkStates(turn, still, coordinates, velocities, still, still)
         return to_bodies(self._mechanism, links)
 
-    def held(self, names: Mapping[str, Any]) -> Held:
+    def held(self, names: Mapping[str, Any]) -> MassProperties:
         tree = names["mbs"].GetObject(names["tree"])
         back = self._back(names)
         link = [self._order.index(body) for body in range(self._mechanism.body_count)]
         inertia = np.array([np.array(tree["linkInertiasCOM"][k]) for k in link])
         markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
         off = np.array([tree["linkCOMs"][k] for k in link]) - [m["localPosition"] for m in markers]
-        return Held(
+        return MassProperties(
             mass=np.array(tree["linkMasses"])[link],
             inertia=np.swapaxes(back, -1, -2) @ inertia @ back,
             com=np.einsum("kji,kj->ki", back, off),

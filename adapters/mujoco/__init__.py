@@ -28,7 +28,7 @@ from mbds_xsim.steps import careful_step, nearest_step
 from mbds_xsim.stiffness import spring_step
 
 from .contact import CONTACT_LAW, HARDEST, Impact
-from .model import Stepping
+from .model import StepOptions
 from .run import ModelRun
 from .spinless import SpinlessRun
 
@@ -185,7 +185,7 @@ class MuJoCo(Adapter):
         substeps = settings.substeps(scene.clock.frame)
         step = scene.clock.frame / substeps
         finer = step / division if division else 0.0
-        stepping = Stepping(
+        stepping = StepOptions(
             "Euler" if division else settings.method,
             finer or step,
             solver,

@@ -48,7 +48,7 @@ __all__ = [
     "HARDEST",
     "Impact",
     "ImpactLaw",
-    "Spheres",
+    "SphereGeoms",
     "add_ground",
     "cone_options",
     "impact_law",
@@ -152,7 +152,7 @@ def cone_options(impact: Impact) -> dict[str, str]:
     }
 
 
-class Spheres:
+class SphereGeoms:
     """The contact spheres of a compiled model."""
 
     def __init__(self, model: Any, mechanism: Mechanism) -> None:

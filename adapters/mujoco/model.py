@@ -19,7 +19,7 @@ from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, Point
 from .contact import Impact, add_ground, cone_options, numbers
 from .state import slim
 
-__all__ = ["CLOSING_POINTS", "Stepping", "closing_point", "mjcf", "text", "with_start"]
+__all__ = ["CLOSING_POINTS", "StepOptions", "closing_point", "mjcf", "text", "with_start"]
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ _NOT_IN_MJCF = (
 
 
 @dataclass(frozen=True)
-class Stepping:
+class StepOptions:
     """How the engine steps, in MuJoCo's terms."""
 
     integrator: str
@@ -57,7 +57,7 @@ class Stepping:
     impact: Impact
 
 
-def mjcf(mechanism: Mechanism, stepping: Stepping, idle: Array) -> Element:
+def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
     """Translate the scene, and nothing that it does not ask for.
 
     Args:
@@ -106,7 +106,7 @@ def with_start(xml: str, qpos: Array, qvel: Array, remark: str) -> str:
     return text(root)
 
 
-def _option(root: Element, mechanism: Mechanism, stepping: Stepping) -> None:
+def _option(root: Element, mechanism: Mechanism, stepping: StepOptions) -> None:
     option = SubElement(
         root,
         "option",

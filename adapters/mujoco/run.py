@@ -19,8 +19,8 @@ from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_f
 from mbds_xsim.spin import carried
 from mbds_xsim.state import Batch, Trajectory
 
-from .contact import Spheres
-from .model import CLOSING_POINTS, Stepping, closing_point, mjcf, text, with_start
+from .contact import SphereGeoms
+from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
 
@@ -37,7 +37,7 @@ class ModelRun(Run):
     def __init__(
         self,
         mechanism: Mechanism,
-        stepping: Stepping,
+        stepping: StepOptions,
         method: str,
         count: int,
         division: int,
@@ -56,7 +56,7 @@ class ModelRun(Run):
         names = [body.name for body in mechanism.scene.bodies]
         self._bodies = np.array([self._model.body(name).id for name in names])
         self._order = np.argsort(self._bodies)
-        self._spheres = Spheres(self._model, mechanism)
+        self._spheres = SphereGeoms(self._model, mechanism)
         self._stepper: Stepper = OneCall(count)
         if division:
             self._stepper = FinerNearGround(self._model, self._spheres, method, count, division)

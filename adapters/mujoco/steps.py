@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import Spheres
+from .contact import SphereGeoms
 
 __all__ = ["FinerNearGround", "FinerWhereFast", "OneCall", "Stepper", "turning_rates"]
 
@@ -111,7 +111,7 @@ class FinerNearGround:
     """
 
     def __init__(
-        self, model: Any, spheres: Spheres, integrator: str, count: int, division: int
+        self, model: Any, spheres: SphereGeoms, integrator: str, count: int, division: int
     ) -> None:
         self._spheres, self._count, self._division = spheres, count, division
         self._integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")

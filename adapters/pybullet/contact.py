@@ -36,7 +36,7 @@ from mbds_xsim.scene import Ground
 
 from .client import Client, Constant
 
-__all__ = ["CONTACT_LAW", "Contact", "Law", "Yielding"]
+__all__ = ["CONTACT_LAW", "BulletContact", "Law", "Yielding"]
 
 Array = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class Law:
     """Whether the axes of friction are turned."""
 
 
-class Contact:
+class BulletContact:
     """The ground, and the spheres of a mechanism on it."""
 
     def __init__(
@@ -225,7 +225,7 @@ class Contact:
         )
 
     def centers(self, address: Callable[[int], tuple[int, int]], told: Array) -> Array:
-        """Centres of the spheres in W at the states that `Model.read` tells [m], (sphere, 3)."""
+        """Centres of the spheres in W [m], at what `Multibodies.read` tells, (sphere, 3)."""
         shapes = self._client.function("getCollisionShapeData")
         places = np.empty((len(self._body), 3))
         for body in np.unique(self._body).tolist():

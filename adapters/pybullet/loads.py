@@ -10,17 +10,17 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
 from .client import Client, Constant
-from .model import Model
+from .model import Multibodies
 
-__all__ = ["Loads"]
+__all__ = ["StepLoads"]
 
 Array = NDArray[np.float64]
 
 
-class Loads:
+class StepLoads:
     """Applies loads for the next call of the engine's step, which forgets them afterwards."""
 
-    def __init__(self, client: Client, model: Model, mechanism: Mechanism) -> None:
+    def __init__(self, client: Client, model: Multibodies, mechanism: Mechanism) -> None:
         self._model = model
         self._springs = mechanism.springs
         self._hinges = mechanism.hinges
@@ -49,7 +49,7 @@ class Loads:
         Args:
             force: In W on centres of mass [N].
             torque: About the hinges [N·m].
-            told: What `Model.read` tells of the present state.
+            told: What `Multibodies.read` tells of the present state.
         """
         for body in np.flatnonzero(force.any(axis=-1)).tolist():
             self._push(body, force[body], told[body, :3])

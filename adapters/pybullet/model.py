@@ -21,17 +21,17 @@ from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
-from .contact import Contact
-from .parts import Part, Place, split
+from .contact import BulletContact
+from .parts import LinkAddress, Multibody, split
 
-__all__ = ["RATES", "SPEED_CAP", "Damping", "Model"]
+__all__ = ["RATES", "SPEED_CAP", "Damping", "Multibodies"]
 
 Array = NDArray[np.float64]
 
 SPEED_CAP = 1e6
 """Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
 RATES = slice(7, 13)
-"""Where `Model.read` gives velocity and angular velocity."""
+"""Where `Multibodies.read` gives velocity and angular velocity."""
 # Impulse of a constraint in a step [N·s]; Bullet's own cap is 500.
 _IMPULSE_CAP = 1e12
 # Distance of the two points that close a hinge from its anchor, over the longest arm there.
@@ -63,11 +63,11 @@ class _Tie:
     """Of the joint's parent, then child: the body, and which of the constraint's ends it is."""
 
 
-class Model:
+class Multibodies:
     """The native model in one connection."""
 
     def __init__(
-        self, client: Client, mechanism: Mechanism, damping: Damping, contact: Contact | None
+        self, client: Client, mechanism: Mechanism, damping: Damping, contact: BulletContact | None
     ) -> None:
         self.client = client
         self.mechanism = mechanism
@@ -75,15 +75,15 @@ class Model:
         self.parts, cut = split(mechanism)
         self.closures = (*mechanism.loops, *cut)
         self.principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
-        self.places: dict[int, Place] = {}
+        self.places: dict[int, LinkAddress] = {}
         self._ids: list[int] = []
         self._links = {link.body: link for part in self.parts for link in part.links}
         for number, part in enumerate(self.parts):
             self._ids.append(self._add_part(part, damping))
             if part.base != WORLD_INDEX:
-                self.places[part.base] = Place(number, -1)
+                self.places[part.base] = LinkAddress(number, -1)
             for k, link in enumerate(part.links):
-                self.places[link.body] = Place(number, k)
+                self.places[link.body] = LinkAddress(number, k)
         self._ties: list[_Tie] = []
         rows = sum(self._close(joint) for joint in self.closures)
         self.size = ModelSize(
@@ -232,7 +232,7 @@ class Model:
     def _dynamics(self, body: int) -> Any:
         return self.client.function("getDynamicsInfo")(*self.address(body))
 
-    def _add_part(self, part: Part, damping: Damping) -> int:
+    def _add_part(self, part: Multibody, damping: Damping) -> int:
         build = self.client.build
         mechanism = self.mechanism
         mass, com = mechanism.mass, mechanism.com
@@ -362,7 +362,7 @@ class Model:
 
 
 def _placed(told: Array, body: int, point: Array) -> Array:
-    """Place a point of an inertial frame in W, by what `Model.read` tells."""
+    """Place a point of an inertial frame in W, by what `Multibodies.read` tells."""
     if body == WORLD_INDEX:
         return point
     return np.asarray(told[body, :3] + rotation.rotate(told[body, [6, 3, 4, 5]], point))
@@ -378,7 +378,7 @@ def _principal_axes(tensor: Array) -> tuple[Array, Array]:
     return moments, rotation.from_matrix(axes)
 
 
-def _coordinate_count(part: Part) -> int:
+def _coordinate_count(part: Multibody) -> int:
     counts = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
     base = 0 if part.base == WORLD_INDEX else 6
     return base + sum(counts[link.joint.kind] for link in part.links if link.joint is not None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from mbds_xsim.errors import Unsupported
 from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 
-__all__ = ["Part", "Place", "split"]
+__all__ = ["LinkAddress", "Multibody", "split"]
 
 # Bullet's server passes states in arrays of 128 coordinates, 7 of them the base's; beyond them
 # it reads and writes elsewhere (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
@@ -19,7 +19,7 @@ _CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
 
 
 @dataclass(frozen=True)
-class Place:
+class LinkAddress:
     """Where a body is in Bullet's terms."""
 
     part: int
@@ -28,7 +28,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Part:
+class Multibody:
     """One multibody."""
 
     base: int
@@ -37,7 +37,7 @@ class Part:
     """Parents before children; their order is Bullet's."""
 
 
-def split(mechanism: Mechanism) -> tuple[tuple[Part, ...], tuple[PlacedJoint, ...]]:
+def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoint, ...]]:
     """Give the parts, and the tree joints that have to be closed as constraints instead.
 
     What hangs on the world by one joint, and every free body with what it carries, is a part of
@@ -55,7 +55,7 @@ def split(mechanism: Mechanism) -> tuple[tuple[Part, ...], tuple[PlacedJoint, ..
     for first in (link for link in mechanism.links if root[link.body] == link.body):
         held = first.joint is not None and first.body not in cut
         parts.append(
-            Part(
+            Multibody(
                 base=WORLD_INDEX if held else first.body,
                 links=tuple(
                     link

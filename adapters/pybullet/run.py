@@ -18,9 +18,9 @@ from mbds_xsim.scene import Scene
 from mbds_xsim.state import Batch, Trajectory
 
 from .client import Client
-from .contact import Contact, Law
-from .loads import Loads
-from .model import RATES, SPEED_CAP, Damping, Model
+from .contact import BulletContact, Law
+from .loads import StepLoads
+from .model import RATES, SPEED_CAP, Damping, Multibodies
 
 __all__ = ["PyBulletRun"]
 
@@ -94,8 +94,8 @@ class PyBulletRun(Run):
             float(options["angular_damping"]),
         )
         self._contact = self._lay_ground(options)
-        self._model = Model(self._client, mechanism, damping, self._contact)
-        self._loads = Loads(self._client, self._model, mechanism)
+        self._model = Multibodies(self._client, mechanism, damping, self._contact)
+        self._loads = StepLoads(self._client, self._model, mechanism)
         self._advance = self._client.function("stepSimulation")
         self._set_stepping(self._substeps)
         self.size = self._model.size
@@ -104,7 +104,7 @@ class PyBulletRun(Run):
         self._turning = np.array([link.body for link in turning], dtype=np.int64)
         self._carrier = np.array([link.parent for link in turning], dtype=np.int64)
 
-    def _lay_ground(self, options: Mapping[str, Any]) -> Contact | None:
+    def _lay_ground(self, options: Mapping[str, Any]) -> BulletContact | None:
         scene = self._mechanism.scene
         if scene.ground is None:
             return None
@@ -115,7 +115,7 @@ class PyBulletRun(Run):
         threshold = threshold or _FALLS * math.hypot(*scene.gravity) * self._step
         turns = bool(options["friction_axes"])
         law = Law(recovery, threshold, reach, slop, turns)
-        return Contact(self._client, self._mechanism, scene.ground, law, self._step)
+        return BulletContact(self._client, self._mechanism, scene.ground, law, self._step)
 
     def rollout(self, batch: Batch) -> Trajectory:
         shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
@@ -230,7 +230,7 @@ class PyBulletRun(Run):
         self._client.close()
 
 
-def _script(model: Model, count: int) -> str:
+def _script(model: Multibodies, count: int) -> str:
     """Write the end of a script: springs, calls of the engine's step, and what came of it."""
     pulls = [_pull(spring, model) for spring in model.mechanism.springs]
     springs = [_SPRINGS] if pulls else [""]
@@ -238,7 +238,7 @@ def _script(model: Model, count: int) -> str:
     return "\n".join([*springs, *loop, _RESULT])
 
 
-def _pull(spring: PointPair, model: Model) -> str:
+def _pull(spring: PointPair, model: Multibodies) -> str:
     ends = ", ".join(
         "None" if body == WORLD_INDEX else repr(model.address(body)) for body in spring.bodies
     )

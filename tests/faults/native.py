@@ -29,7 +29,7 @@ for joint in joints.values():
 
 def motors_left_on(_engine: str) -> AbstractContextManager[object]:
     """Leave PyBullet's joint motors as `createMultiBody` makes them."""
-    return mock.patch.object(_adapter("pybullet.model").Model, "_switch_motor_off")
+    return mock.patch.object(_adapter("pybullet.model").Multibodies, "_switch_motor_off")
 
 
 def joint_damping(engine: str) -> AbstractContextManager[object]:
@@ -59,7 +59,7 @@ def no_reaction(engine: str) -> AbstractContextManager[object]:
 
 
 def _pybullet() -> AbstractContextManager[object]:
-    loads = _adapter("pybullet.loads").Loads
+    loads = _adapter("pybullet.loads").StepLoads
     push = loads._push
 
     def push_beside(self: Any, body: int, force: Any, point: Any) -> None:
@@ -69,7 +69,7 @@ def _pybullet() -> AbstractContextManager[object]:
 
 
 def _dart() -> AbstractContextManager[object]:
-    loads = _adapter("dart.stepping").Loads
+    loads = _adapter("dart.stepping").FrameLoads
     hold = loads.hold
 
     def hold_beside(self: Any, force: Any, torque: Any) -> None:
@@ -138,7 +138,7 @@ def _one_sided_mujoco() -> AbstractContextManager[object]:
 
 def _one_sided_pybullet() -> AbstractContextManager[object]:
     """Take the reaction back from the parent."""
-    loads = _adapter("pybullet.loads").Loads
+    loads = _adapter("pybullet.loads").StepLoads
     apply = loads.apply
 
     def apply_one_sided(self: Any, force: Any, torque: Any, told: Any) -> None:
@@ -154,7 +154,7 @@ def _one_sided_pybullet() -> AbstractContextManager[object]:
 
 def _one_sided_dart() -> AbstractContextManager[object]:
     """Take the reaction back from the parent."""
-    loads = _adapter("dart.stepping").Loads
+    loads = _adapter("dart.stepping").FrameLoads
     hold = loads.hold
 
     def hold_one_sided(self: Any, force: Any, torque: Any) -> None:

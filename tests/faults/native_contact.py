@@ -48,7 +48,7 @@ def rolling_resistance(_engine: str) -> AbstractContextManager[object]:
 
 
 def _mujoco_wheel() -> AbstractContextManager[object]:
-    adapter = _adapter("_mujoco_run")
+    adapter = _adapter("mujoco.run")
     text = adapter.text
 
     def changed(root: Any) -> Any:
@@ -66,7 +66,7 @@ def _pybullet_pairs(
     change: Callable[[int], dict[str, float]],
 ) -> AbstractContextManager[object]:
     """Give bodies with spheres other coefficients."""
-    contact = _adapter("_pybullet_contact").Contact
+    contact = _adapter("pybullet.contact").BulletContact
     set_pair = contact.set_pair
 
     def set_changed(self: Any, number: int, link: int, body: int) -> None:
@@ -78,7 +78,7 @@ def _pybullet_pairs(
 
 
 def _pybullet_box() -> AbstractContextManager[object]:
-    contact = _adapter("pybullet.contact").Contact
+    contact = _adapter("pybullet.contact").BulletContact
     set_solver = contact._set_solver
 
     def set_box(self: Any, law: Any, step: float) -> None:
