@@ -15,8 +15,6 @@ from mbds_xsim.joint_space import BodyStates
 from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.state import Batch, Failure, Trajectory
 
-__all__ = ["blow_up", "first_failures", "recorded", "starts", "too_fast"]
-
 Array = NDArray[np.float64]
 
 # A body that crosses so many scene lengths in a frame has blown up.
