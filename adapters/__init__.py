@@ -1,1 +1,1 @@
-"""Adapters: one engine a package. Loaded by name through `mbds_xsim.registry`, never imported."""
+"""Adapters: one engine a package. Loaded by name by `mbds_xsim.simulate.registry`, not imported."""

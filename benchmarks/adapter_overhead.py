@@ -27,11 +27,11 @@ from benchmarks.harness import (
     take_turns,
 )
 from benchmarks.lean_loops import LEAN, Lean, apart, exudyn_in_one_call, mujoco_coordinates
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 Array = NDArray[np.float64]
 

@@ -15,16 +15,16 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_head, print_made, print_table
-from mbds_xsim.campaign import run_references
-from mbds_xsim.engine import Settings
-from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import settings_for
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
-from mbds_xsim.registry import load_adapter, load_scene
 from mbds_xsim.report import quantity
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.sweep import NATIVE
 

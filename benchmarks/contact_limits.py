@@ -9,17 +9,17 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from benchmarks.harness import print_head, print_table
-from mbds_xsim.campaign import ReferenceOutcome, run_references
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.checks import Finding, audit
-from mbds_xsim.engine import Adapter
-from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.contact import contact_findings
-from mbds_xsim.registry import installed_engines, load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import installed_engines, load_adapter, load_scene
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 _STARTS = 20  # of each interval
 _SEED = 3

@@ -12,10 +12,10 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from benchmarks.harness import print_table
-from mbds_xsim.choice import Choice
-from mbds_xsim.registry import load_scene
-from mbds_xsim.result import EngineResult
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 SCENES = (
     *("ballscroll", "balldrop", "5pendulum", "6pendulum"),

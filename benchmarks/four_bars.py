@@ -23,9 +23,9 @@ from scipy.special import ellipj, ellipk
 
 from benchmarks.harness import print_table
 from mbds_xsim.reference import solve
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -19,15 +19,15 @@ from statistics import median
 import numpy as np
 
 from benchmarks.harness import processor_s, take_turns
-from mbds_xsim.campaign import reference_of
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.gate import limit_faults, sample_findings
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.measure.campaign import reference_of
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate
 
 SCENE = "6pendulum"
 COUNTS = {"mujoco": 217, "pybullet": 12, "dart": 6, "exudyn": 30}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.report.markdown import table_lines
 

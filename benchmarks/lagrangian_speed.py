@@ -21,8 +21,8 @@ from benchmarks.harness import print_head, print_made, print_table, take_turns, 
 from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape
 from mbds_xsim.learn.energy_models import Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.registry import load_scene
 
 AIM = {"6pendulum": 5, "3ladder": 15}
 _COMMAND = "python -m benchmarks.lagrangian_speed > reports/lagrangian-speed.md"

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.four_bars import four_bars
 from benchmarks.harness import print_table
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
-from mbds_xsim.scene_file import save_scene
+from mbds_xsim.scene.file import save_scene
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 
 _PROGRAM = Path(sys.executable).with_name("mbds-xsim")
 _ROD = Inertia(1.0, (1 / 12, 1 / 12, 1e-3))

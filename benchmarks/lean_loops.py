@@ -22,11 +22,11 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from mbds_xsim.engine import Run
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.spin import carried
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.spin import carried
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Run
 
 Array = NDArray[np.float64]
 

@@ -38,7 +38,7 @@ from mbds_xsim.learn.recipe import Recipe
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 SCENES = ("6pendulum", "3ladder")
 TRACKS = ("lite", "native", "paper")

@@ -21,9 +21,9 @@ import msgspec
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from mbds_xsim.base.write import write_whole
+from mbds_xsim.measure.result import Validation, from_plain
 from mbds_xsim.report.themed import SOURCE, few_colours
-from mbds_xsim.result import Validation, from_plain
-from mbds_xsim.write import write_whole
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 SIZE = (1240, 1760)

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.engine import Profile
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
 from mbds_xsim.studies.stability import present as stability
 from mbds_xsim.studies.stability.rows import SCHEMA, Cell, Panel, Sweep
@@ -24,7 +25,6 @@ from mbds_xsim.studies.stability.studies import study_named
 from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff import present as tradeoff
 from mbds_xsim.studies.tradeoff.rows import Tradeoff
-from mbds_xsim.write import write_whole
 
 TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"} | {
     "outcome", "told", "reason", "source",

@@ -61,7 +61,8 @@ _NEVER = """
 - Friction where no contact slips, and of a body that tumbles in trajectories with few single
   impacts. Under balls and wheels that slip every frame shows it.
 - A mistake in what all share: adapters and reference get masses, centres of mass, inertias and
-  anchors from one module, `mbds_xsim/mechanism.py`. If that is wrong, all agree on a wrong motion.
+  anchors from one module, `mbds_xsim/scene/mechanism.py`. If that is wrong, all agree on a wrong
+  motion.
   It is tested against closed forms instead (`tests/test_mechanism.py`).
 - What the scene does not exercise, of which the faults above are examples. Reading the native
   model back tells such a mistake all the same, where the engine says what it holds: PyBullet does

@@ -33,10 +33,10 @@ from mbds_xsim.learn.model import LearnedModel, build
 from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import KnownInputs, Start
-from mbds_xsim.matched import settings_for
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import simulate
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate
 
 Array = NDArray[np.float64]
 

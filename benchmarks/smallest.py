@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbds_xsim import readback
-from mbds_xsim.engine import Adapter, Settings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import engine_names, load_adapter
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, Torque
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, Torque
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.registry import engine_names, load_adapter
 
 _LEAST = 1e-29
 _HALVINGS = 20

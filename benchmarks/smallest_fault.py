@@ -18,11 +18,11 @@ from faults.bench import ENGINES
 from faults.planting import Fault, planted
 from faults.smooth import gravity, heavier
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.result import EngineResult
-from mbds_xsim.scene import Scene
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 SCENES = ("5pendulum", "2ladder")
 

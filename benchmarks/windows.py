@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 import mbds_xsim
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 
 FRAMES = 6
 BATCH = 512

@@ -21,15 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.harness import print_head, print_made, print_table, take_turns
-from mbds_xsim import registry
-from mbds_xsim.campaign import run_references
-from mbds_xsim.engine import Settings
-from mbds_xsim.joint_space import BodyStates, to_links
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.measure.campaign import run_references
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.matched import settings_for
 
 Array = NDArray[np.float64]
 Rollout = Callable[[Batch], Array]

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbds_xsim.api import audit, generate, load_scene, validate, verify
+    from mbds_xsim.base.errors import InputError
     from mbds_xsim.dataset.paired import load_pairs
     from mbds_xsim.dataset.read import load_dataset
-    from mbds_xsim.errors import InputError
-    from mbds_xsim.scene import Scene
-    from mbds_xsim.scene_file import save_scene
+    from mbds_xsim.scene.file import save_scene
+    from mbds_xsim.scene.scene import Scene
     from mbds_xsim.studies.tradeoff.study import tradeoff
 
 __all__ = [
@@ -29,11 +29,11 @@ __all__ = [
 ]
 
 _HOMES = {
-    "InputError": "mbds_xsim.errors",
-    "Scene": "mbds_xsim.scene",
+    "InputError": "mbds_xsim.base.errors",
+    "Scene": "mbds_xsim.scene.scene",
     "load_dataset": "mbds_xsim.dataset.read",
     "load_pairs": "mbds_xsim.dataset.paired",
-    "save_scene": "mbds_xsim.scene_file",
+    "save_scene": "mbds_xsim.scene.file",
     "tradeoff": "mbds_xsim.studies.tradeoff.study",
 }
 

@@ -9,17 +9,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice, words_of
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import LIMIT
-from mbds_xsim.scene import Scene
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice, words_of
 
 if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
-    from mbds_xsim.result import Validation
+    from mbds_xsim.measure.result import Validation
 
 _MOST_STARTS = 10_000
 
@@ -76,8 +76,8 @@ def validate(
     Raises:
         InputError: Something that was given cannot be used.
     """
-    from mbds_xsim.validation import validate_with_evidence
-    from mbds_xsim.write import check_writable
+    from mbds_xsim.base.write import check_writable
+    from mbds_xsim.studies.validate.validation import validate_with_evidence
 
     _check_whole("trajectories", trajectories, 1, _MOST_STARTS)
     _check_whole("seed", seed, 0)

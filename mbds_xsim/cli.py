@@ -12,7 +12,7 @@ import sys
 from importlib import import_module
 from types import FrameType
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 
 _INTERRUPTED = 130
 
@@ -76,7 +76,7 @@ def _drop_output() -> None:
 
 
 def _complain(text: str, code: int) -> int:
-    from mbds_xsim.safe_text import on_a_line
+    from mbds_xsim.base.safe_text import on_a_line
 
     print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr)
     return code

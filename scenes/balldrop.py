@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from itertools import product
 
-from mbds_xsim.sampling_terms import Levels, Throw
-from mbds_xsim.scene import PARTICLE_RADIUS, Body, Budget, ContactSphere, Particle, Scene
+from mbds_xsim.scene.sampling_terms import Levels, Throw
+from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, Budget, ContactSphere, Particle, Scene
 
 from .grid import Cell, Point, neighbours
 from .paper import GROUND, NOISE, SOURCE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.sampling_terms import Levels, Turn, Wind
-from mbds_xsim.scene import Body, Joint, Particle, Scene
+from mbds_xsim.scene.sampling_terms import Levels, Turn, Wind
+from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
 ROD = 0.1
 """Length of a massless rope rod [m]."""

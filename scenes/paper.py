@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.scene import Ground
+from mbds_xsim.scene.scene import Ground
 
 NOISE = 0.1
 """Standard deviation of the noise force on a particle [N]; the paper has noise, this figure is

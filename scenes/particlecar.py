@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import product
 
-from mbds_xsim.sampling_terms import HingeRate, HingeTorque, Levels
-from mbds_xsim.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
+from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels
+from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
 
 from .grid import Edge, Point, neighbours, ties
 from .paper import GROUND, NOISE, SOURCE

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.sampling_terms import Levels, Swing
-from mbds_xsim.scene import Body, Joint, Particle, Scene
+from mbds_xsim.scene.sampling_terms import Levels, Swing
+from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
 ROD = 0.5
 """Length of a massless rod [m]."""

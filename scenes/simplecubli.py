@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import product
 
-from mbds_xsim.sampling_terms import HingeRate, HingeTorque, Levels, Throw
-from mbds_xsim.scene import (
+from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels, Throw
+from mbds_xsim.scene.scene import (
     PARTICLE_RADIUS,
     Body,
     Budget,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mbds_xsim.scene import Body, Particle
+from mbds_xsim.scene.scene import Body, Particle
 
 from .grid import Edge, Point
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.engine import Adapter
-from mbds_xsim.errors import EngineMissing
+from mbds_xsim.base.errors import EngineMissing
 from mbds_xsim.measure import quick
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter
 from tests.farm import Farm
 
 _WITHOUT = quick._without

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim import plugin, registry
+from mbds_xsim.simulate import plugin, registry
 
 __all__ = ["installed"]
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import mbds_xsim
-from mbds_xsim.choice import Choice, Contender
-from mbds_xsim.errors import InputError
-from mbds_xsim.frame import frame_of
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import frame_of
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.simulate.choice import Choice, Contender
+from mbds_xsim.simulate.registry import load_scene
 
 _MASS = Inertia(mass=1.0, moments=(0.1, 0.1, 0.1))
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from mbds_xsim import rotation
-from mbds_xsim.assembly import assemble, check_joints
-from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.errors import SceneError
-from mbds_xsim.joint_space import BodyStates, joint_coordinate
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.assembly import assemble, check_joints
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene
 
 Y = (0.0, 1.0, 0.0)
 Point = tuple[float, float, float]

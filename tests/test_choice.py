@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbds_xsim.choice import Choice
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, DistanceLink, Inertia, Joint, Particle, Scene
-from mbds_xsim.simulate import simulate
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Particle, Scene
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.timed import simulate
 
 ENDS = ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
 LINKED = Scene(

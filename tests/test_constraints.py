@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from benchmarks.four_bars import four_bars
-from mbds_xsim import rotation
-from mbds_xsim.constraints import Rows, constraint_rows, degrees_of_freedom, dense_jacobian
-from mbds_xsim.joint_space import BodyStates, to_bodies
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.constraints import Rows, constraint_rows, degrees_of_freedom, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
 
 KINDS: tuple[Kind, ...] = ("fixed", "hinge", "slider", "ball")

@@ -12,15 +12,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from mbds_xsim import cli, rotation
-from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.errors import SceneError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import PAPER_SCENES, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import HingeRate, Roll
-from mbds_xsim.scene import Clock, ContactSphere, Scene
-from mbds_xsim.state import Batch
+from mbds_xsim import cli
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import HingeRate, Roll
+from mbds_xsim.scene.scene import Clock, ContactSphere, Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbds_xsim.engine import Adapter
+from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.testing import AdapterContract
 
 

@@ -12,12 +12,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import Adapter
-from mbds_xsim.mechanism import Mechanism, PlacedJoint
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing import CASES, AdapterContract, Case
 from tests.faults.planting import Fault, Faulty
 

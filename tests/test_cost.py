@@ -7,15 +7,15 @@ import time
 
 import pytest
 
-from mbds_xsim import cost
-from mbds_xsim.campaign import Running
-from mbds_xsim.choice import Choice
-from mbds_xsim.cost import Work, forewarnings
-from mbds_xsim.engine import Settings
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.silence import Silent
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.base.silence import Silent
+from mbds_xsim.measure.campaign import Running
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate import cost
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.cost import Work, forewarnings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 _SCENE = load_scene("1pendulum")
 _START = draw_batch(_SCENE, [0])

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.catalogue import engine_rows
 from mbds_xsim.report.engines_page import engines_page
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.catalogue import engine_rows
 
 DOCS = Path(__file__).parent.parent / "docs"
 

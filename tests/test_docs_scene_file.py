@@ -13,18 +13,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import sampling_terms, scene
-from mbds_xsim.assembly import assemble
-from mbds_xsim.constraints import constraint_rows
-from mbds_xsim.errors import SceneError
-from mbds_xsim.joint_space import joint_coordinate
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.neutral import Neutral
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.base.rotation import rotate
 from mbds_xsim.reference import solve
-from mbds_xsim.rotation import rotate
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import read_scene
+from mbds_xsim.scene import sampling_terms, scene
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.constraints import constraint_rows
+from mbds_xsim.scene.file import read_scene
+from mbds_xsim.scene.joint_space import joint_coordinate
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.neutral import Neutral
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
 
 PAGE = (Path(__file__).parent.parent / "docs" / "scene-file.md").read_text("utf-8")
 EXAMPLES = dict(re.findall(r"^`([\w.-]+)`:\n\n```toml\n(.*?)^```$", PAGE, re.M | re.S))

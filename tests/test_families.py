@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from mbds_xsim.assembly import assemble
-from mbds_xsim.constraints import constraint_rows, degrees_of_freedom
-from mbds_xsim.errors import UnknownName
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
+from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.constraints import constraint_rows, degrees_of_freedom
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.registry import load_scene
 
 OWN = 6.17e-4
 RUNG = 5 * OWN + 2 * (0.2**2 + 0.1**2)

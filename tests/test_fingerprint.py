@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mbds_xsim.fingerprint import fingerprint
-from mbds_xsim.registry import load_scene, scene_names
-from mbds_xsim.scene import Budget, Clock, Scene
-from mbds_xsim.scene_file import read_scene, save_scene
+from mbds_xsim.scene.file import read_scene, save_scene
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.scene import Budget, Clock, Scene
+from mbds_xsim.simulate.registry import load_scene, scene_names
 
 replace = msgspec.structs.replace
 

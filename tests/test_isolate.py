@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim import isolate, registry
-from mbds_xsim.interruption import held_back
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base import isolate
+from mbds_xsim.base.interruption import held_back
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.simulate import registry
 
 
 def test_answers_come_in_the_order_of_the_tasks() -> None:
@@ -103,8 +104,8 @@ def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 _PARENT = """
-from mbds_xsim.interruption import held_back
-from mbds_xsim.isolate import Task, run_tasks
+from mbds_xsim.base.interruption import held_back
+from mbds_xsim.base.isolate import Task, run_tasks
 code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 run_tasks([Task(exec, (code,))])
 """
@@ -140,8 +141,8 @@ def test_interrupted_in_the_midst_of_a_step_it_ends_and_leaves_no_task(
 
 _INTERRUPTED = """
 import signal, subprocess, time
-from mbds_xsim.interruption import held_back
-from mbds_xsim.isolate import Task, run_tasks
+from mbds_xsim.base.interruption import held_back
+from mbds_xsim.base.isolate import Task, run_tasks
 
 
 class Popen(subprocess.Popen):
@@ -234,7 +235,7 @@ def test_the_start_of_a_process_is_no_part_of_its_time(tmp_path: Path) -> None:
     module = "import time\ntime.sleep(1.0)\ndef answer(): return 7"
     (tmp_path / "slow_to_import.py").write_text(module)
     code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from mbds_xsim.isolate import *; "
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from mbds_xsim.base.isolate import *; "
         "import slow_to_import; print(run_tasks([Task(slow_to_import.answer, (), timeout=0.4)]))"
     )
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
@@ -247,7 +248,9 @@ def test_the_start_of_a_process_is_no_part_of_its_time(tmp_path: Path) -> None:
 
 
 def test_the_time_of_a_task_begins_anew_with_each_of_its_parts() -> None:
-    code = "import time; from mbds_xsim.isolate import begin\n" + 4 * "begin(); time.sleep(0.4)\n"
+    code = (
+        "import time; from mbds_xsim.base.isolate import begin\n" + 4 * "begin(); time.sleep(0.4)\n"
+    )
 
     assert run_tasks([Task(exec, (code,), timeout=1.0)]) == [None]
 

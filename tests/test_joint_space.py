@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
 
 _KINDS = st.lists(

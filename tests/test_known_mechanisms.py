@@ -13,12 +13,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.matched import Matched
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import read_scene
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.scene.file import read_scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import Matched
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 _FOLDER = Path(__file__).parent / "mechanisms"
 _FRAMES = {"bennett": 50, "fourbar-load": 50, "slider-crank": 100, "slider-crank-3d": 50}

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from mbds_xsim import registry
-from mbds_xsim.engine import Adapter
-from mbds_xsim.matched import settings_for
 from mbds_xsim.reference import solve
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.timed import simulate
 
 Array = NDArray[np.float64]
 

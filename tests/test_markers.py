@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbds_xsim.markers import marker_positions, markers
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene.markers import marker_positions, markers
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.registry import load_scene
 
 
 def test_particles_are_the_markers_where_every_body_has_some() -> None:

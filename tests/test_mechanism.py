@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mbds_xsim import rotation
-from mbds_xsim.errors import SceneError
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.scene import (
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.scene import (
     Body,
     ContactSphere,
     DistanceLink,

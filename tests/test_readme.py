@@ -13,11 +13,11 @@ from PIL import Image
 
 from benchmarks.page_picture import settings_line
 from benchmarks.pictures import stored_results, sweep_of
-from mbds_xsim.choice import Choice
-from mbds_xsim.registry import load_scene
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.stability.present import present
 from mbds_xsim.studies.stability.studies import STUDIES
 

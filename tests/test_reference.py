@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
-from mbds_xsim import rotation
-from mbds_xsim.constraints import constraint_rows
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.scene.constraints import constraint_rows
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     Inertia,
@@ -26,7 +25,8 @@ from mbds_xsim.scene import (
     Scene,
     SpringDamper,
 )
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 

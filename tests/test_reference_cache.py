@@ -13,10 +13,10 @@ import pytest
 
 from mbds_xsim.reference import cache, sensitivity, solve
 from mbds_xsim.reference.marching import Marched, march
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.registry import load_scene
 
 SCENE = load_scene("5pendulum")
 BATCH = draw_batch(SCENE, [0, 1]).truncated(3)

@@ -10,12 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     ContactSphere,
@@ -26,7 +25,8 @@ from mbds_xsim.scene import (
     Scene,
     Vector,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.constraints import constraint_rows, dense_jacobian
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference import accelerations
 from mbds_xsim.reference.dynamics import dynamics_of
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.four_bars import angle_and_rate, energy, four_bars
-from mbds_xsim.errors import SceneError
+from mbds_xsim.base.errors import SceneError
 from mbds_xsim.reference import marching, solve, stiff
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Torque
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Torque
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 

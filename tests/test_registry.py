@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.errors import UnknownName
+from mbds_xsim.base.errors import UnknownName
+from mbds_xsim.simulate import registry
 
 
 def test_the_four_engines_are_registered() -> None:

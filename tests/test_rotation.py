@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 
 RNG = np.random.default_rng(20)
 

@@ -14,10 +14,10 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mbds_xsim.errors import InputError, SceneError
-from mbds_xsim.registry import load_scene, scene_names
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import read_scene, save_scene, write_scene
+from mbds_xsim.base.errors import InputError, SceneError
+from mbds_xsim.scene.file import read_scene, save_scene, write_scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.registry import load_scene, scene_names
 
 Table = dict[str, Any]
 Edit = Callable[[Table], object]

@@ -9,11 +9,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mbds_xsim.engine import Adapter, Run
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import recorded, simulate
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate.adapter import Adapter, Run
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import recorded, simulate
 
 
 def _sound() -> tuple[Batch, Trajectory]:

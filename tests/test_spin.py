@@ -6,13 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import reference, rotation
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Particle, Scene
-from mbds_xsim.spin import carried, idle_axes
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Particle, Scene
+from mbds_xsim.scene.spin import carried, idle_axes
+from mbds_xsim.simulate.registry import load_scene
 
 PAIR = (Particle((0.0, 0.0, -0.5)), Particle((0.0, 0.0, -1.0)))
 BALL = (Joint("joint", "ball", "world", "rod", (0.0, 0.0, 0.0)),)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim.engine import Settings
-from mbds_xsim.steps import careful_step, nearest_step
+from mbds_xsim.base.steps import careful_step, nearest_step
+from mbds_xsim.simulate.adapter import Settings
 
 INTERVALS = st.floats(1e-6, 10.0)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from mbds_xsim import reference
-from mbds_xsim.engine import Adapter
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Vector
-from mbds_xsim.simulate import simulate
-from mbds_xsim.stiffness import spring_rates, spring_step
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Vector
+from mbds_xsim.scene.stiffness import spring_rates, spring_step
+from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.testing import CASES
 
 _OPENING = math.radians(30)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.errors import SceneError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
 
 Array = NDArray[np.float64]

@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.reference.ball import Contact, Load, Motion
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.tumbling_ball import TumblingBall
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene, Vector
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene, Vector
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,15 @@ import dataclasses
 
 import numpy as np
 
-from mbds_xsim import registry, versions
+from mbds_xsim.base import versions
 from mbds_xsim.checks.audit import audit
-from mbds_xsim.engine import Adapter, Settings
 from mbds_xsim.reference.solution import solve
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.timed import simulate
 from tests.golden import check_golden, shadow
 
 _SCENES = ("2pendulum", "2ladder", "balldrop")

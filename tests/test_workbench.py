@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
 from mbds_xsim.checks.agreement import particle_error
-from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.engine import Adapter, Feature, features_of
-from mbds_xsim.joint_space import joint_coordinate
-from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.solution import start_states
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.joint_space import joint_coordinate
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Feature, features_of
 
 Array = NDArray[np.float64]
 Slip = Callable[[Scene, Batch], tuple[Scene, Batch]]

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
-from mbds_xsim.engine import (
+from mbds_xsim.base.steps import careful_step, nearest_step
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.stiffness import spring_step
+from mbds_xsim.simulate.adapter import (
     LOOPS,
     Adapter,
     Feature,
@@ -16,10 +20,6 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.steps import careful_step, nearest_step
-from mbds_xsim.stiffness import spring_step
 
 from .contact import CONTACT_LAW, DETECTORS, SOLVERS, contact_statements
 from .run import DartRun

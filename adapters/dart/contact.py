@@ -22,24 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ContactLaw
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.recording import first_failures
-from mbds_xsim.state import Failure
-
-__all__ = [
-    "CONTACT_LAW",
-    "DETECTORS",
-    "SOLVERS",
-    "ContactSolver",
-    "centers",
-    "contact_failures",
-    "contact_statements",
-    "pairs",
-]
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.state import Failure
+from mbds_xsim.simulate.adapter import ContactLaw
+from mbds_xsim.simulate.recording import first_failures
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
-from mbds_xsim.mechanism import Mechanism
-
-__all__ = ["SkeletonModel"]
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

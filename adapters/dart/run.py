@@ -15,20 +15,18 @@ import dartpy
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ModelSize, Readback, Run, Settings
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism
-from mbds_xsim.readback import joint_anchors, joint_axes
-from mbds_xsim.recording import recorded, starts
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.recording import recorded, starts
 
 from .contact import ContactSolver, centers, contact_failures, pairs
 from .model import SkeletonModel
 from .script import build_listing, script
 from .stepping import DartStepper, FrameLoads
-
-__all__ = ["DartRun"]
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.shapes import shapes
-
-__all__ = ["build_listing", "script"]
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.shapes import shapes
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.mechanism import WORLD_INDEX, PointPair
+from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
 
 from .model import SkeletonModel
-
-__all__ = ["STEPPERS", "DartStepper", "FrameLoads"]
 
 Array = NDArray[np.float64]
 

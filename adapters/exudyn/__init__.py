@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
-from mbds_xsim.engine import (
+from mbds_xsim.base.steps import careful_step, nearest_step
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.adapter import (
     Adapter,
     ContactScales,
     Feature,
@@ -16,9 +19,6 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.steps import careful_step, nearest_step
 
 from .contact import CONTACT_LAW, PenaltyContact
 from .model import Formulation, RigidBodies

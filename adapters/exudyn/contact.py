@@ -41,18 +41,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mbds_xsim.engine import ContactLaw
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.mechanism import Mechanism
-
-__all__ = [
-    "CONTACT_LAW",
-    "PenaltyContact",
-    "TouchingSpheres",
-    "coefficient",
-    "contact_listing",
-    "delivered",
-]
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.adapter import ContactLaw
 
 Array = NDArray[np.float64]
 

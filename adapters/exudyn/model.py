@@ -13,20 +13,10 @@ import exudyn
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.shapes import THIN, shapes
-
-__all__ = [
-    "HEAD",
-    "Formulation",
-    "MassProperties",
-    "RigidBodies",
-    "inertia_text",
-    "loads_listing",
-    "springs_listing",
-]
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.shapes import THIN, shapes
 
 Array = NDArray[np.float64]
 

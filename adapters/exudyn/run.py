@@ -8,17 +8,15 @@ import exudyn
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_fast
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
+from mbds_xsim.simulate.recording import blow_up, first_failures, recorded, starts, too_fast
 
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .stepping import Stepping
-
-__all__ = ["ExudynRun"]
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.mechanism import Mechanism
-
-__all__ = ["LINEAR_SOLVERS", "SOLVERS", "Stepping", "has_redundant_constraints"]
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.mechanism import Mechanism
 
 SOLVERS = {
     "trapezoidal": "TrapezoidalIndex2",

@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.readback import joint_anchors, joint_axes
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .model import MassProperties, inertia_text, loads_listing, springs_listing
-
-__all__ = ["KinematicTree"]
 
 Array = NDArray[np.float64]
 

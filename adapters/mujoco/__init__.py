@@ -7,7 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from mbds_xsim.engine import (
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.steps import careful_step, nearest_step
+from mbds_xsim.reference.ball import has_only_balls
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.spin import idle_axes
+from mbds_xsim.scene.stiffness import spring_step
+from mbds_xsim.simulate.adapter import (
     LOOPS,
     Adapter,
     ContactScales,
@@ -19,13 +26,6 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.reference.ball import has_only_balls
-from mbds_xsim.scene import Scene
-from mbds_xsim.spin import idle_axes
-from mbds_xsim.steps import careful_step, nearest_step
-from mbds_xsim.stiffness import spring_step
 
 from .contact import CONTACT_LAW, HARDEST, Impact
 from .model import StepOptions

@@ -40,21 +40,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mbds_xsim.engine import ContactLaw
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
-
-__all__ = [
-    "CONTACT_LAW",
-    "HARDEST",
-    "Impact",
-    "ImpactLaw",
-    "SphereGeoms",
-    "add_ground",
-    "cone_options",
-    "impact_law",
-    "numbers",
-    "rebounds",
-]
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.simulate.adapter import ContactLaw
 
 Array = NDArray[np.float64]
 

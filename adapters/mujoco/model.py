@@ -13,13 +13,11 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
 from .contact import Impact, add_ground, cone_options, numbers
 from .state import slim
-
-__all__ = ["CLOSING_POINTS", "StepOptions", "closing_point", "mjcf", "text", "with_start"]
 
 Array = NDArray[np.float64]
 

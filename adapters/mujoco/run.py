@@ -10,21 +10,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.joint_space import BodyStates, to_links
-from mbds_xsim.mechanism import Link, Mechanism, PlacedJoint
-from mbds_xsim.readback import joint_anchors, joint_axes
-from mbds_xsim.recording import blow_up, first_failures, recorded, starts, too_fast
-from mbds_xsim.spin import carried
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
+from mbds_xsim.scene.spin import carried
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.recording import blow_up, first_failures, recorded, starts, too_fast
 
 from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
-
-__all__ = ["ModelRun"]
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.engine import ModelSize, Readback, Run
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.spin import STILL, spin_about
-from mbds_xsim.state import Batch, Trajectory
-
-__all__ = ["SpinlessRun"]
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.spin import STILL, spin_about
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
 
 Array = NDArray[np.float64]
 
@@ -41,7 +39,7 @@ class SpinlessRun(Run):
 
     Args:
         mechanism: Of the scene.
-        idle: Axes of the rods that have no spin, as `mbds_xsim.spin.idle_axes` gives them.
+        idle: Axes of the rods that have no spin, as `mbds_xsim.scene.spin.idle_axes` gives them.
         spinless: The model without.
         load: Loads the model with spin.
     """

@@ -13,11 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, LinkStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
-
-__all__ = ["Coordinates", "Frames", "Hanger", "slim"]
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

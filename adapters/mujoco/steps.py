@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from .contact import SphereGeoms
 
-__all__ = ["FinerNearGround", "FinerWhereFast", "OneCall", "Stepper", "turning_rates"]
-
 Array = NDArray[np.float64]
 
 _EULER = mujoco.mjtIntegrator.mjINT_EULER

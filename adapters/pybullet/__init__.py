@@ -7,7 +7,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from mbds_xsim.engine import (
+from mbds_xsim.base.steps import careful_step, nearest_step
+from mbds_xsim.scene.mechanism import Link, Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.stiffness import spring_step
+from mbds_xsim.simulate.adapter import (
     LOOPS,
     Adapter,
     Feature,
@@ -18,10 +22,6 @@ from mbds_xsim.engine import (
     Settings,
     Sweep,
 )
-from mbds_xsim.mechanism import Link, Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.steps import careful_step, nearest_step
-from mbds_xsim.stiffness import spring_step
 
 from .contact import CONTACT_LAW
 from .run import PyBulletRun

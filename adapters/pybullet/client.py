@@ -8,8 +8,6 @@ import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
-__all__ = ["Client", "Constant"]
-
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:

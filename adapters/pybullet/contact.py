@@ -26,17 +26,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ContactLaw
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.reference.ball import has_only_balls
-from mbds_xsim.scene import Ground
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.scene import Ground
+from mbds_xsim.simulate.adapter import ContactLaw
 
 from .client import Client, Constant
-
-__all__ = ["CONTACT_LAW", "BulletContact", "Law", "Yielding"]
 
 Array = NDArray[np.float64]
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 
 from .client import Client, Constant
 from .model import Multibodies
-
-__all__ = ["StepLoads"]
 
 Array = NDArray[np.float64]
 

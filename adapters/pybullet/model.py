@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import ModelSize
-from mbds_xsim.joint_space import BodyStates, to_links
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
-from mbds_xsim.readback import joint_anchors, joint_axes
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+from mbds_xsim.simulate.adapter import ModelSize
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
 from .contact import BulletContact
 from .parts import LinkAddress, Multibody, split
-
-__all__ = ["RATES", "SPEED_CAP", "Damping", "Multibodies"]
 
 Array = NDArray[np.float64]
 

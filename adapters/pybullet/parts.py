@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
-
-__all__ = ["LinkAddress", "Multibody", "split"]
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 
 # Bullet's server passes states in arrays of 128 coordinates, 7 of them the base's; beyond them
 # it reads and writes elsewhere (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).

@@ -9,20 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import Readback, Run, Settings
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PointPair
-from mbds_xsim.recording import first_failures, recorded, starts
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Readback, Run, Settings
+from mbds_xsim.simulate.recording import first_failures, recorded, starts
 
 from .client import Client
 from .contact import BulletContact, Law
 from .loads import StepLoads
 from .model import RATES, SPEED_CAP, Damping, Multibodies
-
-__all__ = ["PyBulletRun"]
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.markers import marker_positions
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.markers import marker_positions
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -23,9 +23,9 @@ from mbds_xsim.checks.overlap import contact_gap, penetration
 from mbds_xsim.checks.passivity import energy_rise, passivity
 from mbds_xsim.checks.resting import hop, resting
 from mbds_xsim.checks.wheels import wheels
-from mbds_xsim.engine import Method
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 Check = Callable[[Record], Finding | None]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.cones import Cones, cones_of, unexplained
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of

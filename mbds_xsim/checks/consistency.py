@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.agreement import CHAOS, markers_of
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.engine import Method
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

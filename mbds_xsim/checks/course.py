@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.impacts import Impacts, followed, one_sphere
-from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
-from mbds_xsim.joint_space import joint_coordinate
+from mbds_xsim.scene.joint_space import joint_coordinate
 
 Array = NDArray[np.float64]
 

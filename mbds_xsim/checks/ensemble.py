@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.agreement import markers_of, particle_error
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, to_bodies, to_links
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.flow import FIELDS, picked
 from mbds_xsim.checks.ground import Push, Spheres, pushes_of, spheres_of
-from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import PlacedJoint, PointPair
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from mbds_xsim.checks.closing import unexplained_by_loops
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.mismatch import Mismatch
-from mbds_xsim.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

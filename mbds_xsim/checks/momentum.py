@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.flight import flying, summed
 from mbds_xsim.checks.supports import Balance, balances_of
-from mbds_xsim.mechanism import WORLD_INDEX
+from mbds_xsim.scene.mechanism import WORLD_INDEX
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.passivity import risen, settled, stored

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 Array = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     LIMIT,
     CacheUse,
@@ -26,7 +27,6 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
-from mbds_xsim.errors import InputError
 
 
 @command(
@@ -53,8 +53,8 @@ def ablate(
     ] = None,
 ) -> None:
     """Drop and halve what a scene models; compare with the disagreement between engines."""
-    from mbds_xsim.choice import Choice
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.ablate.present import present
     from mbds_xsim.studies.ablate.study import ablate as study
 

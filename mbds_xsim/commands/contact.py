@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     LIMIT,
     EngineNames,
@@ -21,7 +22,6 @@ from mbds_xsim.commands.shared import (
     progress_on,
     write_json,
 )
-from mbds_xsim.errors import InputError
 
 
 @command(
@@ -45,8 +45,8 @@ def contact(
     ] = None,
 ) -> None:
     """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
-    from mbds_xsim.choice import Choice
     from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.contact.present import present
     from mbds_xsim.studies.contact.study import study_contact
 
@@ -70,8 +70,8 @@ def contact(
 
         draw_study(study, drawn)
     if markdown is not None:
+        from mbds_xsim.base.write import write_whole
         from mbds_xsim.studies.contact.page import contact_page
-        from mbds_xsim.write import write_whole
 
         write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())
     write_json(encoded(study, "contact"), json)

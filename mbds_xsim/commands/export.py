@@ -36,7 +36,7 @@ def export(
     json: JsonFile = None,
 ) -> None:
     """Write data sets in a form that any program reads, and say what it does not carry."""
-    from mbds_xsim.counted import counted
+    from mbds_xsim.base.counted import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 

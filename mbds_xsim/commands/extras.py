@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 
 ModelPlaces = Annotated[
     list[Path] | None,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     LIMIT,
     EngineNames,
@@ -24,8 +26,6 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
-from mbds_xsim.counted import counted
-from mbds_xsim.errors import InputError
 from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 
 if TYPE_CHECKING:
@@ -64,14 +64,14 @@ def generate(
     json: JsonFile = None,
 ) -> None:
     """Make data sets: simulate, check every trajectory, publish what passes."""
-    from mbds_xsim.choice import Choice
+    from mbds_xsim.base.isolate import run_tasks
     from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
     from mbds_xsim.dataset.work import Carrier
-    from mbds_xsim.isolate import run_tasks
     from mbds_xsim.report.bar import GeneratingBar
     from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.choice import Choice
 
     console = console_for(json)
     check_targets(json=json)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     JsonFile,
     check_targets,
@@ -16,8 +18,6 @@ from mbds_xsim.commands.shared import (
     encoded,
     write_json,
 )
-from mbds_xsim.counted import counted
-from mbds_xsim.errors import InputError
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Table, Text, table_of
 

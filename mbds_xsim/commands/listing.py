@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     JsonFile,
     SceneName,
@@ -19,13 +21,11 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
-from mbds_xsim.counted import counted
-from mbds_xsim.errors import InputError
 from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
 
 if TYPE_CHECKING:
-    from mbds_xsim.catalogue import EngineRow, SceneRow
-    from mbds_xsim.scene import Scene
+    from mbds_xsim.scene.scene import Scene
+    from mbds_xsim.simulate.catalogue import EngineRow, SceneRow
 
 
 @command("check")
@@ -36,9 +36,9 @@ def engines(
     ] = False,
 ) -> None:
     """List the engines, their methods, and what each cannot do."""
-    from mbds_xsim.catalogue import engine_rows
     from mbds_xsim.report.engines_page import engines_page
     from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.catalogue import engine_rows
 
     if markdown and json:
         msg = "engines gives one form at a time; choose one of --markdown and --json"
@@ -58,8 +58,8 @@ def engines(
 @command("check")
 def scenes(json: JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
-    from mbds_xsim.catalogue import scene_rows
     from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.catalogue import scene_rows
 
     check_targets(json=json)
     rows = scene_rows()
@@ -94,9 +94,9 @@ def show(
     json: JsonFile = None,
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given."""
-    from mbds_xsim.catalogue import native_text, scene_row
     from mbds_xsim.report.terminal import print_blocks
-    from mbds_xsim.scene_file import write_scene
+    from mbds_xsim.scene.file import write_scene
+    from mbds_xsim.simulate.catalogue import native_text, scene_row
 
     if sum(map(bool, (toml, native, json))) > 1:
         msg = "show gives one form at a time; choose one of --toml, --native and --json"
@@ -111,8 +111,8 @@ def show(
 
         draw_scene(loaded, png, start=start)
     if native is not None:
-        from mbds_xsim.choice import Choice
         from mbds_xsim.measure.quick import searched
+        from mbds_xsim.simulate.choice import Choice
 
         console = console_for(Path("-"))
         choice = Choice.parse(engines=native, profiles=settings)
@@ -141,7 +141,7 @@ def _about_engine(row: EngineRow) -> Iterator[Block]:
 
 
 def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:
-    from mbds_xsim.catalogue import by_reason
+    from mbds_xsim.simulate.catalogue import by_reason
 
     for reason, features in by_reason(refusals).items():
         yield Remark(who, f"{', '.join(features)}: {reason}")
@@ -167,7 +167,7 @@ def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
 
 def _about_scene(scene: Scene, row: SceneRow) -> Iterator[Block]:
     """Say what a scene is, what it needs and how its starts are drawn."""
-    from mbds_xsim.mechanism import Mechanism
+    from mbds_xsim.scene.mechanism import Mechanism
 
     mechanism, clock = Mechanism.of(scene), scene.clock
     loops = ", ".join(joint.name for joint in mechanism.loops) or "none"
@@ -206,7 +206,7 @@ def _flat(value: object) -> list[object]:
 
 def _shown(value: object) -> str:
     """Give ranges, by interval and by component, in few words."""
-    from mbds_xsim.sampling_terms import INTERVALS, Levels
+    from mbds_xsim.scene.sampling_terms import INTERVALS, Levels
 
     if isinstance(value, Levels):
         return ", ".join(f"{name} {_shown(getattr(value, name))}" for name in INTERVALS)

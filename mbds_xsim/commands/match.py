@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
@@ -24,7 +25,6 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
-from mbds_xsim.errors import InputError
 
 
 @command(
@@ -59,15 +59,15 @@ def match(
     opened: Opened = False,
 ) -> None:
     """Search the cheapest settings of each engine that keep all budgets of a scene."""
-    from mbds_xsim.choice import Choice
-    from mbds_xsim.isolate import core_count
-    from mbds_xsim.registry import scene_names
+    from mbds_xsim.base.isolate import core_count
+    from mbds_xsim.base.write import write_whole
     from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.simulate.registry import scene_names
     from mbds_xsim.studies.match import search as study
     from mbds_xsim.studies.match.file import matched_toml, stored_path
     from mbds_xsim.studies.match.present import present
-    from mbds_xsim.write import write_whole
 
     console = console_for(json)
     choice = Choice.parse(engines=engines)

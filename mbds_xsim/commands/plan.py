@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.base.counted import counted
 from mbds_xsim.commands.shared import (
     LIMIT,
     EngineNames,
@@ -21,7 +22,6 @@ from mbds_xsim.commands.shared import (
     scene_named,
     write_json,
 )
-from mbds_xsim.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
 
@@ -55,9 +55,9 @@ def plan(
     json: JsonFile = None,
 ) -> None:
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
-    from mbds_xsim.choice import Choice
     from mbds_xsim.dataset.estimate import plan as run
     from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.choice import Choice
 
     console = console_for(json)
     check_targets(json=json)

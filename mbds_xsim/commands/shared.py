@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.commands.help import Chapter, Command, Commands
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import LIMIT
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from mbds_xsim.report.bar import ProgressBar
     from mbds_xsim.report.blocks import Report
-    from mbds_xsim.scene import Scene
+    from mbds_xsim.scene.scene import Scene
 
 __all__ = [
     "LIMIT",
@@ -70,14 +70,14 @@ def command(chapter: Chapter, epilog: str | None = None) -> Callable[[F], F]:
 
 
 def _complete_scene(incomplete: str) -> list[str]:
-    from mbds_xsim.registry import scene_names
+    from mbds_xsim.simulate.registry import scene_names
 
     return [name for name in scene_names() if name.startswith(incomplete)]
 
 
 def _complete_engines(incomplete: str) -> list[str]:
     """Go on with the last of some names between commas."""
-    from mbds_xsim.registry import engine_names
+    from mbds_xsim.simulate.registry import engine_names
 
     before, comma, last = incomplete.rpartition(",")
     names = [name for name in engine_names() if name not in before.split(",")]
@@ -153,7 +153,7 @@ def command_line() -> str:
 
 def scene_named(name: str) -> Scene:
     """Load a built-in scene, a family at a size, or a file: a large one takes a while."""
-    from mbds_xsim.registry import load_scene
+    from mbds_xsim.simulate.registry import load_scene
 
     with progress_on(console_for(None)) as progress:
         progress.begin(1, f"reading {name}")
@@ -176,7 +176,7 @@ def progress_on(console: Console) -> ProgressBar:
 
 def check_targets(**paths: Path | None) -> None:
     """Refuse, before long work, to write where nothing can be written."""
-    from mbds_xsim.write import check_writable
+    from mbds_xsim.base.write import check_writable
 
     files = {option: path for option, path in paths.items() if path is not None}
     if str(files.get("json")) == "-":
@@ -235,11 +235,11 @@ def write_json(text: bytes, path: Path | None) -> None:
     if path is None:
         return
     if str(path) == "-":
-        from mbds_xsim.safe_text import in_json
+        from mbds_xsim.base.safe_text import in_json
 
         print(in_json(text.decode()))
         return
-    from mbds_xsim.write import write_whole
+    from mbds_xsim.base.write import write_whole
 
     write_whole(path, text + b"\n")
 

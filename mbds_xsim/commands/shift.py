@@ -133,7 +133,7 @@ def shift(
 
 def _scenes(models: Path, data: Path) -> list[str]:
     """Scenes that there are both models and data of."""
-    from mbds_xsim.errors import InputError
+    from mbds_xsim.base.errors import InputError
     from mbds_xsim.learn.shift.domains import scenes_in
 
     found = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]

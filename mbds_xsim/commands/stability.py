@@ -81,11 +81,11 @@ def stability(
     ] = None,
 ) -> None:
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
-    from mbds_xsim.choice import Choice
-    from mbds_xsim.isolate import core_count
+    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import rows_csv, write_if
     from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.stability.contenders import Plan, profiles_of
     from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
     from mbds_xsim.studies.stability.rows import to_json
@@ -167,7 +167,7 @@ def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...
 
 def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
     """Steps a frame."""
-    from mbds_xsim.engine import Settings
+    from mbds_xsim.simulate.adapter import Settings
     from mbds_xsim.studies.stability.definition import COUNTS, FRAME
 
     if step is not None:

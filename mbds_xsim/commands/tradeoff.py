@@ -28,7 +28,7 @@ from mbds_xsim.commands.shared import (
 
 if TYPE_CHECKING:
     from mbds_xsim.learn.trained import TrainedModel
-    from mbds_xsim.scene import Scene
+    from mbds_xsim.scene.scene import Scene
     from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
 
 
@@ -76,11 +76,11 @@ def tradeoff(
     ] = None,
 ) -> None:
     """Chart speed against accuracy: every engine, method and step, and their options."""
-    from mbds_xsim.choice import Choice
-    from mbds_xsim.isolate import core_count
+    from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import link, rows_csv, write_if
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.tradeoff.present import present, to_png
     from mbds_xsim.studies.tradeoff.rows import to_json
 
@@ -144,7 +144,7 @@ def _models(
     places: list[Path] | None, onto: Path | None, scenes: list[Scene]
 ) -> list[TrainedModel]:
     """Find the models, and refuse them before engines are measured where there are none."""
-    from mbds_xsim.errors import InputError
+    from mbds_xsim.base.errors import InputError
 
     if onto is not None and (not places or len(scenes) != 1):
         msg = "--onto: models are put onto a stored trade-off; name one SCENE and --models"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     Device,
@@ -20,8 +22,6 @@ from mbds_xsim.commands.shared import (
     encoded,
     write_json,
 )
-from mbds_xsim.counted import counted
-from mbds_xsim.errors import InputError
 from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 
 if TYPE_CHECKING:
@@ -210,8 +210,8 @@ def _carrier(
     stack: ExitStack, scheduler: str | None, workers: int | None, device: str, out: Path
 ) -> tuple[Carrier, int]:
     """Give what carries runs out, and how many at a time."""
+    from mbds_xsim.base.isolate import run_tasks
     from mbds_xsim.dataset.cluster import Cluster
-    from mbds_xsim.isolate import run_tasks
     from mbds_xsim.learn.device import process_count
 
     if scheduler is not None and workers is not None:
@@ -231,9 +231,9 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
     for path in curves:
         if path not in there:
             console.print(f"{path}: not there, and not drawn", highlight=False)
+    from mbds_xsim.base.write import write_whole
     from mbds_xsim.learn.curves import read_curve
     from mbds_xsim.report.training_curves import to_png
-    from mbds_xsim.write import write_whole
 
     write_whole(png, to_png([read_curve(path) for path in there]))
 

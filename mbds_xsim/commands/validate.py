@@ -62,10 +62,10 @@ def validate(
     ] = None,
 ) -> None:
     """Run a scene in all engines, check every trajectory, and tell which to trust."""
+    from mbds_xsim.measure.result import to_json
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.result import to_json
     from mbds_xsim.studies.validate.present import present
-    from mbds_xsim.validation import Choice, validate_with_evidence
+    from mbds_xsim.studies.validate.validation import Choice, validate_with_evidence
 
     console = console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step, limit=limit)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbds_xsim.base.counted import counted
 from mbds_xsim.commands.shared import (
     LIMIT,
     JsonFile,
@@ -21,7 +22,6 @@ from mbds_xsim.commands.shared import (
     progress_on,
     write_json,
 )
-from mbds_xsim.counted import counted
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text
 
 if TYPE_CHECKING:

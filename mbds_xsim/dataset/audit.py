@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.campaign import reference_of
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import frame_of
 from mbds_xsim.checks import CHECKS, Finding, Record, audit
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
@@ -19,15 +20,14 @@ from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.dataset.foreign import Foreign, read_foreign
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.pooled import Pooled
-from mbds_xsim.engine import Method
-from mbds_xsim.errors import InputError
-from mbds_xsim.frame import frame_of
-from mbds_xsim.judge import error_findings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.result import FindingResult
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import STATES, Batch, Trajectory
+from mbds_xsim.measure.campaign import reference_of
+from mbds_xsim.measure.judge import error_findings
+from mbds_xsim.measure.result import FindingResult
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 Array = NDArray[np.float64]
 

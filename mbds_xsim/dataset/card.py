@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from mbds_xsim.base.safe_text import in_markdown, sentence
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.join import JOINT, causes
 from mbds_xsim.dataset.layout import FIELDS, FORMAT, SPLITS, SUFFIX, VERSION
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
-from mbds_xsim.safe_text import in_markdown, sentence
-from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling_terms import INTERVALS
 
 CARD = "README.md"
 CROISSANT = "croissant.json"

@@ -18,9 +18,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Task, run_tasks
-from mbds_xsim.registry import package_version
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Task, run_tasks
+from mbds_xsim.simulate.registry import package_version
 
 _PATIENCE = 10.0  # for the scheduler's first answer [s]
 _LOOK = 0.5  # between two looks at what has ended [s]

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.campaign import ProgressSink
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED
 from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.measure.campaign import ProgressSink
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice
 
 STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 

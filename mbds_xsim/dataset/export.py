@@ -11,14 +11,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.safe_text import in_markdown, on_a_line
 from mbds_xsim.dataset.columns import TIME, groups
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.layout import FIELDS, SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.errors import InputError
-from mbds_xsim.safe_text import in_markdown, on_a_line
+from mbds_xsim.measure.campaign import ProgressSink
 
 Form = Literal["npz", "csv"]
 

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.columns import PER_STEP, TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
@@ -31,8 +32,7 @@ from mbds_xsim.dataset.hdf5 import (
 )
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.proof import scene_of
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
 
 Array = NDArray[np.float64]
 

@@ -15,22 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import reference
-from mbds_xsim.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
+from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, Record, agreement, audited
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.shared import Evidence, evidence_of, shared_faults
-from mbds_xsim.choice import Contender
-from mbds_xsim.convergence import convergence, further_step, smooth
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY, sampled
-from mbds_xsim.engine import Method, Settings
-from mbds_xsim.isolate import Crash
-from mbds_xsim.judge import error_findings, failed_lines
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import STATES, Batch, Trajectory
+from mbds_xsim.measure.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
+from mbds_xsim.measure.convergence import convergence, further_step, smooth
+from mbds_xsim.measure.judge import error_findings, failed_lines
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
+from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 Array = NDArray[np.float64]
 

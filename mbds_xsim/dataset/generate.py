@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mbds_xsim.choice import Choice
-from mbds_xsim.cost import Work, forewarnings
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import frame_of
+from mbds_xsim.base.isolate import core_count, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.files import locked, tidied
 from mbds_xsim.dataset.join import VariantCount, join
 from mbds_xsim.dataset.shard import rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.dataset.work import Carrier, ShardProgress, make, watched
-from mbds_xsim.errors import InputError
-from mbds_xsim.frame import frame_of
-from mbds_xsim.isolate import core_count, run_tasks
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
-from mbds_xsim.silence import Silent
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.cost import Work, forewarnings
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import FIELDS, Field
-from mbds_xsim.errors import InputError
 
 _SMALL = 2**26  # bytes that any file may unpack to
 _DENSEST = 100  # times that what is larger may be packed; motions come to 5 at most

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
 from mbds_xsim.dataset.series import Series
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import STATES
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES
 
 Numbers = NDArray[np.int64]
 

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.checks import Finding
-from mbds_xsim.judge import failed_lines, finding_result
-from mbds_xsim.result import FindingResult
-from mbds_xsim.state import Batch
+from mbds_xsim.measure.judge import failed_lines, finding_result
+from mbds_xsim.measure.result import FindingResult
+from mbds_xsim.scene.state import Batch
 
 
 class Pooled:

@@ -12,12 +12,12 @@ import h5py
 import msgspec
 import numpy as np
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.hdf5 import open_hdf5, plain
 from mbds_xsim.dataset.layout import ATTRIBUTES, FIELDS, FORMAT, SHARED, VERSION, Field, Kind
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 _JOINT = (*SHARED, "kind", "count")
 _ALLOWED: dict[Kind, tuple[str, Callable[[Any], bool]]] = {

@@ -11,19 +11,19 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows
 from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.proof import attributes_of, misfits, scene_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.engine import Method, Settings
-from mbds_xsim.errors import EngineMissing, InputError, UnknownName
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import STATES, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import STATES, Trajectory
+from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import simulate
 
 _SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
 _SAME_FIGURE = 1e-6  # of the figure, or of what is allowed

@@ -14,8 +14,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
-from mbds_xsim.errors import InputError
 
 _OPEN = 256  # files that are mapped at a time
 

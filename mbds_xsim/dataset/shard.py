@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import isolate
-from mbds_xsim.campaign import reference_of
+from mbds_xsim.base import isolate
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows, limit_faults
 from mbds_xsim.dataset.hdf5 import Datasets, encode
 from mbds_xsim.dataset.layout import CHECKS, FIELDS, sampled
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.readback import compare
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import Wind
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import STATES, Batch, Failure, Trajectory
+from mbds_xsim.measure.campaign import reference_of
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Wind
+from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
+from mbds_xsim.simulate.readback import compare
+from mbds_xsim.simulate.timed import simulate
 
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""

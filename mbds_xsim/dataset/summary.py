@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mbds_xsim.dataset.join import cause_of, causes
 from mbds_xsim.dataset.layout import SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
-from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling_terms import INTERVALS
 
 
 @dataclass(frozen=True)

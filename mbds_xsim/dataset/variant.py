@@ -10,14 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mbds_xsim.choice import Contender
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
 from mbds_xsim.dataset.proof import attributes_of
-from mbds_xsim.engine import Method
-from mbds_xsim.errors import InputError
-from mbds_xsim.registry import load_adapter, package_version
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import write_scene
+from mbds_xsim.scene.file import write_scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.registry import load_adapter, package_version
 
 _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300

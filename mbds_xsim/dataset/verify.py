@@ -12,7 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.campaign import ProgressSink
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import frame_of
+from mbds_xsim.base.isolate import LIMIT, Crash, Task, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
 from mbds_xsim.dataset.hdf5 import CONTENT, check_content, open_hdf5, refuse_other, values_of
 from mbds_xsim.dataset.join import JOINT, valid_numbers
@@ -20,11 +23,8 @@ from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX, split_of
 from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
-from mbds_xsim.errors import InputError
-from mbds_xsim.frame import frame_of
-from mbds_xsim.isolate import LIMIT, Crash, Task, run_tasks
-from mbds_xsim.registry import package_version
-from mbds_xsim.silence import Silent
+from mbds_xsim.measure.campaign import ProgressSink
+from mbds_xsim.simulate.registry import package_version
 
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}
 _FILES = "distribution"  # entry of the metadata that lists files

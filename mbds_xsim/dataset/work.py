@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
+from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.dataset.shard import LOG, Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.isolate import Crash, Task
 
 _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
@@ -23,7 +23,7 @@ Job = tuple[Variant, Item]
 
 
 class Carrier(Protocol):
-    """What carries tasks out: `mbds_xsim.isolate.run_tasks`, or a cluster."""
+    """What carries tasks out: `mbds_xsim.base.isolate.run_tasks`, or a cluster."""
 
     def __call__(
         self,

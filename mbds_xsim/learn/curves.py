@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.train import CurvePoint
 
 

@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager, nullcontext
 import torch
 from torch import nn
 
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import core_count
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import core_count
 from mbds_xsim.learn.model import LearnedModel, PointModel
 
 

@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from mbds_xsim.learn.layers import keep, mlp
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.learn.mechanics_points import distinct, kinds_of
-from mbds_xsim.sampling import noise_components
+from mbds_xsim.scene.sampling import noise_components
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.learn.energy import (
     Drag,

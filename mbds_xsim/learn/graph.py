@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 DIMENSION = 3
 """Of all positions here: what a data file leaves out of a plane or line scene is put back."""

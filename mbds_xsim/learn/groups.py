@@ -19,11 +19,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
 
 Numbers = NDArray[np.int64]
 

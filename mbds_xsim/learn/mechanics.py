@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from mbds_xsim.errors import Unsupported
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.mechanics_points import NodePoints, PointRows, points_of, rows_of
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,8 +5,8 @@ Simplifying Hamiltonian and Lagrangian neural networks via explicit constraints,
 material point is an affine combination of these, whatever the body's motion, and the kinetic
 energy is ½ m |v_com|² + ½ Σ (J_k / d_k²) |v_tip − v_com|², J_k the second moment along the axis
 and d_k the distance of the tip: the mass matrix is constant. A body of revolution that never spins
-(`mbds_xsim.spin`) needs only the tip on its axis. Tips lie on joints where they can, and points
-that a joint keeps together are one *node*; a node at a joint to the world is fixed.
+(`mbds_xsim.scene.spin`) needs only the tip on its axis. Tips lie on joints where they can, and
+points that a joint keeps together are one *node*; a node at a joint to the world is fixed.
 
 A body-fixed point or vector is a fixed combination of nodes, so each constraint is of degree two:
 (U x) · (W x) = c for lengths, right angles and sliders, and for points that coincide, whose gap has
@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.spin import idle_axes
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.spin import idle_axes
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

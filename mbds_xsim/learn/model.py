@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, final
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start

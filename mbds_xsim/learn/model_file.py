@@ -23,13 +23,13 @@ import torch
 from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
-from mbds_xsim.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import write_scene
-from mbds_xsim.write import write_whole
+from mbds_xsim.scene.file import write_scene
+from mbds_xsim.scene.scene import Scene
 
 _FORMAT = "mbds-xsim model 1"
 _LARGEST = 10_000

@@ -16,13 +16,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.mechanism import JointKind, PlacedJoint
 from mbds_xsim.reference.cache import read_sealed, sealed
-from mbds_xsim.state import Batch
-from mbds_xsim.write import write_whole
+from mbds_xsim.scene.mechanism import JointKind, PlacedJoint
+from mbds_xsim.scene.state import Batch
 
 Array = NDArray[np.float64]
 

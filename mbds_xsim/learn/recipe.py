@@ -6,7 +6,7 @@ import math
 
 import msgspec
 
-from mbds_xsim import bounds
+from mbds_xsim.base import bounds
 
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):

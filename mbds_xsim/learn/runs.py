@@ -19,9 +19,10 @@ from typing import Any
 import msgspec
 import torch
 
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve
 from mbds_xsim.learn.device import put
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
@@ -31,7 +32,6 @@ from mbds_xsim.learn.recipe import Profile, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.write import write_whole
 
 Parts = tuple[Motions, Motions]
 

@@ -14,12 +14,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mbds_xsim.errors import InputError, Unsupported
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.window import KnownInputs, Motions
-from mbds_xsim.mechanism import WORLD_INDEX, PlacedJoint
-from mbds_xsim.sampling_terms import HingeTorque
+from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
+from mbds_xsim.scene.sampling_terms import HingeTorque
 
 Array = NDArray[np.float64]
 AxisWeights = tuple[Array, Array, Array, Array]

@@ -19,13 +19,13 @@ import msgspec
 import torch
 from torch import Tensor
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.learn.device import compile_networks, precision
 from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored
 from mbds_xsim.learn.recipe import SETTLED, WITHOUT_END, Cosine, Decay, Plateau, Profile, Recipe
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
-from mbds_xsim.write import write_whole
 
 _ANEW = "remove it to start anew"
 _End = Literal["", "steps", "level", "diverged"]

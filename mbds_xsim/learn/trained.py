@@ -17,16 +17,16 @@ import msgspec
 import numpy as np
 import torch
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.dataset.work import Carrier, repeating
-from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import TrainingGroup, shares_of

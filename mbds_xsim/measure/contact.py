@@ -12,14 +12,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.campaign import ReferenceOutcome
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Finding
-from mbds_xsim.engine import Method
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.measure.campaign import ReferenceOutcome
 from mbds_xsim.reference.ball import has_only_balls
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

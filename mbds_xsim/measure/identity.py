@@ -10,13 +10,13 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim import registry
-from mbds_xsim.counted import counted
-from mbds_xsim.engine import Settings
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.reference.cache import key_of
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
-from mbds_xsim.versions import CHECKS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
 
 
 def row_key(scene: Scene, start: Batch, engine: str, settings: Settings) -> str:

@@ -18,21 +18,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim import registry
-from mbds_xsim.campaign import ProgressSink, ReferenceOutcome, run_references
-from mbds_xsim.choice import Choice
-from mbds_xsim.engine import Adapter, Settings
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.fingerprint import fingerprint
-from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import Matched, is_stored
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.versions import CHECKS
+from mbds_xsim.measure.campaign import ProgressSink, ReferenceOutcome, run_references
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
-from mbds_xsim.sampling import distinct_starts, draw_batch
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
-from mbds_xsim.versions import CHECKS
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import Matched, is_stored
 
 _VERSION = 1
 """To be raised when the search changes what is found."""

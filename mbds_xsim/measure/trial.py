@@ -12,20 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbds_xsim import registry
-from mbds_xsim.campaign import Outcome, ReferenceOutcome, other_steps
+from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement
-from mbds_xsim.choice import Contender
-from mbds_xsim.convergence import further_step
-from mbds_xsim.engine import Settings
-from mbds_xsim.isolate import Crash
-from mbds_xsim.judge import Row, failed_lines, finding_result, judge
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, other_steps
 from mbds_xsim.measure.contact import contact_findings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.result import EngineResult
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.measure.convergence import further_step
+from mbds_xsim.measure.judge import Row, failed_lines, finding_result, judge
+from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.timed import simulate
 
 _WARM_UP = 2  # frames
 

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 

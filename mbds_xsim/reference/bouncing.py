@@ -14,15 +14,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference.ball import Ball, Contact, Load, Motion, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.tumbling_ball import TumblingBall
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.state import Failure
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

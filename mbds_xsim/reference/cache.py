@@ -21,9 +21,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
-from mbds_xsim.versions import PHYSICS
+from mbds_xsim.base.versions import PHYSICS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[int, int], None]

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.assembly import assemble
-from mbds_xsim.errors import SceneError
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
 from mbds_xsim.reference.multipliers import POOR, Multipliers
 from mbds_xsim.reference.singular import interpolated, projected_onto_branch, typical_states
 from mbds_xsim.reference.topology import topology_of
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -174,7 +174,7 @@ class Dynamics:
         return _normalised(state), share if self._closes else np.ones(len(state))
 
     def residual(self, state: Array) -> Array:
-        """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.constraints`."""
+        """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.scene.constraints`."""
         return self._rows(self._motion(state)).residual
 
     def is_singular(self, state: Array) -> bool:

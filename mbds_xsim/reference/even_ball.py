@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
 from mbds_xsim.reference.sliding import Slide, slide
 from mbds_xsim.reference.turning import turned

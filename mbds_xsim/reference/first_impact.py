@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.state import Failure
 
 Array = NDArray[np.float64]
 

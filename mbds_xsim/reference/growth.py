@@ -7,15 +7,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.markers import marker_positions, markers
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.solution import checked_tolerance, integrate, start_states
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.markers import marker_positions, markers
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

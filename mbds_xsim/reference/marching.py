@@ -17,7 +17,7 @@ from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.singular import BIFURCATION, has_branch
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.state import Failure
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

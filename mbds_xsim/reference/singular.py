@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 
 if TYPE_CHECKING:
     from mbds_xsim.reference.dynamics import Dynamics

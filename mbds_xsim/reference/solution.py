@@ -7,9 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.errors import InputError
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.reference.bouncing import march_balls
@@ -17,8 +15,10 @@ from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.first_impact import FirstImpact
 from mbds_xsim.reference.marching import Inputs, Marched, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -15,7 +15,7 @@ from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless, stopped
 from mbds_xsim.reference.singular import BIFURCATION
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.state import Failure
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

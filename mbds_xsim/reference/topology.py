@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import Mechanism, PlacedJoint
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -28,7 +28,7 @@ _AXES = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """Constant arrays; rows come in the order of `mbds_xsim.constraints`."""
+    """Constant arrays; rows come in the order of `mbds_xsim.scene.constraints`."""
 
     body_count: int
     """Without the world."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.measure.result import Evidence
 from mbds_xsim.report.palette import Style
 from mbds_xsim.report.skeleton import Skeleton, skeleton
-from mbds_xsim.result import Evidence
 
 Array = NDArray[np.float64]
 

@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.catalogue import scene_row
-from mbds_xsim.counted import counted
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.base import rotation
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.report.palette import PARTS
 from mbds_xsim.report.skeleton import Projection, Skeleton, outline, point_of, pose_of, skeleton
-from mbds_xsim.safe_text import in_figure
-from mbds_xsim.scene import Scene
-from mbds_xsim.write import write_whole
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.catalogue import scene_row
 
 Array = NDArray[np.float64]
 

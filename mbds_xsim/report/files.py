@@ -9,10 +9,10 @@ from pathlib import Path
 
 import msgspec
 
+from mbds_xsim.base.safe_text import csv_text
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.report.blocks import Report
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.safe_text import csv_text
-from mbds_xsim.write import write_whole
 
 _LEFT_OUT = {"key"}
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+from mbds_xsim.base.safe_text import as_code, in_markdown, sentence
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
-from mbds_xsim.safe_text import as_code, in_markdown, sentence
 
 
 def to_markdown(reports: Iterable[Report]) -> str:

@@ -8,10 +8,10 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from mbds_xsim.base.safe_text import printable, sentence
 from mbds_xsim.report import palette, themed
 from mbds_xsim.report.blocks import Block, Figure, Motion, Report, Section
 from mbds_xsim.report.terminal import SIGNS
-from mbds_xsim.safe_text import printable, sentence
 
 
 def to_html(reports: Sequence[Report], title: str) -> str:

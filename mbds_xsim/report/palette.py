@@ -10,8 +10,8 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mbds_xsim import registry
-from mbds_xsim.result import EngineResult
+from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.simulate import registry
 
 ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
 MODELS = {"gns": "#7a4fb5", "hgnn": "#a8123e", "lgnn": "#8c6d1f", "sgnn": "#5c8a00"}

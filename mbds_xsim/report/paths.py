@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import InputError
 from mbds_xsim.report import palette
 from mbds_xsim.report.skeleton import Projection
-from mbds_xsim.safe_text import in_figure
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.write import write_whole
+from mbds_xsim.scene.sampling_terms import INTERVALS
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 Edge = tuple[int, int]

@@ -12,6 +12,7 @@ from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
+from mbds_xsim.base.safe_text import printable
 from mbds_xsim.report.blocks import (
     Block,
     Cell,
@@ -23,7 +24,6 @@ from mbds_xsim.report.blocks import (
     Table,
     Text,
 )
-from mbds_xsim.safe_text import printable
 
 _PIPED = 160
 """Columns where nobody says how many there are."""

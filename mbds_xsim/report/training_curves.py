@@ -10,10 +10,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mbds_xsim import registry
 from mbds_xsim.learn.curves import LearningCurve
 from mbds_xsim.report.palette import LIGHT, engine_style
 from mbds_xsim.report.themed import INK, png
+from mbds_xsim.simulate import registry
 
 Look = tuple[str, str | tuple[int, tuple[int, ...]]]
 _PANEL = (4.2, 3.0)  # [in]

@@ -15,9 +15,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import reference, rotation
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     DistanceLink,
@@ -29,7 +30,7 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -1,8 +1,8 @@
 """Cases on the ground with exact answers: sliding, rolling, impacts, rest, a driven car.
 
 Answers are Coulomb's friction, Newton's restitution and rigid bodies in closed form. What an
-engine may be off is derived from what it declares its contact to resolve
-(`mbds_xsim.engine.ContactScales`): an impulse of the ground is late, or early, by one such time.
+engine may be off is derived from what it declares its contact to resolve (`ContactScales` of
+`mbds_xsim.simulate.adapter`): an impulse of the ground is late, or early, by one such time.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.ground import spheres_of
-from mbds_xsim.engine import ContactScales
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     GRAVITY,
     PARTICLE_RADIUS,
     Body,
@@ -36,7 +34,9 @@ from mbds_xsim.scene import (
     Scene,
     Vector,
 )
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ContactScales
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
 
 Array = NDArray[np.float64]

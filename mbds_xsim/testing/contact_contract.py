@@ -11,14 +11,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import readback, reference, rotation
-from mbds_xsim.engine import Adapter, ContactScales, Profile, Settings
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import GRAVITY, PARTICLE_RADIUS, Body, ContactSphere, Ground, Particle, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
+    GRAVITY,
+    PARTICLE_RADIUS,
+    Body,
+    ContactSphere,
+    Ground,
+    Particle,
+    Scene,
+)
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Adapter, ContactScales, Profile, Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.contact_cases import (
     CONTACT_CASES,
     RESTITUTIONS,

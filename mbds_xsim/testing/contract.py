@@ -23,15 +23,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import readback, rotation
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
-from mbds_xsim.engine import Adapter, Feature, Method, Settings, features_of
-from mbds_xsim.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Adapter, Feature, Method, Settings, features_of
 from mbds_xsim.testing.cases import CASES, Case
 from mbds_xsim.testing.contact_contract import ContactContract
 

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.joint_space import LinkStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Scene
+from mbds_xsim.scene.joint_space import LinkStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene
 
 Array = NDArray[np.float64]
 Kind = Literal["fixed", "hinge", "slider", "ball", "free"]

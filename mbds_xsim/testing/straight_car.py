@@ -14,12 +14,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.errors import SceneError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 Array = NDArray[np.float64]
 

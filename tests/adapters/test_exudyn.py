@@ -12,14 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import reference, rotation
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.readback import compare
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     GRAVITY,
     Body,
     Clock,
@@ -31,7 +29,10 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.readback import compare
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 pytest.importorskip("exudyn")
 

@@ -12,18 +12,20 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import readback, reference, rotation
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import HingeRate
-from mbds_xsim.scene import Clock, ContactSphere, Ground, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import HingeRate
+from mbds_xsim.scene.scene import Clock, ContactSphere, Ground, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from mbds_xsim.testing.straight_car import straight_run

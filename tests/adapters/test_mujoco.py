@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import readback, reference
-from mbds_xsim.constraints import constraint_rows
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.joint_space import to_bodies
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.scene.constraints import constraint_rows
+from mbds_xsim.scene.joint_space import to_bodies
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     DistanceLink,
@@ -30,7 +28,10 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
 
 mujoco: Any = pytest.importorskip("mujoco")

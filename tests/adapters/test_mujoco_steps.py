@@ -6,15 +6,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import readback, reference, rotation
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.spin import idle_axes
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.spin import idle_axes
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 pytest.importorskip("mujoco")
 

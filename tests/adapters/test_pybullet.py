@@ -12,14 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import readback, rotation
-from mbds_xsim.constraints import constraint_rows
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.scene.constraints import constraint_rows
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     DistanceLink,
@@ -30,7 +28,10 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 pytest.importorskip("pybullet")
 
@@ -429,8 +430,8 @@ def test_what_bullet_cannot_do_is_refused() -> None:
 
 def test_the_listing_runs_without_the_toolkit_and_nothing_is_printed(tmp_path: Path) -> None:
     code = (
-        "from mbds_xsim.registry import load_adapter, load_scene\n"
-        "from mbds_xsim.sampling import draw_batch\n"
+        "from mbds_xsim.simulate.registry import load_adapter, load_scene\n"
+        "from mbds_xsim.scene.sampling import draw_batch\n"
         "engine, scene = load_adapter('pybullet'), load_scene('2ladder')\n"
         "batch = draw_batch(scene, [0], noise=False, inputs=False)\n"
         "with engine.open(scene, engine.settings(scene, 'native')) as run:\n"

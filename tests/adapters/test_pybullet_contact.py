@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import reference, rotation
-from mbds_xsim.engine import Settings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     PARTICLE_RADIUS,
     Body,
     Clock,
@@ -24,7 +23,9 @@ from mbds_xsim.scene import (
     Scene,
     Torque,
 )
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import ball, crate, gaps, rolling
 
 pytest.importorskip("pybullet")

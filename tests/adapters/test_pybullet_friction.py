@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.constraints import constraint_rows, dense_jacobian
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Clock, Ground, Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Ground, Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.contact.bench import wheel
 from mbds_xsim.studies.contact.friction import sliding
 

@@ -12,14 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import readback
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError, Unsupported
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     PARTICLE_RADIUS,
     Body,
     Clock,
@@ -30,7 +26,11 @@ from mbds_xsim.scene import (
     Particle,
     Scene,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate import readback
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import ball, gaps
 
 pybullet: Any = pytest.importorskip("pybullet")

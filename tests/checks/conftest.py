@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies, to_links
-from mbds_xsim.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference import accelerations
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import HingeTorque, Throw
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import HingeTorque, Throw
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array, Array, Array]

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import agreement
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 NAN = np.nan
 

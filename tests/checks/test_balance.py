@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import reference, rotation
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.balance import balance, balance_drift
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
 
 Array = NDArray[np.float64]

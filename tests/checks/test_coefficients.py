@@ -11,11 +11,11 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.coefficients import coefficients
-from mbds_xsim.engine import Method
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.registry import load_scene
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.consistency import consistency, extrapolate, unsettled
-from mbds_xsim.engine import Method
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Failure, Trajectory
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Failure, Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 METHODS = {
     "euler_reduced": (Method("Euler", "semi-implicit Euler", 1), (2, 4, 8)),

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from mbds_xsim import reference
 from mbds_xsim.checks import Finding, Record, audit
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import Roll, Throw
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Roll, Throw
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.straight_car import straight_run
 
 Array = NDArray[np.float64]
@@ -333,7 +333,7 @@ def thrown(
 
 
 def _rotated(turn: Array, axes: Array) -> Array:
-    from mbds_xsim import rotation
+    from mbds_xsim.base import rotation
 
     return rotation.rotate(turn, axes)
 

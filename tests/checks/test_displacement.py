@@ -10,16 +10,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.engine import Adapter, Method, Settings
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
-from mbds_xsim.simulate import simulate as run
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Adapter, Method, Settings
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate as run
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.cases import Case as Exact
 

@@ -9,10 +9,10 @@ import pytest
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.energy import energy_balance, energy_of, hinge_turns, input_work
-from mbds_xsim.engine import Method
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene, Torque
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, Torque
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Method
 
 SECOND_ORDER = Method("midpoint", "trapezoidal", 2)
 

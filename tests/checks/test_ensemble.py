@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.ensemble import compare, compare_runs, features
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 

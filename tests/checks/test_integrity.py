@@ -9,7 +9,7 @@ import pytest
 
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.state import Failure
 
 
 def test_a_good_trajectory_is_finite_and_starts_where_it_was_drawn(pendulum: Any) -> None:

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.joints import angle_gap, gap
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Trajectory
 
 
 def test_a_motion_that_keeps_its_joints_passes(pendulum: Any, tumbling: Any, linkage: Any) -> None:

@@ -7,18 +7,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import reference, rotation
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
-from mbds_xsim.engine import Adapter, Method, Settings
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
-from mbds_xsim.simulate import simulate as run
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Adapter, Method, Settings
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate as run
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.cases import Case as Exact
 

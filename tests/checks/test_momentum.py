@@ -8,15 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Record
 from mbds_xsim.checks.momentum import momentum
 from mbds_xsim.checks.supports import balances_of
-from mbds_xsim.engine import Method
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     Body,
     Clock,
     ContactSphere,
@@ -28,7 +26,9 @@ from mbds_xsim.scene import (
     SpringDamper,
     Torque,
 )
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.registry import load_scene
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)

@@ -19,11 +19,11 @@ from mbds_xsim.checks.impact_coefficients import Pool, Shown, impact_coefficient
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.checks.overlap import contact_gap
 from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import Throw
-from mbds_xsim.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Throw
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.registry import load_adapter
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.resting import resting
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
+from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 

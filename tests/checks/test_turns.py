@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from mbds_xsim import reference, rotation
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
 from mbds_xsim.checks.agreement import particle_error
-from mbds_xsim.judge import error_findings, turn_finding
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.measure.judge import error_findings, turn_finding
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 
 _GRAIN = 1e-6  # [m]
 

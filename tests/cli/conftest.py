@@ -13,7 +13,9 @@ from typing import IO
 
 import pytest
 
-from mbds_xsim import campaign, cli, isolate
+from mbds_xsim import cli
+from mbds_xsim.base import isolate
+from mbds_xsim.measure import campaign
 
 PROGRAM = os.path.join(os.path.dirname(sys.executable), "mbds-xsim")
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 import tomli_w
 
-from mbds_xsim.errors import SceneError
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import read_scene
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.file import read_scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
 
 Table = dict[str, Any]
 

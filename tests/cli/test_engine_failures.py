@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
-from mbds_xsim import campaign, isolate, plugin, registry
-from mbds_xsim.isolate import Task
+from mbds_xsim.base import isolate
+from mbds_xsim.base.isolate import Task
+from mbds_xsim.measure import campaign
+from mbds_xsim.simulate import plugin, registry
 from tests.plugins import installed
 
 _HANG = 3.0  # [s] until a hanging task is ended
@@ -21,7 +23,7 @@ _HANG = 3.0  # [s] until a hanging task is ended
 _ENGINES = """
 import dataclasses, os, sys, time
 import numpy as np
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.state import Trajectory
 from mbds_xsim_adapters.mujoco import MuJoCo
 
 class Aborting(MuJoCo):

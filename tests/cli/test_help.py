@@ -9,9 +9,9 @@ from typing import Any, get_args
 
 import pytest
 
+from mbds_xsim.base.counted import counted
 from mbds_xsim.commands.help import Chapter
 from mbds_xsim.commands.shared import app
-from mbds_xsim.counted import counted
 from tests.cli.conftest import CommandLine
 
 _NAMES = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]

@@ -7,11 +7,11 @@ from typing import NoReturn
 
 import pytest
 
-from mbds_xsim import isolate
-from mbds_xsim.choice import Choice, Contender
-from mbds_xsim.errors import InputError
-from mbds_xsim.matched import read_matched
-from mbds_xsim.scene import Scene
+from mbds_xsim.base import isolate
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice, Contender
+from mbds_xsim.simulate.matched import read_matched
 from mbds_xsim.studies.match import search as match
 
 from .conftest import CommandLine

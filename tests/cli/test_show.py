@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import catalogue, registry
-from mbds_xsim.isolate import Task
-from mbds_xsim.matched import settings_for
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene_file import save_scene
-from mbds_xsim.simulate import simulate
+from mbds_xsim.base.isolate import Task
+from mbds_xsim.scene.file import save_scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate import catalogue, registry
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.testing import CASES
 
 CommandLine = Callable[..., Any]

@@ -41,7 +41,7 @@ def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
 
 
 def test_studies_of_engines_do_without_torch() -> None:
-    studies = ("studies.tradeoff.study", "studies.stability.survey", "validation")
+    studies = ("studies.tradeoff.study", "studies.stability.survey", "studies.validate.validation")
     reports = ("studies.tradeoff.present", "studies.stability.present")
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 

@@ -17,8 +17,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.result import (
+from mbds_xsim.measure.result import (
     SCHEMA,
     EngineResult,
     EnsembleResult,
@@ -26,6 +25,7 @@ from mbds_xsim.result import (
     ReferenceResult,
     Validation,
 )
+from mbds_xsim.simulate import registry
 
 CommandLine = Callable[..., Any]
 

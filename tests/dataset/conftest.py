@@ -9,10 +9,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.generate import Generated, Request, generate
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 
 TRAJECTORIES = 700  # three shards
 STEPS = 10

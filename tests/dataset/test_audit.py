@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset import foreign
 from mbds_xsim.dataset.audit import Audited, Provenance, audit_file
 from mbds_xsim.dataset.columns import groups
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.errors import InputError
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -89,7 +89,7 @@ def test_the_commands_of_the_card_exist(two: Path) -> None:
 def test_rejected_ones_are_told(make: Make, tmp_path: Path) -> None:
     import msgspec
 
-    from mbds_xsim.registry import load_scene
+    from mbds_xsim.simulate.registry import load_scene
 
     scene = load_scene("1pendulum")
     strict = msgspec.structs.replace(scene.budget, energy=1e-15, energy_first_order=1e-15)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request, generate
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice
 from tests.farm import Farm
 
 from .conftest import TRAJECTORIES, Silence, contents

@@ -12,8 +12,8 @@ import h5py
 import pytest
 
 from mbds_xsim.dataset.shard import LOG
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import save_scene
+from mbds_xsim.scene.file import save_scene
+from mbds_xsim.scene.scene import Scene
 
 Ended = subprocess.CompletedProcess[str]
 

@@ -12,13 +12,13 @@ import h5py
 import numpy as np
 import pytest
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import LIMIT, Crash, Task
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.generate import Generated, Request, generate
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import LIMIT, Crash, Task
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import Simulation, simulate
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 from .conftest import Silence, contents
 

@@ -9,7 +9,7 @@ import h5py
 from mbds_xsim.dataset.columns import groups
 from mbds_xsim.dataset.foreign import FACTS
 from mbds_xsim.dataset.layout import CHECKS, FIELDS, VERSION
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 PAGE = Path(__file__).parents[2] / "docs" / "dataset-layout.md"
 BEGIN, END = "<!-- fields -->\n", "<!-- end of fields -->"

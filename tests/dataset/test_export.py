@@ -8,13 +8,13 @@ import h5py
 import numpy as np
 import pytest
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.audit import Provenance, audit_file
 from mbds_xsim.dataset.export import LOST, Form, export
 from mbds_xsim.dataset.foreign import read_foreign
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, load_dataset, parse_numbers
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene_file import read_scene
+from mbds_xsim.scene.file import read_scene
 
 from .conftest import Make
 

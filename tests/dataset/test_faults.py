@@ -18,13 +18,13 @@ from typing import Any
 import h5py
 import pytest
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset import files, shard
 from mbds_xsim.dataset.files import locked
 from mbds_xsim.dataset.hdf5 import check_content
-from mbds_xsim.errors import InputError
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import save_scene
+from mbds_xsim.scene.file import save_scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.registry import load_adapter
 
 from .conftest import TRAJECTORIES, Make, contents
 

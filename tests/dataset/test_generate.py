@@ -10,22 +10,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import cost
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import audit
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset import gate, shard
 from mbds_xsim.dataset.layout import CHECKS, split_of
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.matched import settings_for
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import Levels, Turn
-from mbds_xsim.scene import Scene
-from mbds_xsim.scene_file import write_scene
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch, Failure
+from mbds_xsim.scene.file import write_scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Levels, Turn
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure
+from mbds_xsim.simulate import cost
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 from .conftest import TRAJECTORIES, Make, Silence, contents
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.inspect import summary_blocks
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import summaries
-from mbds_xsim.errors import InputError
-from mbds_xsim.registry import load_scene
 from mbds_xsim.report.palette import INTERVALS
 from mbds_xsim.report.paths import draw_paths
 from mbds_xsim.report.terminal import print_blocks
+from mbds_xsim.simulate.registry import load_scene
 from tests.dataset.conftest import Make
 from tests.fuzz.campaign import run_command
 

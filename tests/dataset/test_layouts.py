@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import mbds_xsim
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.audit import Provenance, audit_file
 from mbds_xsim.dataset.export import export
 from mbds_xsim.dataset.summary import summaries
 from mbds_xsim.dataset.verify import recheck
-from mbds_xsim.errors import InputError
 
 from .conftest import Make
 from .repack import ELSEWHERE, LAYOUTS, OTHER_TYPES, repack

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.paired import load_pairs
 from mbds_xsim.dataset.read import Dataset, UnknownDataset, load_dataset
-from mbds_xsim.errors import InputError
 from tests.dataset.conftest import Make
 
 COUNT = 30

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.isolate import Crash
 from mbds_xsim.commands.plan import plan_blocks
 from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
-from mbds_xsim.isolate import Crash
 from mbds_xsim.report.terminal import print_blocks
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.choice import Choice
 from tests.dataset.conftest import TRAJECTORIES
 
 KNOWN = ShardCost(

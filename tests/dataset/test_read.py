@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mbds_xsim
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
 
 from .conftest import STEPS, TRAJECTORIES, Make
 

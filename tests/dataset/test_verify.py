@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.gate import judge_rows
 from mbds_xsim.dataset.hdf5 import CONTENT, encode
 from mbds_xsim.dataset.layout import CHECKS
@@ -20,11 +21,10 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import making_of
 from mbds_xsim.dataset.verify import Verified, recheck, verify
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import STATES, Batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES, Batch
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 from .conftest import Make
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbds_xsim.choice import Choice
-from mbds_xsim.matched import Matched, settings_for
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.result import Validation
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.measure.result import Validation
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import Matched, settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 from .planting import Fault, planted
 from .scenes import scene_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.state import Batch
 
 from .bench import ENGINES
 from .contact_changes import (

@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 from .bench import ENGINES
 from .contact_changes import FRICTION, ground, no_contact, no_noise, radius

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from mbds_xsim.engine import Settings
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Settings
 
 __all__ = [
     "FRICTION",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.state import Batch
 
 from .bench import ENGINES
 from .contact_changes import ground, options, radius, without_inputs

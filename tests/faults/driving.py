@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import Settings
-from mbds_xsim.state import Batch
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Settings
 
 from .planting import Fault
 

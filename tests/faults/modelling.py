@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
 
 from .contact_changes import raised
 from .planting import Fault

@@ -11,8 +11,8 @@ from unittest import mock
 
 import numpy as np
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import WORLD_INDEX
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import WORLD_INDEX
 
 __all__ = ["axle_damping", "force_off_center", "joint_damping", "motors_left_on", "no_reaction"]
 

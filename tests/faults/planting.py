@@ -8,13 +8,13 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from unittest import mock
 
-from mbds_xsim.campaign import Outcome, ReferenceOutcome
-from mbds_xsim.engine import Adapter, Profile, Readback, Run, Settings
-from mbds_xsim.judge import Row, judge
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome
+from mbds_xsim.measure.judge import Row, judge
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Adapter, Profile, Readback, Run, Settings
+from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import Simulation, simulate
 
 __all__ = ["Fault", "Faulty", "planted"]
 
@@ -78,8 +78,8 @@ def planted(fault: Fault | None, engine: str) -> Iterator[None]:
         return _DONE[key]
 
     with (
-        mock.patch("mbds_xsim.campaign.simulate", run),
-        mock.patch("mbds_xsim.validation.judge", _judged),
+        mock.patch("mbds_xsim.measure.campaign.simulate", run),
+        mock.patch("mbds_xsim.studies.validate.validation.judge", _judged),
     ):
         yield
 
@@ -104,7 +104,7 @@ def _simulated(
     if fault is None:
         return simulate(scene, batch, engine, settings)
     adapter = Faulty(load_adapter(engine), fault)
-    loading = mock.patch("mbds_xsim.simulate.load_adapter", return_value=adapter)
+    loading = mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter)
     with fault.native(engine), loading:
         return simulate(scene, batch, engine, settings)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from mbds_xsim import registry
-from mbds_xsim.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
 
 __all__ = ["SCENES", "scene_of"]
 

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import Settings
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.base import rotation
 from mbds_xsim.reference import accelerations
-from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Settings
 
 from .bench import ENGINES
 from .native import force_off_center, joint_damping, motors_left_on, no_reaction

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.result import EngineResult, Validation
+from mbds_xsim.measure.result import EngineResult, Validation
+from mbds_xsim.simulate import registry
 
 from .bench import ENGINES, checked, told
 from .faults import FAULTS

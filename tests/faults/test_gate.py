@@ -13,16 +13,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.gate import CheckTable, Making, judge_rows
 from mbds_xsim.dataset.shard import make_shard
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate
 
 from .contact_changes import ground
 from .planting import Fault, Faulty
@@ -148,7 +148,7 @@ def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(
         fault = Fault("shard", "simplecubli", ("mujoco",), ("coefficients",), **change)
         adapter = Faulty(adapter, fault)
     item = Item(_ROWS.start, len(_ROWS))
-    with mock.patch("mbds_xsim.simulate.load_adapter", return_value=adapter):
+    with mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter):
         make_shard(variant, item, tmp_path)
     with h5py.File(variant.folder(tmp_path) / item.file_name) as file:
         published = int(file.attrs["published"])

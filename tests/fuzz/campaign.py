@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, Phase
 from hypothesis.strategies import SearchStrategy
 
 from mbds_xsim import cli
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 
 __all__ = ["CASES", "Ended", "cases_of", "fuzz", "refused", "run_command"]
 

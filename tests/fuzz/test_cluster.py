@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from hypothesis import strategies as st
 
+from mbds_xsim.base.isolate import Task
 from mbds_xsim.dataset import cluster
 from mbds_xsim.dataset.cluster import Cluster
-from mbds_xsim.isolate import Task
 from tests.farm import Farm
 from tests.fuzz.campaign import cases_of, fuzz, refused
 

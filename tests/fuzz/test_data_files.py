@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Clock
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 from tests.fuzz.campaign import fuzz, refused, run_command
 
 Folder = pytest.TempPathFactory

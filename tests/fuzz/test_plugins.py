@@ -18,18 +18,19 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from mbds_xsim import isolate, plugin, registry
-from mbds_xsim.catalogue import engine_rows
-from mbds_xsim.choice import Choice
+from mbds_xsim.base import isolate
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.generate import Request, generate
-from mbds_xsim.engine import Readback, Run
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.silence import Silent
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import plugin, registry
+from mbds_xsim.simulate.adapter import Readback, Run
+from mbds_xsim.simulate.catalogue import engine_rows
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.tradeoff.sweep import curves_of
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 from tests.fuzz.campaign import fuzz
 
 _SOUND = type(load_adapter("mujoco"))

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 
 from benchmarks.four_bars import four_bars
 from mbds_xsim.reference import solve
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene_file import read_scene, write_scene
+from mbds_xsim.scene.file import read_scene, write_scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.registry import load_scene
 from tests.fuzz.campaign import fuzz, refused, run_command
 
 _NUMBERS = st.one_of(

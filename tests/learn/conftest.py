@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from mbds_xsim.choice import Choice
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.window import KnownInputs, Motions
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Clock
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 
 torch.set_num_threads(1)
 

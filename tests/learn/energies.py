@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic
 from mbds_xsim.learn.mechanics import Mechanics
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.registry import load_scene
 
 torch.set_num_threads(1)
 

@@ -14,7 +14,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.model_file import save_model
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 FACTS = {
     "training": "mujoco",

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Body, DistanceLink, Inertia, Joint, Particle, Scene, SpringDamper
+from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Particle, Scene, SpringDamper
+from mbds_xsim.simulate.registry import load_scene
 
 _PAGE = Path(__file__).parents[2] / "docs" / "scene-file.md"
 

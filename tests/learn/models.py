@@ -12,7 +12,7 @@ from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.model_file import save_model
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 __all__ = ["squared_error", "untrained"]
 

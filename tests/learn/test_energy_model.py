@@ -10,18 +10,18 @@ import pytest
 import torch
 
 from benchmarks.energy_rollouts import errors, from_places
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import Unsupported
 from mbds_xsim.learn.energy_models import EnergyModel, Hamiltonian, Lagrangian
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Start
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.registry import load_scene
 from tests.learn.models import squared_error
 
 from .energies import TrueEnergy, drawn_states

@@ -15,7 +15,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build, rollout
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
-from mbds_xsim.registry import PAPER_SCENES, load_scene
+from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 
 SMALL = GNSSettings(width=16, steps=3)
 

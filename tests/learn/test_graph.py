@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import PAPER_SCENES, load_scene
-from mbds_xsim.scene import Body, Inertia
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia
+from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
 
 
 @pytest.mark.parametrize("name", PAPER_SCENES)

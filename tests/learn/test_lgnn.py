@@ -19,8 +19,8 @@ from mbds_xsim.learn.energy import (
 )
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Body, Particle, Scene, SpringDamper
+from mbds_xsim.scene.scene import Body, Particle, Scene, SpringDamper
+from mbds_xsim.simulate.registry import load_scene
 
 from .energies import drawn_states, march, no_inputs, random_energy
 from .mechanisms import scene_of

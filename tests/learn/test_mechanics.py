@@ -11,18 +11,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mbds_xsim import rotation
-from mbds_xsim.constraints import degrees_of_freedom
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.joint_space import BodyStates, LinkStates, to_bodies
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.energy import potential_force
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
-from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.reference import accelerations, solve
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate.registry import load_scene
 
 from .energies import TrueEnergy, march, no_inputs
 from .mechanisms import scene_of

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from mbds_xsim import versions
+from mbds_xsim.base import versions
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.model import build, load_model, model_names, rollout
 from mbds_xsim.learn.model_file import read_model, save_model
 from mbds_xsim.learn.recipe import Profile, Recipe

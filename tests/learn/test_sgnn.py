@@ -28,7 +28,7 @@ from mbds_xsim.learn.sgnn_network import (
 )
 from mbds_xsim.learn.statistics import Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 torch.set_num_threads(1)
 SCENES = ("6pendulum", "3ladder", "ballscroll", "balldrop", "particlecar", "simplecubli", "bricard")

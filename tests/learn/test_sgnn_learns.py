@@ -16,7 +16,7 @@ from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity
 from mbds_xsim.learn.window import KnownInputs, Motions
-from mbds_xsim.scene import Body, Particle, Scene
+from mbds_xsim.scene.scene import Body, Particle, Scene
 from tests.learn.models import squared_error
 
 torch.set_num_threads(1)

@@ -47,8 +47,8 @@ from mbds_xsim.learn.shift.result import Gap
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.trivial import ConstantVelocity
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.registry import load_scene
 
 Array = NDArray[np.float64]
 Analytic = Callable[..., Motions]
@@ -126,7 +126,7 @@ def test_rigid_pairs_of_a_ladder_keep_their_distance_in_true_motion() -> None:
     graph = Graph.of(scene)
     batch = draw_batch(scene, range(6))
     from mbds_xsim.dataset.points import Points
-    from mbds_xsim.state import Trajectory
+    from mbds_xsim.scene.state import Trajectory
 
     states = {
         name: getattr(batch, name)[:, None]

@@ -19,12 +19,11 @@ import numpy as np
 import pytest
 import torch
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal
@@ -43,9 +42,10 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.registry import load_scene
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.shift.present import present
 from mbds_xsim.studies.shift.tables import tables
 

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 from typer.testing import CliRunner
 
-from mbds_xsim import reference, registry
+from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.cli import main
 from mbds_xsim.commands import app
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model_file import read_model
@@ -25,9 +25,10 @@ from mbds_xsim.learn.trained import particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.stability import learned, words
 from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.definition import Study

@@ -13,7 +13,7 @@ import msgspec
 import pytest
 import torch
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.train import read_identity
 from mbds_xsim.learn.trained import trained_in

@@ -12,10 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.cli import main
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
@@ -23,7 +21,9 @@ from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
-from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.tradeoff import learned as measuring
 from mbds_xsim.studies.tradeoff.learned import AT_ONCE, ModelStarts, with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
@@ -242,7 +242,7 @@ def test_a_study_of_another_scene_or_no_model_of_it_is_refused(
 
 def test_where_the_reference_ends_at_once_nothing_can_be_given(engines: Tradeoff) -> None:
     car = registry.load_scene("particlecar")
-    from mbds_xsim.fingerprint import fingerprint
+    from mbds_xsim.scene.fingerprint import fingerprint
 
     study = msgspec.structs.replace(engines, fingerprint=fingerprint(car), trajectories=(1,))
 
@@ -254,7 +254,7 @@ def test_the_command_puts_models_onto_a_stored_study(
     engines: Tradeoff, scene: Scene, folder: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    from mbds_xsim.scene_file import write_scene
+    from mbds_xsim.scene.file import write_scene
 
     path, stored, out = (tmp_path / name for name in ("scene.toml", "study.json", "both.json"))
     path.write_text(write_scene(scene))

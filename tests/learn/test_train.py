@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build, load_model
 from mbds_xsim.learn.recipe import (

@@ -18,7 +18,8 @@ import pytest
 import torch
 from rich.console import Console
 
-from mbds_xsim.choice import Choice
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.cli import main
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.cluster import Cluster
@@ -27,8 +28,6 @@ from mbds_xsim.dataset.generate import generate
 from mbds_xsim.dataset.layout import SPLITS
 from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Task, run_tasks
 from mbds_xsim.learn import runs, trainings
 from mbds_xsim.learn.curves import (
     EventLog,
@@ -45,12 +44,13 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import CurvePoint, Training
 from mbds_xsim.learn.trainings import TrainingRequest, carry, planned, watched
 from mbds_xsim.learn.window import Motions
-from mbds_xsim.registry import load_scene
 from mbds_xsim.report.bar import TrainingBar
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Clock
-from mbds_xsim.simulate import Simulation, simulate
-from mbds_xsim.state import Failure
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.scene.state import Failure
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import Simulation, simulate
 from tests.farm import Farm
 
 TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False, least=5)
@@ -433,7 +433,7 @@ def test_a_plan_tells_the_cost_and_trains_nothing(
         assert workers > 0
         return run_tasks(tasks, workers=0)
 
-    monkeypatch.setattr("mbds_xsim.isolate.run_tasks", here)
+    monkeypatch.setattr("mbds_xsim.base.isolate.run_tasks", here)
     monkeypatch.setitem(PROFILES, "smoke", TINY)
     words = [str(made), "--models", "gns", "--profile", "smoke", "--plan", "--json", "-"]
     assert _end([*words, "--out", str(tmp_path / "models")], monkeypatch) == 0

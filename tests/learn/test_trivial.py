@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mbds_xsim.errors import InputError, UnknownName
+from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.learn.model import build, load_model, rollout
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import Motions

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Channels, Moments, Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions
-from mbds_xsim.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene
 
 Data = Callable[..., Dataset]
 

@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.result import (
+from mbds_xsim.measure.result import (
     SCHEMA,
     EngineResult,
     Evidence,
@@ -24,9 +22,11 @@ from mbds_xsim.result import (
     ReferenceResult,
     Validation,
 )
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Failure, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Failure, Trajectory
+from mbds_xsim.simulate import registry
 
 Array = NDArray[np.float64]
 

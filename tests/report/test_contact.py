@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.measure.result import EnsembleResult
 from mbds_xsim.report import palette, themed
-from mbds_xsim.result import EnsembleResult
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate import registry
 from mbds_xsim.studies.validate import contact_table, figures, words
 from mbds_xsim.studies.validate.episodes import contact_of, contacts_of
 

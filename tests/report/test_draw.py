@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import cli, registry
-from mbds_xsim.errors import InputError
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim import cli
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.draw import draw_scene
 from mbds_xsim.report.palette import PARTS
 from mbds_xsim.report.skeleton import Projection, outline, pose_of
-from mbds_xsim.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
+from mbds_xsim.simulate import registry
 
 Array = NDArray[np.float64]
 

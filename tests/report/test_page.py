@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.mechanism import Mechanism
 from mbds_xsim.report import animation, palette
 from mbds_xsim.report.page import to_html
 from mbds_xsim.report.skeleton import skeleton
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case, Fake, make_case

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import cli, registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.isolate import Task, run_tasks
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import Turn
-from mbds_xsim.scene import Body, Clock, Inertia, Joint, Scene
-from mbds_xsim.scene_file import write_scene
+from mbds_xsim import cli
+from mbds_xsim.base.isolate import Task, run_tasks
+from mbds_xsim.scene.file import write_scene
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import Turn
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.ablate.analyse import Window, least_size, row_of
 from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
 from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
@@ -287,7 +288,7 @@ def test_the_command_writes_what_it_found(
     short = msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(0.02, 10))
     scene.write_text(write_scene(short), "utf-8")
     page, data = tmp_path / "a.md", tmp_path / "a.json"
-    for module in ("campaign", "studies.ablate.study"):
+    for module in ("measure.campaign", "studies.ablate.study"):
         monkeypatch.setattr(f"mbds_xsim.{module}.run_tasks", _in_this_process)
     words = [str(scene), "--engines", "mujoco,exudyn", "--trajectories", "1"]
     words += ["--markdown", str(page), "--json", str(data)]

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbds_xsim import cli, isolate, registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.state import Trajectory
+from mbds_xsim import cli
+from mbds_xsim.base import isolate
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.contact import study
 from mbds_xsim.studies.contact.bench import FRICTION, PULL, ContactBench, ContactFigure
 from mbds_xsim.studies.contact.energy import per_bounce

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import registry, rotation
-from mbds_xsim.campaign import ReferenceOutcome, run_references
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import Finding, audit
-from mbds_xsim.engine import Adapter, Method
-from mbds_xsim.matched import settings_for
+from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.contact import contact_findings
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Method
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.timed import simulate
 
 Array = NDArray[np.float64]
 EULER = Method("Euler", "semi-implicit Euler", 1)

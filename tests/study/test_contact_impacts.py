@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbds_xsim.engine import Adapter
+from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.studies.contact.bench import PULL, ContactBench
 from mbds_xsim.studies.contact.impacts import rebounds
 

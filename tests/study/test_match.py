@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim import cli, registry
-from mbds_xsim.campaign import run_references
-from mbds_xsim.choice import Choice
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.matched import settings_for
+from mbds_xsim import cli
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.measure import quick as bisect
+from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
 from mbds_xsim.measure.trial import Trial, run_trial
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Budget, Clock, Scene
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Budget, Clock, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.file import matched_toml
 from mbds_xsim.studies.match.search import Found, Match, match

@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.errors import InputError
-from mbds_xsim.matched import Matched, is_stored, settings_for
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
 from mbds_xsim.measure.trial import Trial
-from mbds_xsim.scene import Body, Clock, Force, Inertia, Joint, Scene
-from mbds_xsim.silence import Silent
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import Matched, is_stored, settings_for
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 MUJOCO = registry.load_adapter("mujoco")
 DART = registry.load_adapter("dart")

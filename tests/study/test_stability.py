@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbds_xsim import reference, registry
-from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Failure, Trajectory
+from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Failure, Trajectory
+from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability import verdict as cells
 from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.definition import FRAME, Study

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.studies import study_named
 from mbds_xsim.studies.stability.survey import survey

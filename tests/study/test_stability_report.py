@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from mbds_xsim import cli
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html

@@ -13,12 +13,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice
-from mbds_xsim.engine import Adapter, features_of
-from mbds_xsim.isolate import Task
+from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure.store import Store
-from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, features_of
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.tradeoff import bench, point, sweep
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
 from mbds_xsim.studies.tradeoff.point import measure
@@ -254,7 +254,7 @@ def _never(*_: Any) -> Any:
 _ENGINES = """
 import os, time
 import numpy as np
-from mbds_xsim.state import Failure, Trajectory
+from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim_adapters.mujoco import MuJoCo
 
 class Aborting(MuJoCo):

@@ -17,19 +17,19 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import STATES, Batch, Trajectory
-from mbds_xsim.write import write_whole
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import STATES, Batch, Trajectory
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import SPLITS, split_of
-from mbds_xsim.errors import InputError
 from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.trained import TrainedModel, trained_model

@@ -22,11 +22,11 @@ import msgspec
 import numpy as np
 import torch
 
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.versions import MODELS
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.proof import attributes_of
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.device import process_count, put
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.particles import RolloutFigures, figures_on, measure, read_figures
@@ -34,11 +34,11 @@ from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import directory
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch
-from mbds_xsim.versions import MODELS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.timed import simulate
 
 _TIMEOUT = 4 * 3600.0  # of the work of a process [s]
 _MODELS = 6  # a process: starting one takes seconds

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
@@ -50,7 +50,7 @@ from mbds_xsim.learn.shift.rollouts import RolloutMeter, RolloutPlan, evaluate, 
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
-from mbds_xsim.registry import package_version
+from mbds_xsim.simulate.registry import package_version
 
 Array = NDArray[np.float64]
 _AT = 10

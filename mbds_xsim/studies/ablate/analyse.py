@@ -8,15 +8,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
+from mbds_xsim.base import rotation
 from mbds_xsim.checks import agreement
-from mbds_xsim.constraints import constraint_rows, degrees_of_freedom, dense_jacobian
-from mbds_xsim.engine import ModelSize, Settings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter
-from mbds_xsim.result import Evidence
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.measure.result import Evidence
+from mbds_xsim.scene.constraints import constraint_rows, degrees_of_freedom, dense_jacobian
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Settings
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.studies.ablate.effects import Effect
 from mbds_xsim.studies.ablate.result import Floor, Row, Size, Verdict
 

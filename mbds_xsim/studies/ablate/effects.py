@@ -15,14 +15,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from mbds_xsim.assembly import check_joints
-from mbds_xsim.errors import SceneError
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.sampling_terms import INTERVALS, Levels
-from mbds_xsim.scene import Joint, Scene, Vector
-from mbds_xsim.state import Batch
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.assembly import check_joints
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS, Levels
+from mbds_xsim.scene.scene import Joint, Scene, Vector
+from mbds_xsim.scene.state import Batch
 from mbds_xsim.studies.ablate.inertia import own_inertia, rod_inertia, rotary_inertia, wheel_inertia
 
 DROP, HALF = 0.0, 0.5

@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Body, Inertia, Scene
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Body, Inertia, Scene
 
 Array = NDArray[np.float64]
 

@@ -11,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim import reference
-from mbds_xsim.campaign import ProgressSink, Watch
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.checks import agreement
-from mbds_xsim.choice import Choice, Contender
-from mbds_xsim.counted import counted
-from mbds_xsim.engine import ModelSize
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.campaign import ProgressSink, Watch
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.mechanism import Mechanism
+from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.reference import FirstImpact
-from mbds_xsim.result import EngineResult, Evidence, Validation
-from mbds_xsim.scene import Scene
-from mbds_xsim.silence import Silent
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize
+from mbds_xsim.simulate.choice import Choice, Contender
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
     Least,
     Window,
@@ -40,7 +40,7 @@ from mbds_xsim.studies.ablate.analyse import (
 )
 from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
 from mbds_xsim.studies.ablate.result import Ablation, Floor, Row, Size
-from mbds_xsim.validation import validate_with_evidence
+from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 
 def ablate(

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
-from mbds_xsim.counted import counted
+from mbds_xsim.base.counted import counted
 from mbds_xsim.dataset.audit import Audited
+from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import (
     Block,
@@ -22,7 +23,6 @@ from mbds_xsim.report.blocks import (
     Table,
 )
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.result import FindingResult
 
 _LEAST = 1e-6
 """Smaller shares of a budget are drawn as this one."""

@@ -12,11 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.engine import Profile, Settings
-from mbds_xsim.matched import settings_for
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import (
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import (
     GRAVITY,
     PARTICLE_RADIUS,
     Body,
@@ -27,8 +24,11 @@ from mbds_xsim.scene import (
     Particle,
     Scene,
 )
-from mbds_xsim.simulate import recorded
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Profile, Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import recorded
 
 Array = NDArray[np.float64]
 

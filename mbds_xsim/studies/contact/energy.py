@@ -9,13 +9,13 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import pushes_of, spheres_of
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.engine import Profile
-from mbds_xsim.joint_space import BodyStates
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.registry import load_adapter, load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Ground, Scene
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Ground, Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Profile
+from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.contact.bench import (
     FRICTION,
     PULL,

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mbds_xsim.engine import Profile
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.report.palette import ENGINES, engine_style
 from mbds_xsim.report.themed import INK, png
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact.bench import FRICTION
 from mbds_xsim.studies.contact.impacts import RESTITUTIONS
 from mbds_xsim.studies.contact.study import ContactStudy
-from mbds_xsim.write import write_whole
 
 _MARKS = "12x+34"
 _BOUNCING = [e for e in RESTITUTIONS if e > 0.0]

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.engine import Profile
-from mbds_xsim.scene import Ground
-from mbds_xsim.state import Trajectory
+from mbds_xsim.scene.scene import Ground
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact.bench import (
     FRICTION,
     PULL,

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import rotation
-from mbds_xsim.engine import Profile
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Body, Clock, Ground, Inertia, Joint, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact.bench import (
     FRICTION,
     RADIUS,

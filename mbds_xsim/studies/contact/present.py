@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from mbds_xsim.engine import Profile
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Table, Text
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION, ContactFigure
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.limits import DROPS, SPINS

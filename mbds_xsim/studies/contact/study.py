@@ -10,15 +10,15 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from mbds_xsim import registry
-from mbds_xsim.campaign import ProgressSink
-from mbds_xsim.choice import Choice
-from mbds_xsim.counted import counted
-from mbds_xsim.engine import ContactLaw, Profile
-from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.simulate import simulate
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.campaign import ProgressSink
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import ContactLaw, Profile
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure, reason
 from mbds_xsim.studies.contact.energy import energy, rest
 from mbds_xsim.studies.contact.friction import friction

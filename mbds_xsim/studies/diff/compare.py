@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.studies.diff.read import read_views
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 

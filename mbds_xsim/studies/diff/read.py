@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from mbds_xsim import result
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.measure import result
 from mbds_xsim.studies.diff.plain import plain_view
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
 from mbds_xsim.studies.match import search as match

@@ -1,4 +1,4 @@
-"""Matched settings as the file that `mbds_xsim.matched` reads, with the figures they gave."""
+"""Matched settings, with the figures they gave, as a file for `mbds_xsim.simulate.matched`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import tomli_w
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.studies.match.search import Found, Match
 
 _HEAD = """\

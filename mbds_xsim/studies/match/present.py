@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbds_xsim.counted import counted
+from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, Row, Table
 from mbds_xsim.studies.match.search import Found, Match

@@ -11,21 +11,21 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim import registry
-from mbds_xsim.campaign import ReferenceOutcome, run_references
-from mbds_xsim.choice import Choice
-from mbds_xsim.engine import Settings
-from mbds_xsim.errors import InputError
-from mbds_xsim.fingerprint import fingerprint
-from mbds_xsim.isolate import Crash, Task, run_tasks
-from mbds_xsim.matched import settings_for
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
-from mbds_xsim.sampling import distinct_starts, draw_batch
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.studies.tradeoff.bench import Meter
 from mbds_xsim.studies.tradeoff.sweep import NATIVE, Curve, curves_of
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.models import TRIVIAL
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
 from mbds_xsim.report.training_curves import looks
-from mbds_xsim.safe_text import in_figure
 from mbds_xsim.studies.shift.matrix import Matrix, at, matrix_of, trained_models
 
 _CELL = (0.95, 0.34)  # width and height [in]

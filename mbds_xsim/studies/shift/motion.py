@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
 from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import LIGHT, Style, model_style
-from mbds_xsim.safe_text import in_figure
-from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling_terms import INTERVALS
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from mbds_xsim.base.safe_text import csv_text
 from mbds_xsim.learn.particles import RolloutFigures
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.shift.study import ShiftStudy
-from mbds_xsim.safe_text import csv_text
 
 
 def to_csv(studies: Sequence[ShiftStudy]) -> bytes:

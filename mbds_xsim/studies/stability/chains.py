@@ -6,9 +6,17 @@ import math
 
 import msgspec
 
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling_terms import Swing, Turn, span_of
-from mbds_xsim.scene import PARTICLE_INERTIA, WORLD, Body, Joint, Particle, Scene, SpringDamper
+from mbds_xsim.scene.sampling_terms import Swing, Turn, span_of
+from mbds_xsim.scene.scene import (
+    PARTICLE_INERTIA,
+    WORLD,
+    Body,
+    Joint,
+    Particle,
+    Scene,
+    SpringDamper,
+)
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.stability.definition import Study
 
 SCENES = Study(

@@ -8,19 +8,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from mbds_xsim import registry
-from mbds_xsim.catalogue import as_profile
-from mbds_xsim.choice import is_file
-from mbds_xsim.engine import Adapter, Profile, Settings
-from mbds_xsim.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.isolate import Task
-from mbds_xsim.matched import settings_for
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
+from mbds_xsim.base.isolate import Task
+from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.identity import row_key
-from mbds_xsim.scene import Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
+from mbds_xsim.simulate.catalogue import as_profile
+from mbds_xsim.simulate.choice import is_file
+from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.studies.stability.definition import COUNTS, Case, Study, Value
 from mbds_xsim.studies.stability.rows import Options
 from mbds_xsim.studies.stability.verdict import run_cells
-from mbds_xsim.versions import CHECKS
 
 
 class Contender(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.studies.stability.definition import Study
 
 _CRANK = 1.0  # length [m]

@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.errors import InputError, UnknownName
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 Value = float | str
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from mbds_xsim.registry import load_scene
-from mbds_xsim.sampling_terms import HingeRate, Throw
-from mbds_xsim.scene import Ground, Scene
+from mbds_xsim.scene.sampling_terms import HingeRate, Throw
+from mbds_xsim.scene.scene import Ground, Scene
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.stability.definition import Study
 
 _SLOWEST = 0.7

@@ -18,10 +18,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
-from mbds_xsim.engine import Profile
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Task
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Task
+from mbds_xsim.base.versions import CHECKS, MODELS
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import (
     ParticleMotion,
@@ -41,12 +40,13 @@ from mbds_xsim.learn.trained import (
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.reference.cache import key_of
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.stability.definition import Case, Study, Value
 from mbds_xsim.studies.stability.rows import LEARNED, Options, Outcome
 from mbds_xsim.studies.stability.verdict import Judged, Signs, Verdict, part_of_way
-from mbds_xsim.versions import CHECKS, MODELS
 
 Array = NDArray[np.float64]
 

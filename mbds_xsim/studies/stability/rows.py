@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from mbds_xsim.engine import Profile
+from mbds_xsim.simulate.adapter import Profile
 
 SCHEMA = "mbds-xsim/stability/1"
 

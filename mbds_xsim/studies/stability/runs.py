@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.store import Store
 from mbds_xsim.reference.cache import directory

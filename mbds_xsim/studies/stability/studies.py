@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbds_xsim.errors import UnknownName
+from mbds_xsim.base.errors import UnknownName
 from mbds_xsim.studies.stability import chains, cranks, grounds
 from mbds_xsim.studies.stability.definition import Study
 

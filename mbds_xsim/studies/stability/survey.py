@@ -6,13 +6,14 @@ import platform
 import time
 from collections.abc import Sequence
 
-from mbds_xsim import reference, registry
-from mbds_xsim.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim import reference
+from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.reference import FirstImpact
-from mbds_xsim.scene import Clock, Scene
-from mbds_xsim.silence import Silent
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability.contenders import Contender, Job, Plan, contenders_of
 from mbds_xsim.studies.stability.definition import FRAME, Case, Value, text_of
 from mbds_xsim.studies.stability.rows import SCHEMA, Panel, Sweep

@@ -25,17 +25,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import isolate, registry
+from mbds_xsim.base import isolate
 from mbds_xsim.checks import agreement
 from mbds_xsim.checks.energy import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.checks.passivity import passivity
-from mbds_xsim.engine import Method, Settings
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import recorded
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.timed import recorded
 from mbds_xsim.studies.stability.rows import Outcome, Told
 
 Array = NDArray[np.float64]

@@ -8,13 +8,13 @@ from typing import Any, Protocol
 
 import msgspec
 
-from mbds_xsim import registry
-from mbds_xsim.engine import Settings
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.identity import machine, row_key
 from mbds_xsim.measure.store import Store
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.studies.tradeoff.point import INSTANT, Measured, horizon_of, measure
 from mbds_xsim.studies.tradeoff.rows import Kind, Row
 from mbds_xsim.studies.tradeoff.sweep import Curve

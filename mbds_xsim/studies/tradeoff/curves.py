@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 import msgspec
 import numpy as np
 
-from mbds_xsim import registry
-from mbds_xsim.scene import Scene
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
 from mbds_xsim.studies.tradeoff.explore import Found
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Row
 from mbds_xsim.studies.tradeoff.sweep import Curve

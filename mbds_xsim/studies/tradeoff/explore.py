@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbds_xsim.isolate import core_count
+from mbds_xsim.base.isolate import core_count
 from mbds_xsim.studies.tradeoff.bench import Bench, Job
 from mbds_xsim.studies.tradeoff.rows import Row
 from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve

@@ -19,11 +19,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import registry
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.versions import CHECKS, MODELS
 from mbds_xsim.checks import agreement
-from mbds_xsim.errors import InputError
-from mbds_xsim.fingerprint import fingerprint
-from mbds_xsim.isolate import Crash, Task, run_tasks
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion, gap, particle_error, unexplained_energy
@@ -32,15 +31,16 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.store import Store
 from mbds_xsim.reference.cache import directory, key_of
-from mbds_xsim.sampling import draw_batch
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
 from mbds_xsim.studies.tradeoff.bench import Meter
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.point import WARM_UP, Seconds, Truth, horizon_of, timed
 from mbds_xsim.studies.tradeoff.rows import Kind, Learned, Row, Tradeoff
 from mbds_xsim.studies.tradeoff.truths import references
-from mbds_xsim.versions import CHECKS, MODELS
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -10,12 +10,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import isolate, registry
+from mbds_xsim.base import isolate
 from mbds_xsim.checks import Finding, agreement, audit
-from mbds_xsim.engine import Adapter, ModelSize, Settings
-from mbds_xsim.mechanism import Mechanism
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Failure, Trajectory
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, ModelSize, Settings
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made")

@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from mbds_xsim.counted import counted
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.safe_text import in_figure, sentence
 from mbds_xsim.report import quantity, themed
 from mbds_xsim.report.blocks import (
     Block,
@@ -26,7 +27,6 @@ from mbds_xsim.report.blocks import (
     Text,
 )
 from mbds_xsim.report.themed import INK, PAPER
-from mbds_xsim.safe_text import in_figure, sentence
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.figures import (
     Panel,

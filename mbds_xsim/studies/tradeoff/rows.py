@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from mbds_xsim.errors import InputError
+from mbds_xsim.base.errors import InputError
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 

@@ -9,18 +9,18 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from mbds_xsim import registry
-from mbds_xsim.choice import Choice, words_of
-from mbds_xsim.errors import InputError
-from mbds_xsim.fingerprint import fingerprint
-from mbds_xsim.isolate import core_count
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import core_count
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.store import Store
-from mbds_xsim.sampling import distinct_starts, draw_batch
-from mbds_xsim.sampling_terms import INTERVALS
-from mbds_xsim.scene import Scene
-from mbds_xsim.silence import Silent
-from mbds_xsim.state import Batch
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.studies.tradeoff.bench import Bench, Meter
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 from mbds_xsim.studies.tradeoff.explore import Found, explore

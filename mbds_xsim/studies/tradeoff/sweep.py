@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from mbds_xsim import registry
-from mbds_xsim.engine import Adapter, Settings, features_of
-from mbds_xsim.errors import Unsupported
-from mbds_xsim.matched import settings_for
-from mbds_xsim.scene import Scene
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Settings, features_of
+from mbds_xsim.simulate.matched import settings_for
 
 Options = Mapping[str, float | int | bool | str]
 

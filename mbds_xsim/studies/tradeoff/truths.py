@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbds_xsim import reference
-from mbds_xsim.errors import InputError
-from mbds_xsim.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference import FirstImpact
-from mbds_xsim.scene import Scene
-from mbds_xsim.simulate import simulate
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
 from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve
 

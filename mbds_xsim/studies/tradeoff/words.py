@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable
 
-from mbds_xsim.counted import counted
+from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Tradeoff

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
-from mbds_xsim.result import Evidence
-from mbds_xsim.scene import Scene
-from mbds_xsim.state import Batch, Trajectory
+from mbds_xsim.measure.result import Evidence
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

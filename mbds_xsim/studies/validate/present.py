@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from mbds_xsim.measure.result import EngineResult, Evidence, FindingResult, Validation
 from mbds_xsim.report import animation, quantity
 from mbds_xsim.report.blocks import (
     Block,
@@ -22,8 +23,7 @@ from mbds_xsim.report.blocks import (
     table_of,
 )
 from mbds_xsim.report.palette import Style, styles
-from mbds_xsim.result import EngineResult, Evidence, FindingResult, Validation
-from mbds_xsim.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import contact_table, figures, timeline, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of
 

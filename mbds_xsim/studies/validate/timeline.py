@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.result import Evidence, Validation
+from mbds_xsim.measure.result import Evidence, Validation
 from mbds_xsim.studies.validate.episodes import Contact
 
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 
 from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
+from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column
-from mbds_xsim.result import EngineResult, Evidence, Validation
 
 
 def label(result: EngineResult) -> str:

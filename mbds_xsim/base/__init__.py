@@ -1,0 +1,1 @@
+"""Errors, files, processes, rotations: what every other part stands on."""

@@ -1,0 +1,140 @@
+"""Checks of single values, each raising one line: what was got, what is allowed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbds_xsim.base.errors import SceneError
+
+_MOST = 10**9
+"""More frames than this fit into no memory."""
+_LARGEST, _SMALLEST, _LEAST_MOMENT = 1e15, 1e-30, 1e-60
+_FARTHEST, _SHORTEST = 1e7, 1e-9  # [m]
+_LONGEST_NAME = 200  # bytes, of the 255 that a file's name may have
+_TOO_FAR = "farther out, double precision rounds by more than 1e-9 m"
+_TOO_SMALL = "products of smaller numbers underflow"
+
+
+def held_series(length: int, hold: int) -> None:
+    """Raise unless a held series has rows and lasts."""
+    at_least_one("hold", hold)
+    if length < 1:
+        msg = "series: got no row, allowed is one or more"
+        raise SceneError(msg)
+
+
+def finite(key: str, values: tuple[float, ...]) -> None:
+    """Raise unless every number is finite, and small enough that a product of many is as well."""
+    for value in values:
+        if not math.isfinite(value):
+            msg = f"{key}: got {list(values)}, allowed are finite numbers"
+            raise SceneError(msg)
+        _at_most(key, value, _LARGEST, "products of larger numbers overflow")
+
+
+def place(key: str, values: tuple[float, ...]) -> None:
+    """Raise unless a point is where double precision resolves 1 nm."""
+    finite(key, values)
+    for value in values:
+        _at_most(key, value, _FARTHEST, _TOO_FAR)
+
+
+def size(key: str, value: float) -> None:
+    """Raise unless a length is above 0, resolved by places, and no longer than they reach."""
+    positive(key, value, least=_SHORTEST, why="places are resolved to 1e-9 m")
+    _at_most(key, value, _FARTHEST, _TOO_FAR)
+
+
+def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TOO_SMALL) -> None:
+    """Raise unless finite and above 0, by `least` at the least; `why` says what that is for."""
+    if not (math.isfinite(value) and value > 0):
+        msg = f"{key}: got {value}, allowed is a finite number above 0"
+        raise SceneError(msg)
+    if value < least:
+        msg = f"{key}: got {value}, allowed is {least:.0e} or more: {why}"
+        raise SceneError(msg)
+    finite(key, (value,))
+
+
+def at_least_zero(key: str, value: float) -> None:
+    """Raise unless finite and 0 or more."""
+    if not (math.isfinite(value) and value >= 0):
+        msg = f"{key}: got {value}, allowed is a finite number, 0 or more"
+        raise SceneError(msg)
+    finite(key, (value,))
+
+
+def name(value: str) -> None:
+    """Raise unless a name is text that files and engines can hold."""
+    if "\0" in value:
+        msg = (
+            f"name: got {value!r}, allowed is text without NUL, where engines and files end a name"
+        )
+        raise SceneError(msg)
+    if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
+        msg = (
+            f"name: got {size} bytes of UTF-8, allowed are {_LONGEST_NAME} at most: "
+            "files are named after it"
+        )
+        raise SceneError(msg)
+
+
+def count(key: str, got: int, most: int, why: str) -> None:
+    """Raise unless there are few enough of something."""
+    if got > most:
+        msg = f"{key}: got {got}, allowed are {most} at most: {why}"
+        raise SceneError(msg)
+
+
+def _at_most(key: str, value: float, most: float, why: str) -> None:
+    if abs(value) > most:
+        msg = f"{key}: got {value}, allowed is {most:.0e} at most: {why}"
+        raise SceneError(msg)
+
+
+def at_least_one(key: str, value: int) -> None:
+    """Raise unless 1 or more, and few enough to count."""
+    if not 1 <= value <= _MOST:
+        allowed = "1 or more" if value < 1 else f"at most {_MOST}"
+        msg = f"{key}: got {value}, allowed is a whole number, {allowed}"
+        raise SceneError(msg)
+
+
+def direction(key: str, value: tuple[float, ...]) -> None:
+    """Raise unless a vector points somewhere."""
+    if not all(map(math.isfinite, value)):
+        finite(key, value)
+    if not math.hypot(*value) > 0:
+        msg = f"{key}: got {list(value)}, allowed is any non-zero vector"
+        raise SceneError(msg)
+
+
+def unit(key: str, value: tuple[float, ...]) -> None:
+    """Raise unless a quaternion has norm 1."""
+    finite(key, value)
+    if abs(math.hypot(*value) - 1) > 1e-9:
+        msg = f"{key}: got {list(value)} of norm {math.hypot(*value):.9g}, allowed is norm 1"
+        raise SceneError(msg)
+
+
+def physical_inertia(
+    moments: tuple[float, float, float], products: tuple[float, float, float]
+) -> None:
+    """Raise unless the principal moments are positive and obey the triangle inequality."""
+    (xx, yy, zz), (xy, xz, yz) = moments, products
+    low, mid, high = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if 0 < high < _LEAST_MOMENT:
+        msg = (
+            f"moments: got {list(moments)}, allowed is {_LEAST_MOMENT:.0e} or more of the largest: "
+            f"{_TOO_SMALL}"
+        )
+        raise SceneError(msg)
+    # A vanishing moment leaves the spin about that axis undefined: no engine can step it.
+    if not high > 0 or low < 1e-9 * high or low + mid < high * (1 - 1e-9):
+        msg = (
+            f"moments, products: got principal moments {low:.6g}, {mid:.6g}, {high:.6g}; allowed "
+            "is each above 0 and at most the sum of the other two (triangle inequality)"
+        )
+        raise SceneError(msg)

@@ -1,0 +1,70 @@
+"""Write a file whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from mbds_xsim.base.errors import InputError
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write under a temporary name in the same folder, then rename; make the folder if needed.
+
+    A link keeps pointing where it did, and a device or pipe is written to in place.
+
+    Raises:
+        InputError: The folder cannot be written to or the disk is full; nothing is left behind.
+    """
+    try:
+        if _is_stream(path):
+            path.write_bytes(content)
+        else:
+            _replace(path.resolve(), content)
+    except OSError as error:
+        msg = f"cannot write {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+
+
+def check_writable(path: Path, option: str) -> None:
+    """Raise InputError, before long work, where `write_whole` would fail after it."""
+    if path.is_dir():
+        msg = f"{option}: cannot write {path}: it is a folder; name a file"
+        raise InputError(msg)
+    if path.exists() and not os.access(path, os.W_OK):
+        msg = f"{option}: cannot write {path}: it is read-only; name another file"
+        raise InputError(msg)
+    if _is_stream(path):
+        return
+    parents = path.absolute().parents
+    folder = next(parent for parent in parents if os.path.lexists(parent))
+    try:
+        tempfile.TemporaryFile(dir=folder).close()  # what root may do, only trying tells
+    except OSError as error:
+        msg = f"{option}: cannot write {path}: {folder}: {error.strerror}; name another folder"
+        raise InputError(msg) from error
+
+
+def _is_stream(path: Path) -> bool:
+    """Tell /dev/null, /dev/stdout or a named pipe, which must not be replaced by a file."""
+    return path.exists() and not path.is_file()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".mbds-xsim-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,289 @@
+"""The simulations of a validation: which there are, carried out side by side, put together.
+
+One work item is one engine at one step over some trajectories, or one trajectory's reference.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.reference.cache import key_of, load
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.cost import Work, forewarnings
+from mbds_xsim.simulate.timed import Simulation, simulate
+
+Array = NDArray[np.float64]
+
+_CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
+_REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
+_TIMEOUT = 3600.0
+RTOL = 1e-11
+"""Of the reference."""
+_SAMPLE = 3  # trajectories that run at other steps too
+
+
+class ProgressSink(Protocol):
+    """Where progress is told."""
+
+    def begin(self, total: int) -> None:
+        """Say how many tasks there are."""
+
+    def advance(self, what: str) -> None:
+        """Count one task as done."""
+
+
+class Watch(ProgressSink, Protocol):
+    """Where is told, too, what is under way."""
+
+    def doing(self, what: str) -> None:
+        """Say what is being done now."""
+
+    def notice(self, line: str) -> None:
+        """Say what is to stay and be read."""
+
+
+@dataclass
+class Running:
+    """Names the tasks that are under way, the one that was begun first before all others.
+
+    Args:
+        watch: Where it is told.
+        names: Of all tasks.
+    """
+
+    watch: Watch
+    names: list[str]
+    _now: list[int] = field(default_factory=list)
+
+    def started(self, place: int) -> None:
+        """Note that a task begins."""
+        self._now.append(place)
+        self.watch.doing(self._told())
+
+    def finished(self, place: int, _answer: Any) -> None:
+        """Note that a task has ended."""
+        self._now.remove(place)
+        self.watch.advance(self._told() or self.names[place])
+
+    def _told(self) -> str:
+        names = list(dict.fromkeys(self.names[place] for place in self._now))
+        others = f" and {len(names) - 1} more" if names[1:] else ""
+        return names[0] + others if names else ""
+
+
+@dataclass
+class Outcome:
+    """What one contender delivered."""
+
+    contender: Contender
+    parts: list[Simulation | Crash] = field(default_factory=list)
+    rows: list[list[int]] = field(default_factory=list)
+    """Rows of the batch of each part."""
+    sample: list[int] = field(default_factory=list)
+    """Rows of the batch that run at other steps too, for the consistency check."""
+    other_steps: dict[float, Trajectory] = field(default_factory=dict)
+    """The sample at each other step [s]."""
+
+    def keep_step(self, step: float, batch: Batch, answer: Simulation | Crash) -> None:
+        """Keep the sample's run at another step [s]; NaN, with the reason, where it crashed."""
+        if isinstance(answer, Simulation):
+            self.other_steps[step] = answer.trajectory
+            return
+        count = len(self.sample)
+        empty = Trajectory.empty(np.arange(batch.steps + 1.0), count, batch.position.shape[1])
+        crashed = (Failure(0, answer.reason),) * count
+        self.other_steps[step] = dataclasses.replace(empty, failures=crashed)
+
+    @property
+    def crashes(self) -> list[str]:
+        """Reasons of the parts that crashed."""
+        return list(dict.fromkeys(p.reason for p in self.parts if isinstance(p, Crash)))
+
+    @property
+    def simulations(self) -> list[Simulation]:
+        """The parts that came back."""
+        return [part for part in self.parts if isinstance(part, Simulation)]
+
+    def trajectory(self, time: Array, count: int, body_count: int) -> Trajectory | None:
+        """Put the parts together; rows of a crashed part are NaN. None where all crashed."""
+        if not self.simulations:
+            return None
+        whole = Trajectory.empty(time, count, body_count)
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                whole = whole.replaced(np.array(rows), part.trajectory)
+        return whole
+
+    def failures(self, batch: Batch) -> list[str]:
+        """One line for each crash, and for each trajectory that ended early."""
+        lines = [f"crash: {reason}" for reason in self.crashes]
+        for rows, part in zip(self.rows, self.parts, strict=True):
+            if isinstance(part, Simulation):
+                for row, failure in zip(rows, part.trajectory.failures, strict=True):
+                    if failure is not None:
+                        lines.append(
+                            f"{batch.label(row)} ended at frame {failure.frame}: {failure.reason}"
+                        )
+        return lines
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceOutcome:
+    """The reference of all trajectories."""
+
+    trajectory: Trajectory
+    """NaN from a first impact on that has no unique solution."""
+    growth: Array
+    """Sensitivity G, shape (trajectory, frame); NaN where the trajectory is."""
+    rtol: float
+    cached: int
+    wall_s: float
+
+
+def run_campaign(
+    scene: Scene,
+    batch: Batch,
+    contenders: list[Contender],
+    *,
+    cache: bool,
+    workers: int | None,
+    progress: Watch,
+) -> tuple[list[Outcome], ReferenceOutcome]:
+    """Simulate everything.
+
+    Raises:
+        InputError: The reference could not be had; without it nothing can be judged.
+    """
+    outcomes = [Outcome(contender) for contender in contenders]
+    work: list[tuple[str, Task, Callable[[Any], None]]] = []
+    references: list[Any] = []
+    for rows in _chunks(len(batch)):
+        task = Task(reference_of, (scene, batch[rows], cache), _TIMEOUT)
+        work.append(("reference", task, references.append))
+    for outcome in outcomes:
+        work += _engine_work(scene, batch, outcome)
+    progress.begin(len(work))
+    progress.doing("costs of the runs")
+    costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
+    for line in forewarnings(scene, batch[[0]], costs, workers=workers):
+        progress.notice(line)
+    running = Running(progress, [label for label, _, _ in work])
+    answers = run_tasks(
+        [task for _, task, _ in work],
+        workers=workers,
+        started=running.started,
+        finished=running.finished,
+    )
+    for (_, _, store), answer in zip(work, answers, strict=True):
+        store(answer)
+    return outcomes, _joined(references)
+
+
+def run_references(
+    scene: Scene, batch: Batch, *, cache: bool, workers: int | None
+) -> ReferenceOutcome:
+    """Solve the reference of every trajectory, or take it from the cache.
+
+    Raises:
+        InputError: The reference could not be had; without it nothing can be judged.
+    """
+    parts = [
+        Task(reference_of, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
+    ]
+    return _joined(run_tasks(parts, workers=workers))
+
+
+def _engine_work(
+    scene: Scene, batch: Batch, outcome: Outcome
+) -> list[tuple[str, Task, Callable[[Any], None]]]:
+    contender = outcome.contender
+    label = partial("{}, step {:.3g} s".format, contender.name)
+    work: list[tuple[str, Task, Callable[[Any], None]]] = []
+    for rows in _chunks(len(batch)):
+        arguments = (scene, batch[rows], contender.engine, contender.settings)
+        outcome.rows.append(rows)
+        task = Task(simulate, arguments, contender.limit)
+        work.append((label(contender.settings.step), task, outcome.parts.append))
+    outcome.sample = list(range(min(_SAMPLE, len(batch))))
+    for step in other_steps(scene, contender.settings):
+        task = step_task(scene, batch, outcome, step)
+        work.append((label(step), task, partial(outcome.keep_step, step, batch)))
+    return work
+
+
+def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
+    """Sum up the steps of all runs."""
+    contender = outcome.contender
+    steps = [len(batch) * scene.clock.duration / contender.settings.step]
+    others = other_steps(scene, contender.settings)
+    steps += [len(outcome.sample) * scene.clock.duration / step for step in others]
+    return Work(contender.name, contender.engine, contender.settings, sum(steps))
+
+
+def step_task(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Task:
+    """Run the sample of an engine at another step [s]."""
+    contender = outcome.contender
+    settings = Settings(contender.settings.method, step, contender.settings.options)
+    return Task(
+        simulate, (scene, batch[outcome.sample], contender.engine, settings), contender.limit
+    )
+
+
+def other_steps(scene: Scene, settings: Settings) -> list[float]:
+    """Give the consistency check's steps: longer ones where they divide the frame, else shorter."""
+    count = settings.substeps(scene.clock.frame)
+    longer = all(count % factor == 0 for factor in _REFINEMENT)
+    return [
+        scene.clock.frame / (count // factor if longer else count * factor)
+        for factor in _REFINEMENT
+    ]
+
+
+def _chunks(count: int) -> list[list[int]]:
+    return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
+
+
+def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
+    """Solve the reference of some trajectories, with its sensitivity, in this process."""
+    begin = time.perf_counter()
+    keys = [key_of("solve", scene, batch, row, RTOL) for row in range(len(batch))]
+    kept = sum(load(key) is not None for key in keys) if cache else 0
+    trajectory = reference.solve(scene, batch, rtol=RTOL, cache=cache)
+    growth = reference.sensitivity(scene, batch, cache=cache)
+    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
+    return ReferenceOutcome(trajectory, growth, RTOL, kept, time.perf_counter() - begin)
+
+
+def _joined(parts: list[Any]) -> ReferenceOutcome:
+    crashed = [part.reason for part in parts if isinstance(part, Crash)]
+    crashed += [
+        f.reason
+        for part in parts
+        if not isinstance(part, Crash)
+        for f in part.trajectory.failures
+        if f is not None and not isinstance(f, reference.FirstImpact)
+    ]
+    if crashed:
+        msg = f"the reference solution failed, so nothing can be judged: {crashed[0]}"
+        raise InputError(msg)
+    return ReferenceOutcome(
+        trajectory=Trajectory.joined([part.trajectory for part in parts]),
+        growth=np.concatenate([part.growth for part in parts]),
+        rtol=RTOL,
+        cached=sum(part.cached for part in parts),
+        wall_s=sum(part.wall_s for part in parts),
+    )

@@ -1,0 +1,247 @@
+"""From what an engine delivered to its row of the table: figures, verdict, reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.checks import Finding, Record, agreement, audit, audited
+from mbds_xsim.checks.impact_coefficients import impact_coefficients
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome
+from mbds_xsim.measure.convergence import convergence
+from mbds_xsim.measure.result import EngineResult, FindingResult, ReferenceResult
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import readback, registry
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ONE_SECOND = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """An engine's result and the arrays behind it."""
+
+    result: EngineResult
+    trajectory: Trajectory | None
+    error: Array | None
+    """RMS particle error [m], shape (trajectory, frame)."""
+    series: dict[str, Array]
+
+
+def judge(
+    scene: Scene,
+    batch: Batch,
+    outcome: Outcome,
+    reference: ReferenceOutcome,
+    *,
+    native: bool = True,
+) -> Row:
+    """Check everything an engine delivered and give the verdict.
+
+    Args:
+        scene: What was simulated.
+        batch: Its starts and inputs.
+        outcome: What the engine delivered.
+        reference: The solution to hold it against.
+        native: Whether a native model that differs from the scene counts too, or the motion alone.
+    """
+    truth = reference.trajectory
+    trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
+    if trajectory is None:
+        return Row(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
+    settings = outcome.contender.settings
+    method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
+    spread = outcome.simulations[0].contact_time
+    error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
+    record = Record(scene, batch, trajectory, method, settings.step, spread)
+    findings = [
+        *audited(record),
+        *_together(record),
+        *error_findings(scene, batch, error, truth, reference.growth),
+        turn_finding(scene, trajectory, truth, reference.growth),
+        *convergence(scene, batch, outcome, reference),
+    ]
+    result = _result(scene, batch, outcome, findings, error, reference, native)
+    return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
+
+
+def _together(record: Record) -> list[Finding]:
+    """Ask all trajectories of a run what none of them tells by itself."""
+    # As in `audited`: a blow-up may overflow.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = impact_coefficients(record)
+    return [] if found is None else [found]
+
+
+def reference_result(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
+    """Hold the reference to the checks that judge the engines."""
+    findings = {finding.check: finding for finding in audit(scene, batch, reference.trajectory)}
+    return ReferenceResult(
+        rtol=reference.rtol,
+        constraint_gap_m=_worst_of(findings, "gap") or 0.0,
+        energy_balance=_worst_of(findings, "energy") or 0.0,
+        cached=reference.cached,
+        wall_s=reference.wall_s,
+        known_s=tuple(
+            end.time if isinstance(end, FirstImpact) else None
+            for end in reference.trajectory.failures
+        ),
+    )
+
+
+def _known(truth: Trajectory) -> Mask:
+    """Frames for which there is a true solution, shape (trajectory, frame)."""
+    return np.asarray(np.isfinite(truth.position).all(axis=(2, 3)))
+
+
+def error_findings(
+    scene: Scene, batch: Batch, error: Array, truth: Trajectory, growth: Array
+) -> list[Finding]:
+    """Hold the error to its two budgets: at 1 s undivided, and growth-weighted over all times."""
+    time, known = truth.time, _known(truth)
+    lost = np.where(np.isfinite(error), error, np.inf)
+    judged = known & (growth < agreement.CHAOS)
+    findings = [
+        Finding.of(
+            "error growth-weighted",
+            "m",
+            np.where(judged, lost / np.maximum(1.0, growth), np.nan)[:, :, None],
+            budget=scene.budget.error * scene.length,
+        )
+    ]
+    at_one = known & (np.abs(time - _ONE_SECOND) < 0.5 * scene.clock.frame)
+    calm = np.array([batch.interval(row) != "high" for row in range(len(batch))])
+    calm &= at_one.any(axis=1)
+    if calm.any():
+        one = Finding.of(
+            "error at 1 s",
+            "m",
+            np.where(at_one, lost, np.nan)[calm][:, :, None],
+            budget=scene.budget.error_1s * scene.length,
+        )
+        findings.insert(0, one.among(calm))
+    return findings
+
+
+def turn_finding(scene: Scene, trajectory: Trajectory, truth: Trajectory, growth: Array) -> Finding:
+    """Hold the turn of each body to the reference's: a small part moves no particle far."""
+    off = rotation.multiply(rotation.conjugate(truth.orientation), trajectory.orientation)
+    angle = 2.0 * np.arctan2(np.linalg.norm(off[..., 1:], axis=-1), np.abs(off[..., 0]))
+    weighted = np.where(np.isfinite(angle), angle, np.inf) / np.maximum(1.0, growth)[..., None]
+    judged = _known(truth) & (growth < agreement.CHAOS)
+    return Finding.of(
+        "error of turns",
+        "rad",
+        np.where(judged[..., None], weighted, np.nan),
+        budget=scene.budget.error_turn,
+        names=tuple(body.name for body in scene.bodies),
+    )
+
+
+def _result(
+    scene: Scene,
+    batch: Batch,
+    outcome: Outcome,
+    findings: list[Finding],
+    error: Array | None,
+    reference: ReferenceOutcome,
+    native: bool,
+) -> EngineResult:
+    contender, simulations = outcome.contender, outcome.simulations
+    adapter = registry.load_adapter(contender.engine)
+    method = adapter.methods[contender.settings.method]
+    by_name = {finding.check: finding for finding in findings}
+    failures = tuple(outcome.failures(batch))
+    differences = _readback_differences(scene, batch, outcome) if native else []
+    reasons = (*failures, *differences, *failed_lines(batch, findings))
+    simulated = sum(len(s.trajectory) for s in simulations) * scene.clock.duration
+    size = simulations[0].size if simulations else None
+    agreed = None if error is None else _agreed(scene, error, reference.trajectory)
+    return EngineResult(
+        engine=contender.engine,
+        version=adapter.version(),
+        profile=contender.profile,
+        method=method.name,
+        family=method.family,
+        order=method.order_for(scene),
+        step_s=contender.settings.step,
+        options=dict(contender.settings.options),
+        verdict="fail" if reasons else "pass",
+        reasons=reasons,
+        error_1s_m=_worst_of(by_name, "error at 1 s"),
+        error_max_m=None if error is None else _finite(np.nanmax(error, initial=0.0)),
+        error_weighted_m=_worst_of(by_name, "error growth-weighted"),
+        constraint_gap_m=_worst_of(by_name, "gap"),
+        energy_balance=_worst_of(by_name, "energy"),
+        agreement_time_s=agreed,
+        wall_per_simulated_s=sum(s.rollout_s for s in simulations) / simulated
+        if simulated
+        else None,
+        setup_s=float(np.median([s.setup_s for s in simulations])) if simulations else None,
+        coordinates=size.coordinates if size else None,
+        constraints=size.constraints if size else None,
+        findings=tuple(finding_result(batch, finding) for finding in findings),
+        failures=failures,
+    )
+
+
+def _agreed(scene: Scene, error: Array, truth: Trajectory) -> float | None:
+    """Earliest time at which an error passes 1 % of the scene's length [s]; None: never."""
+    known = np.where(_known(truth), error, 0.0)
+    return _finite(agreement.agreement_time(known, truth.time, scene.length).min())
+
+
+def _readback_differences(scene: Scene, batch: Batch, outcome: Outcome) -> list[str]:
+    for rows, part in zip(outcome.rows, outcome.simulations, strict=False):
+        lines = readback.compare(
+            Mechanism.of(scene), batch[rows], outcome.contender.settings, part.readback
+        )
+        if lines and outcome.contender.profile == "matched":
+            return [f"read-back: {line}" for line in lines]
+    return []
+
+
+def failed_lines(batch: Batch, findings: list[Finding]) -> list[str]:
+    """One line for each check that failed, the worst trajectory named."""
+    lines = []
+    for finding in findings:
+        if not finding.passed.all():
+            row = finding.worst
+            lines.append(f"{finding.line(row)}, {batch.label(row)}, frame {finding.frame[row]}")
+    return lines
+
+
+def finding_result(batch: Batch, finding: Finding) -> FindingResult:
+    """Give a finding as it is written."""
+    row = finding.worst
+    return FindingResult(
+        check=finding.check,
+        unit=finding.unit,
+        figure=float(finding.figure[row]),
+        budget=finding.budget,
+        passed=bool(finding.passed.all()),
+        trajectory=int(batch.index[row]),
+        frame=int(finding.frame[row]),
+        where=finding.where[row],
+        figures=tuple(_finite(figure) for figure in finding.figure),
+        note=finding.note,
+    )
+
+
+def _worst_of(findings: dict[str, Finding], check: str) -> float | None:
+    if check not in findings:
+        return None
+    found = findings[check]
+    return _finite(float(np.max(found.figure[found.applies])))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""What is simulated: the neutral scene, its mechanism, its starts and inputs."""

@@ -1,0 +1,297 @@
+"""The start of a scene: poses that close every loop, velocities that keep every joint together."""
+
+from __future__ import annotations
+
+import functools
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csr_array, eye_array, vstack
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.constraints import constraint_rows, sparse_jacobian
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.row_space import least_change
+
+Array = NDArray[np.float64]
+
+_STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]
+_MOST_STRIDES = 1000
+_NEWTON_STEPS = 50
+_LONGEST_STEP = 0.5  # of one Newton step [rad, or lengths]: keeps it from flying off
+_CLOSED = 1e-12  # of the scene's length
+_GAP_TOLERANCE = 1e-9
+_VELOCITY_TOLERANCE = 1e-9
+_BRANCH_TOLERANCE = 1e-6
+
+
+@functools.lru_cache(maxsize=64)
+def assemble(mechanism: Mechanism) -> BodyStates:
+    """Find the scene's own start: joint `start` and `rate`, body velocities, all loops closed.
+
+    A tree is put together joint by joint where all its coordinates, or rates, are given. Otherwise
+    poses move from the reference pose by mass-weighted Newton steps with the given joint
+    coordinates led to their values in small strides, and velocities that are not given are the
+    ones of least kinetic energy.
+
+    Raises:
+        SceneError: A loop cannot be closed, or given velocities break a joint.
+    """
+    still = np.zeros((mechanism.body_count, 3))
+    pose = mechanism.com.copy(), np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+    if not _follows_from(mechanism, "start"):
+        pose = _assemble_pose(mechanism, *pose)
+    start = _on_its_tree(mechanism, BodyStates(*pose, still, still.copy()))
+    if _follows_from(mechanism, "rate"):
+        return start
+    pose = start.position, start.native
+    return _on_its_tree(mechanism, BodyStates(*pose, *_complete_velocities(mechanism, *pose)))
+
+
+def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
+    """Whether the joints' own values say all: of a tree that hangs on hinges and sliders."""
+    joints = mechanism.scene.joints
+    velocities = (body.velocity or body.angular_velocity for body in mechanism.scene.bodies)
+    return not (
+        mechanism.loops or mechanism.distances or (key == "rate" and any(velocities))
+    ) and all(
+        link.joint is not None
+        and link.joint.kind != "ball"
+        and (link.joint.kind == "fixed" or getattr(joints[link.joint.index], key) is not None)
+        for link in mechanism.links
+    )
+
+
+def _on_its_tree(mechanism: Mechanism, start: BodyStates) -> BodyStates:
+    """Take rounding errors out of the tree's joints, and out of coordinates that are given."""
+    joints = mechanism.scene.joints
+    moves = start.velocity.any() or start.angular_velocity.any()
+    if not moves and all(joint.start is None and joint.rate is None for joint in joints):
+        return start
+    links = to_links(mechanism, start)
+    if not (mechanism.loops or mechanism.distances):
+        for k, link in enumerate(mechanism.links):
+            given = None if link.joint is None else joints[link.joint.index]
+            if given is not None and given.start is not None:
+                links.coordinate[k] = given.start
+            if given is not None and given.rate is not None:
+                links.rate[k] = given.rate
+    return to_bodies(mechanism, links)
+
+
+def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
+    """Raise SceneError, naming the joint, unless poses and velocities keep all joints together.
+
+    `starts` may have leading axes.
+    """
+    rows = constraint_rows(
+        mechanism, starts.position, starts.native, starts.velocity, starts.angular_velocity
+    )
+    lead = starts.position.shape[:-2]
+    twist = np.concatenate([starts.velocity, starts.angular_velocity], axis=-1)
+    twist = np.concatenate([twist, np.zeros((*lead, 1, 6))], axis=-2)
+    rate = np.sum(
+        rows.jacobian_parent * twist[..., rows.parent, :]
+        + rows.jacobian_child * twist[..., rows.child, :],
+        axis=-1,
+    )
+    length = max(1.0, mechanism.scene.length)
+    speed = max(1.0, float(np.abs(twist).max(initial=0.0)))
+    for off, allowed, what in (
+        (rows.residual, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
+        (rate, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
+    ):
+        per_row = np.abs(off).max(axis=tuple(range(off.ndim - 1)), initial=0.0)
+        if per_row.max(initial=0.0) > allowed:
+            worst = int(np.argmax(per_row))
+            name = _owner_name(mechanism, int(rows.owner[worst]))
+            fault = what.format(name, per_row[worst])
+            msg = (
+                f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
+                "joint holds along with it, or leave the draw out"
+            )
+            raise SceneError(msg)
+
+
+def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
+    scene = mechanism.scene
+    led = [
+        (placed, float(joint.start))
+        for placed, joint in zip(mechanism.joints, scene.joints, strict=True)
+        if joint.start is not None
+    ]
+    unit = {"hinge": _STRIDE, "slider": _STRIDE * scene.length}
+    needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in led)])
+    strides = min(int(np.ceil(needed)), _MOST_STRIDES)
+    for k in range(1, strides + 1):
+        goal = [(joint, target * k / strides) for joint, target in led]
+        position, native = _close(mechanism, position, native, goal, again=k == strides)
+    return position, native
+
+
+def _close(
+    mechanism: Mechanism,
+    position: Array,
+    native: Array,
+    led: list[tuple[PlacedJoint, float]],
+    *,
+    again: bool,
+) -> tuple[Array, Array]:
+    """Take Newton steps until all is closed, and one more `again`, which leaves rounding alone."""
+    tolerance = _CLOSED * max(1.0, mechanism.scene.length)
+    residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
+    for _ in range(_NEWTON_STEPS):
+        off = np.abs(residual).max(initial=0.0)
+        if off < tolerance and not (again and off > 0.0):
+            return position, native
+        again = again and not off < tolerance
+        step = -_least_energy(mechanism, native, jacobian, residual).reshape(-1, 2, 3)
+        reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
+        step *= min(1.0, _LONGEST_STEP / reach)
+        position = position + step[:, 0]
+        native = rotation.multiply(rotation.from_vector(step[:, 1]), native)
+        residual, jacobian, owner = _pose_rows(mechanism, position, native, led)
+    # A tree always closes, so what to change is one of the others.
+    tree = [link.joint.index for link in mechanism.links if link.joint is not None]
+    blamed = np.where(np.isin(owner, tree) & (np.arange(len(owner)) < len(owner) - len(led)), 0, 1)
+    worst = int(np.argmax(np.abs(residual) * blamed))
+    msg = (
+        f"{_owner_name(mechanism, int(owner[worst]))} cannot be closed: the start leaves it off by "
+        f"{abs(residual[worst]):.3g} m or rad, allowed is {tolerance:.0e}; change a length, an "
+        "anchor or a joint's start"
+    )
+    raise SceneError(msg)
+
+
+def _pose_rows(
+    mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
+) -> tuple[Array, csr_array, Array]:
+    """Residual, Jacobian and owner of all constraints and, behind them, the led joints."""
+    still = np.zeros_like(position)
+    rows = constraint_rows(mechanism, position, native, still, still)
+    ahead = [
+        _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
+        for joint, target in led
+    ]
+    rates = [_rate_row(mechanism, joint, position, native) for joint, _ in led]
+    return (
+        np.concatenate([rows.residual, ahead]),
+        vstack([sparse_jacobian(rows, mechanism.body_count), *rates], format="csr"),
+        np.concatenate([rows.owner, [joint.index for joint, _ in led]]),
+    )
+
+
+def _complete_velocities(
+    mechanism: Mechanism, position: Array, native: Array
+) -> tuple[Array, Array]:
+    scene = mechanism.scene
+    still = np.zeros_like(position)
+    rows = constraint_rows(mechanism, position, native, still, still)
+    jacobian = [sparse_jacobian(rows, mechanism.body_count)]
+    wanted: list[float] = [0.0] * len(rows.parent)
+    names = [_owner_name(mechanism, int(owner)) for owner in rows.owner]
+    for placed, joint in zip(mechanism.joints, scene.joints, strict=True):
+        if joint.rate is not None:
+            jacobian.append(_rate_row(mechanism, placed, position, native))
+            wanted.append(joint.rate)
+            names.append(f"joints[{joint.name!r}].rate")
+    unit = eye_array(6 * mechanism.body_count, format="csr")
+    for k, body in enumerate(scene.bodies):
+        for offset, key in ((0, "velocity"), (3, "angular_velocity")):
+            given = getattr(body, key)
+            if given is not None:
+                jacobian.append(unit[6 * k + offset : 6 * k + offset + 3])
+                wanted += given
+                names += [f"bodies[{body.name!r}].{key}"] * 3
+    if not any(wanted):
+        return still, still.copy()
+    matrix, goal = vstack(jacobian, format="csr"), np.array(wanted)
+    twist = _least_energy(mechanism, native, matrix, goal)
+    off = np.abs(matrix @ twist - goal)
+    worst = int(np.argmax(off))
+    allowed = _VELOCITY_TOLERANCE * max(1.0, float(np.abs(goal).max()))
+    if off[worst] > allowed:
+        msg = (
+            f"the initial velocities contradict each other at {names[worst]}: off by "
+            f"{off[worst]:.3g} m/s or rad/s, allowed is {allowed:.0e}; leave out those that follow "
+            "from the joints"
+        )
+        raise SceneError(msg)
+    parts = twist.reshape(-1, 2, 3)
+    velocity, angular_velocity = parts[:, 0].copy(), parts[:, 1].copy()
+    _check_branch(mechanism, position, native, velocity, angular_velocity)
+    return velocity, angular_velocity
+
+
+def _check_branch(
+    mechanism: Mechanism, position: Array, native: Array, velocity: Array, angular_velocity: Array
+) -> None:
+    """Refuse velocities that keep the joints together, but no acceleration goes on to do so.
+
+    That is so in singular poses alone, where dependent rows curve in different ways.
+    """
+    if not (mechanism.loops or mechanism.distances):
+        return
+    rows = constraint_rows(mechanism, position, native, velocity, angular_velocity)
+    jacobian = sparse_jacobian(rows, mechanism.body_count)
+    off = np.abs(jacobian @ _least_energy(mechanism, native, jacobian, -rows.bias) + rows.bias)
+    worst = int(np.argmax(off))
+    if off[worst] > _BRANCH_TOLERANCE * np.abs(rows.bias).max():
+        msg = (
+            f"the start is a bifurcation at {_owner_name(mechanism, int(rows.owner[worst]))}: the "
+            "pose is singular and its motion could go on in several ways, but the initial "
+            "velocities belong to none of them; give the rate of one more joint, as one of these "
+            "motions has it, or another start"
+        )
+        raise SceneError(msg)
+
+
+def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: Array) -> Array:
+    """Solve matrix · twist = goal with the twists of least kinetic energy."""
+    turn = rotation.matrix(native)
+    inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
+    values, vectors = np.linalg.eigh(inertia)
+    root = np.zeros((mechanism.body_count, 2, 3, 3))
+    root[:, 0] = np.eye(3) / np.sqrt(mechanism.mass)[:, None, None]
+    root[:, 1] = vectors / np.sqrt(values)[:, None, :] @ np.swapaxes(vectors, -1, -2)
+    blocks = np.arange(2 * mechanism.body_count + 1)
+    weights = bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
+    return least_change(matrix, weights, goal)
+
+
+def _rate_row(
+    mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array
+) -> csr_array:
+    """Row that gives a hinge's or slider's rate from the twists, shape (1, 6 · body)."""
+    held = joint.parent == WORLD_INDEX
+    axis = joint.axis if held else rotation.rotate(native[joint.parent], joint.axis)
+    # What either is of the world is left out below.
+    if joint.kind == "hinge":
+        child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
+    else:
+        anchor = joint.in_child
+        if joint.child != WORLD_INDEX:
+            anchor = position[joint.child] + rotation.rotate(native[joint.child], joint.in_child)
+        child = [*axis, *np.cross(anchor - position[joint.child], axis)]
+        parent = [*-axis, *-np.cross(anchor - position[joint.parent], axis)]
+    ends = [(joint.child, child), (joint.parent, parent)]
+    values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
+    columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
+    shape = (1, 6 * mechanism.body_count)
+    return csr_array((values, ([0] * len(columns), columns)), shape=shape)
+
+
+def _wrapped(joint: PlacedJoint, difference: float) -> float:
+    if joint.kind == "slider":
+        return difference
+    return float((difference + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _owner_name(mechanism: Mechanism, owner: int) -> str:
+    joints = mechanism.scene.joints
+    if owner < len(joints):
+        return f"joints[{joints[owner].name!r}]"
+    return f"distance_links[{mechanism.scene.distance_links[owner - len(joints)].name!r}]"

@@ -1,0 +1,230 @@
+"""Between body states and the coordinates of the spanning tree, vectorised over leading axes.
+
+Engines that use reduced coordinates hold, for each link of `Mechanism.links`, the motion of the
+body relative to its tree parent. `LinkStates` has that motion in one form for all joint kinds;
+an adapter copies the columns its engine wants. The order is that of `Mechanism.links`.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyStates:
+    """Maximal coordinates with rotations of the native frames, in body order."""
+
+    position: Array
+    """Centres of mass in W [m], shape (…, body, 3)."""
+    native: Array
+    """Rotations of the native frames, shape (…, body, 4)."""
+    velocity: Array
+    """[m/s], shape (…, body, 3)."""
+    angular_velocity: Array
+    """In W [rad/s], shape (…, body, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinkStates:
+    """Motion of each body relative to its tree parent, in link order."""
+
+    rotation: Array
+    """Native frame of the child to that of the parent (wxyz), shape (…, link, 4)."""
+    angular_velocity: Array
+    """Of the child relative to the parent, in the child's native frame [rad/s], (…, link, 3)."""
+    coordinate: Array
+    """Hinge angle in (−π, π] [rad] or slider displacement [m], else 0, shape (…, link)."""
+    rate: Array
+    """Its rate [rad/s or m/s], else 0, shape (…, link)."""
+    position: Array
+    """Of a free body's centre of mass in W [m], else 0, shape (…, link, 3)."""
+    velocity: Array
+    """Of a free body's centre of mass in W [m/s], else 0, shape (…, link, 3)."""
+
+
+def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Array:
+    """Hinge angle in (−π, π] [rad] or slider displacement [m]; leading axes are kept."""
+    (xp, qp), (xc, qc) = (
+        (np.zeros(3), rotation.IDENTITY)
+        if body == WORLD_INDEX
+        else (position[..., body, :], native[..., body, :])
+        for body in (joint.parent, joint.child)
+    )
+    if joint.kind == "slider":
+        apart = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
+        return np.asarray(np.sum(apart * rotation.rotate(qp, joint.axis), axis=-1))
+    return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
+
+
+def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:
+    """Express body states in the coordinates of the spanning tree."""
+    tree = _Tree.of(mechanism)
+    parent, child = _of_parents(tree, bodies), _of_children(tree, bodies)
+    back = rotation.conjugate(child.native)
+    relative = child.angular_velocity - parent.angular_velocity
+    coordinate, rate = np.zeros(child.position.shape[:-1]), np.zeros(child.position.shape[:-1])
+    for k in tree.scalar:
+        joint = mechanism.links[k].joint
+        assert joint is not None
+        coordinate[..., k] = joint_coordinate(joint, bodies.position, bodies.native)
+        axis = rotation.rotate(parent.native[..., k, :], joint.axis)
+        turning = relative[..., k, :]
+        if joint.kind == "slider":
+            arm = child.position[..., k, :] - parent.position[..., k, :]
+            turning = (
+                child.velocity[..., k, :]
+                - parent.velocity[..., k, :]
+                - rotation.cross(parent.angular_velocity[..., k, :], arm)
+            )
+        rate[..., k] = np.sum(turning * axis, axis=-1)
+    free = tree.free[:, None]
+    return LinkStates(
+        rotation.multiply(rotation.conjugate(parent.native), child.native),
+        rotation.rotate(back, relative),
+        coordinate,
+        rate,
+        np.where(free, child.position, 0.0),
+        np.where(free, child.velocity, 0.0),
+    )
+
+
+def to_bodies(mechanism: Mechanism, links: LinkStates) -> BodyStates:
+    """Forward kinematics: body states from tree coordinates.
+
+    Ball joints and free bodies read `rotation` and `angular_velocity`, free bodies `position` and
+    `velocity` too, hinges and sliders only `coordinate` and `rate`.
+    """
+    tree = _Tree.of(mechanism)
+    # Only what goes from parent to child is done link by link. Axis 0 is the link.
+    native = _natives(tree, links)
+    parent = _above(tree, native, rotation.IDENTITY)
+    each = (slice(None), *(None for _ in native.shape[1:-1]))
+    spin = rotation.rotate(native, np.moveaxis(links.angular_velocity, -2, 0))
+    spin[~tree.turns_freely] = 0.0
+    to_joint = rotation.rotate(parent, tree.in_parent[each])
+    from_joint = rotation.rotate(native, tree.in_child[each])
+    slide = np.zeros_like(spin)
+    for k in tree.scalar:
+        axis = rotation.rotate(parent[k], tree.axis[k])
+        rate = links.rate[..., k, None] * axis
+        if tree.hinge[k]:
+            spin[k] = rate
+        else:
+            to_joint[k] += links.coordinate[..., k, None] * axis
+            slide[k] = rate
+    turning = _down(tree, spin)
+    step = to_joint - from_joint
+    swing = rotation.cross(_above(tree, turning, np.zeros(3)), to_joint)
+    move = swing + slide - rotation.cross(turning, from_joint)
+    step[tree.free] = np.moveaxis(links.position, -2, 0)[tree.free]
+    move[tree.free] = np.moveaxis(links.velocity, -2, 0)[tree.free]
+    return BodyStates(
+        *(
+            np.ascontiguousarray(np.moveaxis(values[tree.link_of_body], 0, -2))
+            for values in (_down(tree, step), native, _down(tree, move), turning)
+        )
+    )
+
+
+def _above(tree: _Tree, values: Array, world: Array) -> Array:
+    """Give each link what its parent has, or the world."""
+    still = np.broadcast_to(world, (1, *values.shape[1:]))
+    return np.concatenate([values, still])[tree.parent_link]
+
+
+def _natives(tree: _Tree, links: LinkStates) -> Array:
+    """Rotations of the native frames, shape (link, …, 4)."""
+    turn = np.moveaxis(links.rotation, -2, 0).copy()
+    turn[~tree.turns_freely] = rotation.IDENTITY
+    for hinge in np.flatnonzero(tree.hinge):
+        angle = links.coordinate[..., hinge, None]
+        turn[hinge] = rotation.from_vector(angle * tree.axis[hinge])
+    for k, parent in enumerate(tree.parent_link):
+        if parent >= 0:
+            turn[k] = rotation.multiply(turn[parent], turn[k])
+    return turn
+
+
+def _down(tree: _Tree, steps: Array) -> Array:
+    """Add up from the world to each link, shape (link, …, 3)."""
+    total = steps.copy()
+    for k, parent in enumerate(tree.parent_link):
+        if parent >= 0:
+            total[k] += total[parent]
+    return total
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """The links as arrays, in their order."""
+
+    body: NDArray[np.int64]
+    link_of_body: NDArray[np.int64]
+    parent_body: NDArray[np.int64]
+    parent_link: NDArray[np.int64]
+    """−1 where the parent is the world."""
+    free: NDArray[np.bool_]
+    turns_freely: NDArray[np.bool_]
+    """Free bodies and ball joints."""
+    hinge: NDArray[np.bool_]
+    slider: NDArray[np.bool_]
+    axis: Array
+    in_parent: Array
+    in_child: Array
+
+    @property
+    def scalar(self) -> NDArray[np.int64]:
+        """Links with one coordinate."""
+        return np.flatnonzero(self.hinge | self.slider)
+
+    @staticmethod
+    @functools.lru_cache(maxsize=64)
+    def of(mechanism: Mechanism) -> _Tree:
+        """Collect them."""
+        links = mechanism.links
+        body = np.array([link.body for link in links])
+        link_of_body = np.argsort(body)
+        parent_body = np.array([link.parent for link in links])
+        kinds = np.array([link.joint.kind if link.joint else "free" for link in links])
+
+        def places(key: str) -> Array:
+            return np.array(
+                [getattr(link.joint, key) if link.joint else np.zeros(3) for link in links]
+            )
+
+        return _Tree(
+            body=body,
+            link_of_body=link_of_body,
+            parent_body=parent_body,
+            parent_link=np.where(parent_body == WORLD_INDEX, -1, link_of_body[parent_body]),
+            free=kinds == "free",
+            turns_freely=(kinds == "free") | (kinds == "ball"),
+            hinge=kinds == "hinge",
+            slider=kinds == "slider",
+            axis=places("axis"),
+            in_parent=places("in_parent"),
+            in_child=places("in_child"),
+        )
+
+
+def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
+    """States of the links' bodies, in link order."""
+    return BodyStates(*(values[..., tree.body, :] for values in vars(bodies).values()))
+
+
+def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
+    """States of the links' parents, the world's among them, in link order."""
+    parents = {key: values[..., tree.parent_body, :] for key, values in vars(bodies).items()}
+    held = tree.parent_body == WORLD_INDEX
+    for key, values in parents.items():
+        values[..., held, :] = rotation.IDENTITY if key == "native" else 0.0
+    return BodyStates(**parents)

@@ -1,0 +1,31 @@
+"""The points by which motions are compared: particles, and stand-ins in bodies without any."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.mechanism import Mechanism
+
+Array = NDArray[np.float64]
+
+
+def markers(mechanism: Mechanism) -> tuple[NDArray[np.int64], Array]:
+    """Give the body (marker,) and the offset from its centre of mass in N [m] (marker, 3) of each.
+
+    They are the particles; in a body without any, six points around its centre of mass at its
+    mean radius of gyration.
+    """
+    bare = np.flatnonzero(mechanism.particles_per_body == 0)
+    radius = np.sqrt(np.einsum("kii->k", mechanism.inertia[bare]) / (2.0 * mechanism.mass[bare]))
+    star = np.concatenate([np.eye(3), -np.eye(3)])
+    body = np.concatenate([mechanism.particle_body, np.repeat(bare, len(star))])
+    offset = (radius[:, None, None] * star).reshape(-1, 3)
+    return body, np.concatenate([mechanism.particle_offset, offset])
+
+
+def marker_positions(mechanism: Mechanism, position: Array, native: Array) -> Array:
+    """Place the markers [m], shape (…, marker, 3), of bodies at positions and turns of N."""
+    body, offset = markers(mechanism)
+    return position[..., body, :] + rotation.rotate(native[..., body, :], offset)

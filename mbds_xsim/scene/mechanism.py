@@ -1,0 +1,350 @@
+"""The scene as arrays, with its spanning tree and the joints that close loops.
+
+At the reference pose every body gets a *native frame* N: at its centre of mass, parallel to W.
+In it joints, spheres and attachment points are plain differences of world positions, and every
+joint's zero rotation is the identity. An adapter that uses N as its body frame needs no other
+frame; `Mechanism.body_orientation` turns rotations of N into published orientations.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections import defaultdict, deque
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.scene import WORLD, Body, Joint, Scene
+
+Array = NDArray[np.float64]
+JointKind = Literal["fixed", "hinge", "slider", "ball"]
+
+WORLD_INDEX = -1
+
+# The joints that constrain most stay in the tree, so that loops are closed by the joints that
+# engines close best.
+_CUT_LAST: dict[str, int] = {"fixed": 0, "slider": 1, "hinge": 2, "ball": 3}
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedJoint:
+    """A joint between two bodies given by index (−1 is the world)."""
+
+    name: str
+    kind: JointKind
+    parent: int
+    child: int
+    anchor: Array
+    """In W at the reference pose [m], shape (3,)."""
+    axis: Array
+    """Unit, in W at the reference pose, shape (3,); zero where the kind has none."""
+    in_parent: Array
+    """Anchor in the parent's native frame [m]; in W where the parent is the world."""
+    in_child: Array
+    """Anchor in the child's native frame [m]."""
+    index: int
+    """Position in `scene.joints`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A body's place in the spanning tree: which joint holds it, and on which body.
+
+    The joint points from the tree parent to the body. Where the scene's joint points the other
+    way its axis is negated here, which leaves its coordinate, rate and torque as they are.
+    """
+
+    body: int
+    parent: int
+    joint: PlacedJoint | None
+    """None: the body is free."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointPair:
+    """Two attachment points of a distance link or spring, in native frames (W for the world)."""
+
+    name: str
+    bodies: tuple[int, int]
+    in_body: tuple[Array, Array]
+    length: float
+    """Length of the link, rest length of the spring [m]."""
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+    def pull(self, line: Array, rate: Array) -> Array:
+        """Give the force on the first end, of which the second gets the opposite [N].
+
+        Args:
+            line: From the first end to the second in W [m], shape (3,).
+            rate: Its rate [m/s].
+        """
+        length = float(np.linalg.norm(line))
+        along = line / length
+        tension = self.stiffness * (length - self.length) + self.damping * float(along @ rate)
+        return np.asarray(tension * along)
+
+    def as_read(self, line: Array) -> tuple[float, float, float, float]:
+        """Give stiffness, damping, rest length and present length, as `Readback.spring` has it."""
+        return self.stiffness, self.damping, self.length, float(np.linalg.norm(line))
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """Arrays of a scene, body by body in scene order."""
+
+    scene: Scene
+    mass: Array
+    """[kg], shape (body,)."""
+    com: Array
+    """Centres of mass in W at the reference pose [m], shape (body, 3)."""
+    inertia: Array
+    """About the centre of mass in the native frame [kg·m²], shape (body, 3, 3)."""
+    reference_orientation: Array
+    """Body frame to W at the reference pose, shape (body, 4)."""
+    joints: tuple[PlacedJoint, ...]
+    links: tuple[Link, ...]
+    """The spanning tree, parents before children; one link a body."""
+    loops: tuple[PlacedJoint, ...]
+    """The joints that close loops, in scene order."""
+    distances: tuple[PointPair, ...]
+    springs: tuple[PointPair, ...]
+    particle_body: NDArray[np.int64]
+    """Body of each particle, shape (particle,)."""
+    particle_offset: Array
+    """Particle centres in the native frame of their body [m], shape (particle, 3)."""
+    particles_per_body: NDArray[np.int64]
+    sphere_body: NDArray[np.int64]
+    sphere_offset: Array
+    """Centres of the contact spheres in native frames [m], shape (sphere, 3)."""
+    sphere_radius: Array
+    hinges: tuple[PlacedJoint, ...]
+    """The joints that torques can drive, in scene order; the order of `Batch.torque`."""
+
+    @property
+    def body_count(self) -> int:
+        """Number of bodies."""
+        return len(self.mass)
+
+    @staticmethod
+    def of(scene: Scene) -> Mechanism:
+        """Build (once per scene) the arrays and the tree; raise SceneError where none exist."""
+        return _build(scene)
+
+    def native_rotation(self, orientation: Array) -> Array:
+        """Published orientations (…, body, 4) to rotations of the native frames."""
+        if (self.reference_orientation == rotation.IDENTITY).all():
+            return orientation.copy()
+        return rotation.multiply(orientation, rotation.conjugate(self.reference_orientation))
+
+    def body_orientation(self, native: Array) -> Array:
+        """Rotations of the native frames (…, body, 4) to published orientations."""
+        return rotation.multiply(native, self.reference_orientation)
+
+    def particle_positions(self, position: Array, orientation: Array) -> Array:
+        """Particle centres in W [m], shape (…, particle, 3), from body states (…, body, 3|4)."""
+        turn = self.native_rotation(orientation)[..., self.particle_body, :]
+        return position[..., self.particle_body, :] + rotation.rotate(turn, self.particle_offset)
+
+    def sphere_heights(self, position: Array, native: Array) -> Array:
+        """Heights of the contact spheres' centres [m], shape (…, sphere).
+
+        Args:
+            position: Centres of mass, shape (…, body, 3).
+            native: Rotations of the native frames, shape (…, body, 4).
+        """
+        arm = rotation.rotate(native[..., self.sphere_body, :], self.sphere_offset)
+        return np.asarray(position[..., self.sphere_body, 2] + arm[..., 2])
+
+
+@functools.lru_cache(maxsize=64)
+def _build(scene: Scene) -> Mechanism:
+    index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
+    masses, coms, inertias = zip(*(_mass_properties(body) for body in scene.bodies), strict=True)
+    com = np.array(coms)
+    joints = tuple(_place(joint, k, index, com) for k, joint in enumerate(scene.joints))
+    links, loops = _spanning_tree(len(scene.bodies), joints)
+    particle_body = np.repeat(
+        np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
+    )
+    particles = np.array(
+        [
+            np.array(body.position)
+            + rotation.rotate(np.array(body.orientation), np.array(particle.position))
+            for body in scene.bodies
+            for particle in body.particles
+        ]
+    ).reshape(-1, 3)
+    sphere_body = np.array([index[sphere.body] for sphere in scene.contacts], dtype=np.int64)
+    sphere = np.array([sphere.center for sphere in scene.contacts]).reshape(-1, 3)
+    return Mechanism(
+        scene=scene,
+        mass=np.array(masses),
+        com=com,
+        inertia=np.array(inertias),
+        reference_orientation=np.array([body.orientation for body in scene.bodies]),
+        joints=joints,
+        links=links,
+        loops=loops,
+        distances=tuple(
+            _pair(link.name, link.bodies, link.points, link.length, index, com)
+            for link in scene.distance_links
+        ),
+        springs=tuple(
+            _pair(
+                spring.name,
+                spring.bodies,
+                spring.points,
+                spring.rest_length,
+                index,
+                com,
+                spring.stiffness,
+                spring.damping,
+            )
+            for spring in scene.springs
+        ),
+        particle_body=particle_body,
+        particle_offset=particles - com[particle_body],
+        particles_per_body=np.bincount(particle_body, minlength=len(scene.bodies)),
+        sphere_body=sphere_body,
+        sphere_offset=sphere - com[sphere_body],
+        sphere_radius=np.array([sphere.radius for sphere in scene.contacts]),
+        hinges=tuple(joint for joint in joints if joint.kind == "hinge"),
+    )
+
+
+def _mass_properties(body: Body) -> tuple[float, Array, Array]:
+    """Mass, centre of mass in W and inertia about it in W's axes, at the reference pose."""
+    turn = rotation.matrix(np.array(body.orientation))
+    if body.inertia is not None:
+        (xx, yy, zz), (xy, xz, yz) = body.inertia.moments, body.inertia.products
+        local = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return (
+            body.inertia.mass,
+            np.array(body.position) + turn @ np.array(body.inertia.com),
+            turn @ local @ turn.T,
+        )
+    masses = np.array([particle.mass for particle in body.particles])
+    points = np.array([particle.position for particle in body.particles])
+    com = masses @ points / masses.sum()
+    arms = points - com
+    # Parallel axes: each particle keeps its own isotropic inertia.
+    tensor = (
+        np.eye(3) * (masses @ np.sum(arms**2, axis=1) + sum(p.inertia for p in body.particles))
+        - (arms.T * masses) @ arms
+    )
+    low, high = np.linalg.eigvalsh(tensor)[[0, 2]]
+    if not high > 0 or low < 1e-9 * high:
+        msg = (
+            f"bodies[{body.name!r}].particles: got smallest principal inertia {low:.3g} kg·m², "
+            "allowed is above 0: give a particle an inertia, or the body particles off one line"
+        )
+        raise SceneError(msg)
+    return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T
+
+
+def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
+    return np.array(point) - (com[body] if body != WORLD_INDEX else 0.0)
+
+
+def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
+    # hypot neither under- nor overflows, whatever the axis is measured in.
+    axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
+    parent, child = index[joint.parent], index[joint.child]
+    return PlacedJoint(
+        name=joint.name,
+        kind=joint.kind,
+        parent=parent,
+        child=child,
+        anchor=np.array(joint.anchor),
+        axis=axis,
+        in_parent=_native(joint.anchor, parent, com),
+        in_child=_native(joint.anchor, child, com),
+        index=k,
+    )
+
+
+def _pair(
+    name: str,
+    bodies: tuple[str, str],
+    points: tuple[tuple[float, float, float], tuple[float, float, float]],
+    length: float | None,
+    index: dict[str, int],
+    com: Array,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+) -> PointPair:
+    ends = (index[bodies[0]], index[bodies[1]])
+    reference = float(np.linalg.norm(np.subtract(points[0], points[1])))
+    return PointPair(
+        name=name,
+        bodies=ends,
+        in_body=(_native(points[0], ends[0], com), _native(points[1], ends[1], com)),
+        length=reference if length is None else length,
+        stiffness=stiffness,
+        damping=damping,
+    )
+
+
+def _spanning_tree(
+    body_count: int, joints: tuple[PlacedJoint, ...]
+) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
+    """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
+
+    Of joints of one kind, the last listed closes the loop.
+    """
+    group = list(range(body_count + 1))  # the last one is the world
+
+    def find(k: int) -> int:
+        while group[k] != k:
+            group[k] = group[group[k]]
+            k = group[k]
+        return k
+
+    tree, loops = [], []
+    for joint in sorted(joints, key=lambda joint: _CUT_LAST[joint.kind]):
+        a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
+        if a == b:
+            loops.append(joint)
+        else:
+            group[a] = b
+            tree.append(joint)
+    at: dict[int, list[PlacedJoint]] = defaultdict(list)
+    for joint in sorted(tree, key=lambda joint: joint.index):
+        at[joint.parent].append(joint)
+        at[joint.child].append(joint)
+    links: list[Link] = []
+    seen: set[int] = {WORLD_INDEX}
+    queue = deque([WORLD_INDEX])
+    roots = iter(range(body_count))
+    while len(links) < body_count:
+        if not queue:
+            root = next(k for k in roots if k not in seen)
+            links.append(Link(root, WORLD_INDEX, None))
+            seen.add(root)
+            queue.append(root)
+        here = queue.popleft()
+        for joint in at[here]:
+            outwards = joint if joint.parent == here else _reversed(joint)
+            if outwards.child not in seen:
+                links.append(Link(outwards.child, here, outwards))
+                seen.add(outwards.child)
+                queue.append(outwards.child)
+    return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))
+
+
+def _reversed(joint: PlacedJoint) -> PlacedJoint:
+    return dataclasses.replace(
+        joint,
+        parent=joint.child,
+        child=joint.parent,
+        axis=-joint.axis,
+        in_parent=joint.in_child,
+        in_child=joint.in_parent,
+    )

@@ -1,0 +1,430 @@
+"""Draw starts and inputs: trajectory i depends on the scene, the seed and i alone.
+
+Everything of trajectory i comes from `default_rng(SeedSequence([seed, i]))` in this order: the
+scene's `sampling` entries as listed, each in the order its docstring gives, then the noise, frame
+by frame, body by body, component by component. Switching noise or inputs off draws all the same,
+so that the start stays what it was.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.assembly import assemble, check_joints
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.sampling_terms import (
+    INTERVALS,
+    HingeRate,
+    HingeTorque,
+    Interval,
+    Roll,
+    Span,
+    Swing,
+    Throw,
+    Turn,
+    Wind,
+    span_of,
+)
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+
+Array = NDArray[np.float64]
+
+# σ holds for frames of this length; other intervals keep the noise's spectral density.
+_NOISE_FRAME = 0.02
+_CENTRED = 1e-9  # of a contact sphere at a centre of mass [m]
+
+
+def draw_batch(
+    scene: Scene,
+    indices: Iterable[int],
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    inputs: bool = True,
+) -> Batch:
+    """Draw trajectories by index. Index i takes the interval low, medium, high of i mod 3.
+
+    Args:
+        scene: What to sample.
+        indices: Numbers of the trajectories, 0 or more.
+        seed: Seed of the whole set.
+        noise: Whether the noise forces act.
+        inputs: Whether drawn forces and torques (wind, drives) act. Forces and torques that the
+            scene itself lists always do.
+
+    Raises:
+        SceneError: A draw does not fit the scene's joints.
+    """
+    mechanism = Mechanism.of(scene)
+    drawn = [_draw_one(mechanism, index, seed, noise, inputs) for index in indices]
+    count = mechanism.body_count
+    starts = BodyStates(
+        position=np.array([state.position for state in drawn]).reshape(-1, count, 3),
+        native=np.array([state.native for state in drawn]).reshape(-1, count, 4),
+        velocity=np.array([state.velocity for state in drawn]).reshape(-1, count, 3),
+        angular_velocity=np.array([state.angular_velocity for state in drawn]).reshape(
+            -1, count, 3
+        ),
+    )
+    check_joints(mechanism, starts)
+    return Batch(
+        index=np.array([state.index for state in drawn], dtype=np.int64),
+        position=starts.position,
+        orientation=mechanism.body_orientation(starts.native),
+        velocity=starts.velocity,
+        angular_velocity=starts.angular_velocity,
+        force=np.array([state.force for state in drawn]),
+        torque=np.array([state.torque for state in drawn]),
+    )
+
+
+def distinct_starts(scene: Scene, asked: int, *, noise: bool = True, inputs: bool = True) -> int:
+    """Tell how many trajectories are worth drawing: one where nothing is drawn, else as asked.
+
+    Args:
+        scene: What to sample.
+        asked: Number of trajectories.
+        noise: Whether the noise forces act.
+        inputs: Whether drawn forces and torques act.
+    """
+    starts = any(inputs or not isinstance(term, HingeTorque | Wind) for term in scene.sampling)
+    return asked if starts or (noise and scene.noise > 0) else 1
+
+
+def noise_components(scene: Scene) -> list[int]:
+    """Components of W in which the scene moves, and so the noise acts."""
+    return {1: [0], 2: [0, 2], 3: [0, 1, 2]}[scene.dimension]
+
+
+@dataclass
+class _Drawing:
+    """A trajectory while it is drawn."""
+
+    mechanism: Mechanism
+    index: int
+    interval: Interval
+    rng: np.random.Generator
+    position: Array
+    native: Array
+    velocity: Array
+    angular_velocity: Array
+    force: Array
+    torque: Array
+    inputs: bool
+
+    def uniform(self, span: Span) -> float:
+        low, high = span_of(span, self.interval)
+        return float(self.rng.uniform(low, high))
+
+    def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
+        """Turn bodies, poses and velocities together, about a point of W."""
+        for values, origin in (
+            (self.position, point),
+            (self.velocity, np.zeros(3)),
+            (self.angular_velocity, np.zeros(3)),
+        ):
+            values[bodies] = rotation.rotate(turn, values[bodies] - origin) + origin
+        self.native[bodies] = rotation.multiply(turn, self.native[bodies])
+
+    def add_twist(self, bodies: list[int], point: Array, rate: Array) -> None:
+        """Add a rigid angular velocity about a point of W."""
+        self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
+        self.angular_velocity[bodies] += rate
+
+
+def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> _Drawing:
+    scene = mechanism.scene
+    start = assemble(mechanism)
+    force, torque = _scene_inputs(mechanism)
+    drawing = _Drawing(
+        mechanism=mechanism,
+        index=index,
+        interval=INTERVALS[index % len(INTERVALS)],
+        rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
+        position=start.position.copy(),
+        native=start.native.copy(),
+        velocity=start.velocity.copy(),
+        angular_velocity=start.angular_velocity.copy(),
+        force=force.copy(),
+        torque=torque.copy(),
+        inputs=inputs,
+    )
+    for term in scene.sampling:
+        _DRAWS[type(term)](term, drawing)
+    if scene.noise > 0:
+        _add_noise(drawing, noise)
+    return drawing
+
+
+@functools.lru_cache(maxsize=16)
+def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Forces (step, body, 3) and torques (step, hinge) that the scene lists itself."""
+    scene = mechanism.scene
+    force = np.zeros((scene.clock.steps, mechanism.body_count, 3))
+    torque = np.zeros((scene.clock.steps, len(mechanism.hinges)))
+    bodies = {body.name: k for k, body in enumerate(scene.bodies)}
+    hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
+    for item in scene.forces:
+        force[:, bodies[item.body]] += _held(np.array(item.series), item.hold, scene.clock.steps)
+    for load in scene.torques:
+        torque[:, hinges[load.joint]] += _held(np.array(load.series), load.hold, scene.clock.steps)
+    return force, torque
+
+
+def _held(series: Array, hold: int, steps: int) -> Array:
+    rows = np.minimum(np.arange(steps) // hold, len(series) - 1)
+    return np.asarray(series[rows])
+
+
+def _add_noise(drawing: _Drawing, switched_on: bool) -> None:
+    scene = drawing.mechanism.scene
+    components = noise_components(scene)
+    steps, count = scene.clock.steps, drawing.mechanism.body_count
+    normal = drawing.rng.standard_normal((steps, count, len(components)))
+    sigma = scene.noise * np.sqrt(
+        drawing.mechanism.particles_per_body * (_NOISE_FRAME / scene.clock.frame)
+    )
+    if switched_on:
+        drawing.force[:, :, components] += sigma[None, :, None] * normal
+
+
+def _swing(term: Swing, drawing: _Drawing) -> None:
+    hung = _hung(drawing.mechanism, term.bodies)
+    drawn = [
+        (
+            drawing.uniform(term.polar),
+            drawing.rng.uniform(0.0, 2.0 * np.pi),
+            drawing.uniform(term.speed),
+            drawing.rng.uniform(0.0, 2.0 * np.pi),
+        )
+        for _ in hung.body
+    ]
+    polar, azimuth, speed, heading = np.array(drawn).T.copy()[..., None]
+    # Turning by `polar` about a horizontal axis leaves the body without spin about its arm.
+    about = np.concatenate([np.sin(azimuth), -np.cos(azimuth), np.zeros_like(polar)], axis=-1)
+    turn = rotation.from_vector(polar * about)
+    down = rotation.rotate(turn, hung.arm)
+    first, second = rotation.normals_to(down)
+    relative = speed * (np.cos(heading) * first + np.sin(heading) * second)
+    rate = rotation.cross(down, relative) / np.array([[each @ each] for each in down])
+    reach, carried = _pivots(hung, drawing, turn, rate)
+    drawing.native[hung.body], drawing.angular_velocity[hung.body] = turn, rate
+    for k, (body, parent) in enumerate(zip(hung.body, hung.parent, strict=True)):
+        pivot, pivot_velocity = reach[k], carried[k]
+        if parent != WORLD_INDEX:
+            pivot = drawing.position[parent] + pivot
+            pivot_velocity = drawing.velocity[parent] + pivot_velocity
+        drawing.position[body] = pivot + down[k]
+        drawing.velocity[body] = pivot_velocity + relative[k]
+
+
+@dataclass(frozen=True, eq=False)
+class _Hung:
+    """Bodies that hang straight down from ball joints, as arrays."""
+
+    body: list[int]
+    parent: list[int]
+    above: NDArray[np.int64]
+    """Place of the parent among them; −1 where it is none of those before."""
+    arm: Array
+    """From the joint to the centre of mass [m], shape (hung, 3)."""
+    in_parent: Array
+    """The joint, from the parent's centre of mass [m], shape (hung, 3)."""
+
+
+@functools.lru_cache(maxsize=64)
+def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
+    """Find the joints, and that they are what swings."""
+    names = [body.name for body in mechanism.scene.bodies]
+    links = {link.body: link for link in mechanism.links}
+    joints = []
+    for name in bodies:
+        joint = links[names.index(name)].joint
+        if joint is None or joint.kind != "ball":
+            msg = f"sampling: {name!r} hangs on no ball joint and cannot swing"
+            raise SceneError(msg)
+        arm = -joint.in_child
+        if not np.hypot(arm[0], arm[1]) < -1e-9 * arm[2]:
+            msg = (
+                f"sampling: {name!r} must hang straight down (−z) from its joint at the reference "
+                f"pose to swing, got the arm {arm.tolist()}"
+            )
+            raise SceneError(msg)
+        joints.append(joint)
+    body = [names.index(name) for name in bodies]
+    parent = [joint.parent for joint in joints]
+    before = [body[:k] for k in range(len(body))]
+    above = [
+        early.index(each) if each in early else -1
+        for early, each in zip(before, parent, strict=True)
+    ]
+    return _Hung(
+        body=body,
+        parent=parent,
+        above=np.array(above),
+        arm=np.array([-joint.in_child for joint in joints]),
+        in_parent=np.array([joint.in_parent for joint in joints]),
+    )
+
+
+def _pivots(hung: _Hung, drawing: _Drawing, turn: Array, rate: Array) -> tuple[Array, Array]:
+    """Joints from their parents' centres of mass, and what the parents' turning adds there."""
+    swung = hung.above[:, None] >= 0
+    native = np.where(swung, turn[hung.above], drawing.native[hung.parent])
+    spin = np.where(swung, rate[hung.above], drawing.angular_velocity[hung.parent])
+    arm = rotation.rotate(native, hung.in_parent)
+    swing = rotation.cross(spin, arm)
+    world = np.array(hung.parent)[:, None] == WORLD_INDEX
+    return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
+
+
+def _point_of(drawing: _Drawing, body: int, in_body: Array) -> tuple[Array, Array]:
+    """Position and velocity of a point fixed in a body (or the world)."""
+    if body == WORLD_INDEX:
+        return in_body, np.zeros(3)
+    arm = rotation.rotate(drawing.native[body], in_body)
+    return (
+        drawing.position[body] + arm,
+        drawing.velocity[body] + rotation.cross(drawing.angular_velocity[body], arm),
+    )
+
+
+def _turn(term: Turn, drawing: _Drawing) -> None:
+    axis = np.array(term.axis) / np.linalg.norm(term.axis)
+    everything = list(range(drawing.mechanism.body_count))
+    angle, rate = drawing.uniform(term.angle), drawing.uniform(term.rate)
+    point = np.array(term.point)
+    drawing.move_rigidly(everything, point, rotation.from_vector(angle * axis))
+    drawing.add_twist(everything, point, rate * axis)
+
+
+def _throw(term: Throw, drawing: _Drawing) -> None:
+    names = [body.name for body in drawing.mechanism.scene.bodies]
+    body = names.index(term.body)
+    carried = _carried(drawing.mechanism, body)
+    drawing.position[carried] += [drawing.uniform(span) for span in term.displacement]
+    center = drawing.position[body].copy()
+    turn = rotation.IDENTITY
+    if term.orientation == "about_y":
+        turn = rotation.from_vector(np.array([0.0, drawing.rng.uniform(0.0, 2.0 * np.pi), 0.0]))
+    elif term.orientation == "uniform":
+        gauss = drawing.rng.standard_normal(4)
+        turn = gauss / np.linalg.norm(gauss)
+    drawing.move_rigidly(carried, center, turn)
+    drawing.velocity[carried] += [drawing.uniform(span) for span in term.velocity]
+    rate = np.array([drawing.uniform(span) for span in term.angular_velocity])
+    drawing.add_twist(carried, center, rate)
+
+
+def _roll(term: Roll, drawing: _Drawing) -> None:
+    mechanism = drawing.mechanism
+    body = [body.name for body in mechanism.scene.bodies].index(term.body)
+    carried = _carried(mechanism, body)
+    own = mechanism.sphere_body == body
+    if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
+        msg = (
+            f"sampling: {term.body!r} has {own.sum()} contact spheres; to roll it needs one, "
+            "centred at its centre of mass"
+        )
+        raise SceneError(msg)
+    rolling = np.cross([0.0, 0.0, 1.0], drawing.velocity[body]) / mechanism.sphere_radius[own]
+    drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
+
+
+def _hinge_rate(term: HingeRate, drawing: _Drawing) -> None:
+    mechanism = drawing.mechanism
+    links = {link.joint.name: link for link in mechanism.links if link.joint is not None}
+    rates, driven = [], set()
+    for name in term.joints:
+        if name not in links:
+            msg = f"sampling: the hinge {name!r} closes a loop; its rate follows from the others"
+            raise SceneError(msg)
+        joint = links[name].joint
+        assert joint is not None
+        parent = drawing.native[joint.parent] if joint.parent != WORLD_INDEX else rotation.IDENTITY
+        point, _ = _point_of(drawing, joint.parent, joint.in_parent)
+        rates.append(drawing.uniform(term.rate))
+        twist = rates[-1] * rotation.rotate(parent, joint.axis)
+        drawing.add_twist(_outboard(mechanism, joint.child), point, twist)
+        driven.add(joint.child)
+    if rates and any(term.travel):
+        moved = {other for body in driven for other in _carried(mechanism, body)}
+        drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
+
+
+def _hinge_torque(term: HingeTorque, drawing: _Drawing) -> None:
+    hinges = [joint.name for joint in drawing.mechanism.hinges]
+    columns = [hinges.index(name) for name in term.joints]
+    steps = drawing.mechanism.scene.clock.steps
+    for first in range(0, steps, term.hold):
+        for column in columns:
+            value = drawing.uniform(term.torque)
+            if term.random_sign:
+                value *= 1.0 if drawing.rng.random() < 0.5 else -1.0
+            if drawing.inputs:
+                drawing.torque[first : first + term.hold, column] += value
+
+
+def _wind(term: Wind, drawing: _Drawing) -> None:
+    mechanism = drawing.mechanism
+    clock = mechanism.scene.clock
+    azimuth, mean = drawing.rng.uniform(0.0, 2.0 * np.pi), drawing.uniform(term.mean)
+    normal = drawing.rng.standard_normal(clock.steps)
+    # The exact transition of the process over one frame (Gillespie 1996, Phys. Rev. E 54, 2084).
+    decay = np.exp(-clock.frame / term.correlation_time)
+    offset = np.empty(clock.steps)
+    offset[0] = normal[0]
+    for k in range(1, clock.steps):
+        offset[k] = decay * offset[k - 1] + np.sqrt(1.0 - decay**2) * normal[k]
+    strength = mean * (1.0 + term.deviation * offset)
+    if drawing.inputs:
+        direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        per_body = mechanism.particles_per_body[:, None] * direction
+        drawing.force += strength[:, None, None] * per_body
+
+
+def _carried(mechanism: Mechanism, body: int) -> list[int]:
+    """Bodies that joints connect to a free body, itself among them."""
+    group = {body}
+    grown = True
+    while grown:
+        grown = False
+        for joint in mechanism.joints:
+            ends = {joint.parent, joint.child}
+            if ends & group and not ends <= group:
+                group |= ends
+                grown = True
+    if WORLD_INDEX in group:
+        msg = f"sampling: {mechanism.scene.bodies[body].name!r} is held by the world, not free"
+        raise SceneError(msg)
+    return sorted(group)
+
+
+def _outboard(mechanism: Mechanism, body: int) -> list[int]:
+    """Return a body and all that the spanning tree hangs on it."""
+    found = [body]
+    for link in mechanism.links:
+        if link.parent in found:
+            found.append(link.body)
+    return found
+
+
+_DRAWS: dict[type, Callable[[Any, _Drawing], None]] = {
+    Swing: _swing,
+    Turn: _turn,
+    Throw: _throw,
+    Roll: _roll,
+    HingeRate: _hinge_rate,
+    HingeTorque: _hinge_torque,
+    Wind: _wind,
+}

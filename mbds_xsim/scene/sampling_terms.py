@@ -1,0 +1,188 @@
+"""The vocabulary of sampling: how starts and inputs are drawn, as data in the scene.
+
+`mbds_xsim.scene.sampling` carries these out. A `Span` is a range [low, high] from which a value is
+drawn uniformly; it may depend on the trajectory's interval (low, medium, high).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from mbds_xsim.base import bounds
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.neutral import Neutral
+
+Interval = Literal["low", "medium", "high"]
+INTERVALS: tuple[Interval, ...] = ("low", "medium", "high")
+Vector = tuple[float, float, float]
+Range = tuple[float, float]
+
+
+class Levels(Neutral):
+    """One range per interval."""
+
+    low: Range
+    medium: Range
+    high: Range
+
+    def __post_init__(self) -> None:
+        for key in INTERVALS:
+            _ordered(key, getattr(self, key))
+
+
+Span = Range | Levels
+
+
+def span_of(span: Span, interval: Interval) -> Range:
+    """Give the range that holds in an interval."""
+    return getattr(span, interval) if isinstance(span, Levels) else span
+
+
+class _Draw(Neutral):
+    """What all draws share: a table with a `kind`."""
+
+
+class Swing(_Draw, tag_field="kind", tag="swing"):
+    """Hang a chain of ball-jointed bodies at random directions.
+
+    For each body, in the given order, drawn in this order: polar angle of the arm (from the
+    body's tree joint to its centre of mass) from −z, azimuth uniform in [0, 2π), speed of the
+    centre of mass relative to the joint, and the direction of that speed uniform in the plane
+    normal to the arm. The body has no spin about its arm; the arm hangs along −z at the
+    reference pose.
+    """
+
+    bodies: tuple[str, ...]
+    polar: Span
+    """[rad]"""
+    speed: Span
+    """[m/s]"""
+
+    def __post_init__(self) -> None:
+        _ordered("polar", self.polar)
+        _ordered("speed", self.speed)
+
+
+class Turn(_Draw, tag_field="kind", tag="turn"):
+    """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
+
+    point: Vector
+    """A point of the axis in W [m]."""
+    axis: Vector
+    """In W; need not be unit."""
+    angle: Span
+    """[rad]"""
+    rate: Span
+    """[rad/s]"""
+
+    def __post_init__(self) -> None:
+        bounds.place("point", self.point)
+        bounds.direction("axis", self.axis)
+        _ordered("angle", self.angle)
+        _ordered("rate", self.rate)
+
+
+class Throw(_Draw, tag_field="kind", tag="throw"):
+    """Throw one free body, and all that its joints carry, rigidly.
+
+    Drawn in this order: displacement of its centre of mass from the reference pose (x, y, z),
+    orientation, velocity (x, y, z), angular velocity (x, y, z). The turn is about the body's
+    centre of mass.
+    """
+
+    body: str
+    displacement: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """[m]"""
+    orientation: Literal["reference", "about_y", "uniform"] = "reference"
+    """Kept, turned about y by a uniform angle, or uniform on SO(3)."""
+    velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """[m/s]"""
+    angular_velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    """In W [rad/s]."""
+
+    def __post_init__(self) -> None:
+        for key in ("displacement", "velocity", "angular_velocity"):
+            for span in getattr(self, key):
+                _ordered(key, span)
+
+
+class Roll(_Draw, tag_field="kind", tag="roll"):
+    """Spin a free body by a share of the rate at which it would roll at the velocity it has.
+
+    The share is drawn: 0 slides without spin, 1 rolls without slip. The body carries one contact
+    sphere, at its centre of mass; what the body's joints carry turns with it.
+    """
+
+    body: str
+    share: Span
+
+    def __post_init__(self) -> None:
+        _ordered("share", self.share)
+
+
+class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
+    """Give hinges a rate relative to the body that carries them, each drawn by itself."""
+
+    joints: tuple[str, ...]
+    rate: Span
+    """[rad/s]"""
+    travel: Vector = (0.0, 0.0, 0.0)
+    """Velocity in W of the free bodies that carry the hinges, and of all that is jointed to them,
+    over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
+
+    def __post_init__(self) -> None:
+        _ordered("rate", self.rate)
+        bounds.finite("travel", self.travel)
+
+
+class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
+    """Drive hinges with piecewise constant torques.
+
+    Drawn stretch by stretch, and within a stretch joint by joint: the value, then, with
+    `random_sign`, its sign.
+    """
+
+    joints: tuple[str, ...]
+    torque: Span
+    """[N·m]"""
+    hold: int = 10
+    """Frames that a stretch lasts."""
+    random_sign: bool = False
+
+    def __post_init__(self) -> None:
+        _ordered("torque", self.torque)
+        bounds.at_least_one("hold", self.hold)
+
+
+class Wind(_Draw, tag_field="kind", tag="wind"):
+    """Blow horizontally on every particle with the same force A(t)·(cos φ, sin φ, 0).
+
+    A(t) is an Ornstein–Uhlenbeck process started from its stationary law. Drawn in this order:
+    φ uniform in [0, 2π), the mean of A from `mean`, then one standard normal per frame.
+    """
+
+    mean: Span
+    """Mean force on a particle [N]."""
+    deviation: float = 0.3
+    """Standard deviation of A over its mean."""
+    correlation_time: float = 0.5
+    """[s]"""
+
+    def __post_init__(self) -> None:
+        _ordered("mean", self.mean)
+        bounds.at_least_zero("deviation", self.deviation)
+        bounds.positive("correlation_time", self.correlation_time)
+
+
+Draw = Swing | Turn | Throw | Roll | HingeRate | HingeTorque | Wind
+
+
+def _ordered(key: str, span: Span) -> None:
+    """Raise unless a range is one; `Levels` has checked its own."""
+    if isinstance(span, Levels):
+        return
+    if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
+        msg = f"{key}: got {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
+        raise SceneError(msg)
+    bounds.finite(key, span)

@@ -1,0 +1,436 @@
+"""The neutral description of a scene: bodies, what joins them, what acts on them, how it starts.
+
+SI units, radians, z up, quaternions wxyz. Everything is placed in the world frame W at the
+*reference pose*; a body may carry a frame of its own (`position`, `orientation`) in which its
+particles, centre of mass and inertia are given. By default that frame is W itself, so that a
+mechanism can be written down in one coordinate system.
+
+These types check what can be seen locally; `Scene` checks that the parts fit together. All are
+immutable, comparable and hashable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Literal
+
+from mbds_xsim.base import bounds
+from mbds_xsim.base.errors import SceneError, UnknownName
+from mbds_xsim.scene.neutral import Neutral
+from mbds_xsim.scene.sampling_terms import Draw, Roll, Throw
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+WORLD = "world"
+GRAVITY: Vector = (0.0, 0.0, -9.81)
+MOST_PARTS = 20_000
+"""Largest number of bodies, joints and so on that reading is tested with: it takes 8 s."""
+MOST_STATES = 10_000_000
+"""Largest number of bodies times steps: a trajectory of so many states takes 1 GB."""
+PARTICLE_MASS = 1.0
+PARTICLE_INERTIA = 6.17e-4
+PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
+"""Of the solid sphere that has this mass and inertia [m]."""
+
+
+class Particle(Neutral):
+    """A solid sphere rigidly fixed in its body."""
+
+    position: Vector
+    """Centre in the body frame [m]."""
+    mass: float = PARTICLE_MASS
+    """[kg]"""
+    inertia: float = PARTICLE_INERTIA
+    """About any axis through its centre [kg·m²]."""
+
+    def __post_init__(self) -> None:
+        bounds.place("position", self.position)
+        bounds.positive("mass", self.mass)
+        bounds.at_least_zero("inertia", self.inertia)
+
+
+class Inertia(Neutral):
+    """Mass, centre of mass and inertia given directly, for a body without particles."""
+
+    mass: float
+    """[kg]"""
+    moments: tuple[float, float, float]
+    """Ixx, Iyy, Izz about the centre of mass, along the body frame's axes [kg·m²]."""
+    products: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The tensor's elements Ixy, Ixz, Iyz (so Ixy = −∫xy dm) [kg·m²]."""
+    com: Vector = (0.0, 0.0, 0.0)
+    """Centre of mass in the body frame [m]."""
+
+    def __post_init__(self) -> None:
+        bounds.positive("mass", self.mass)
+        bounds.place("com", self.com)
+        bounds.finite("moments", self.moments)
+        bounds.finite("products", self.products)
+        bounds.physical_inertia(self.moments, self.products)
+
+
+class Body(Neutral):
+    """A rigid body: a cluster of particles, or mass properties given directly (exactly one)."""
+
+    name: str
+    particles: tuple[Particle, ...] = ()
+    inertia: Inertia | None = None
+    position: Vector = (0.0, 0.0, 0.0)
+    """Origin of the body frame in W at the reference pose [m]."""
+    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Body frame to W at the reference pose, wxyz, unit."""
+    velocity: Vector | None = None
+    """Initial velocity of the centre of mass in W [m/s]; left out, it follows from the joints."""
+    angular_velocity: Vector | None = None
+    """Initial angular velocity in W [rad/s]; left out, it follows from the joints."""
+
+    def __post_init__(self) -> None:
+        bounds.name(self.name)
+        if not self.name or self.name == WORLD:
+            msg = f"name: got {self.name!r}, allowed is any text but '' and {WORLD!r}"
+            raise SceneError(msg)
+        if bool(self.particles) == (self.inertia is not None):
+            msg = f"body {self.name!r} needs either particles or inertia, got " + (
+                "both" if self.particles else "neither"
+            )
+            raise SceneError(msg)
+        bounds.place("position", self.position)
+        bounds.unit("orientation", self.orientation)
+        for key in ("velocity", "angular_velocity"):
+            value = getattr(self, key)
+            if value is not None:
+                bounds.finite(key, value)
+
+
+class Joint(Neutral):
+    """A holonomic joint between two bodies, placed in W at the reference pose.
+
+    Its coordinate (hinge angle, slider displacement) is zero there and grows as the child turns
+    about, or moves along, the axis relative to the parent.
+    """
+
+    name: str
+    kind: Literal["fixed", "hinge", "slider", "ball"]
+    parent: str
+    child: str
+    anchor: Vector
+    """A point of the joint in W at the reference pose [m]."""
+    axis: Vector | None = None
+    """Of a hinge or slider, in W at the reference pose; need not be unit."""
+    start: float | None = None
+    """Initial coordinate of a hinge [rad] or slider [m]; left out, it follows from the others."""
+    rate: float | None = None
+    """Initial rate of a hinge [rad/s] or slider [m/s]; left out, it follows from the others."""
+
+    def __post_init__(self) -> None:
+        bounds.name(self.name)
+        bounds.place("anchor", self.anchor)
+        has_axis = self.kind in ("hinge", "slider")
+        if has_axis and self.axis is None:
+            msg = f"a {self.kind} joint needs an axis, got none"
+            raise SceneError(msg)
+        if not has_axis and not (self.axis is None and self.start is None and self.rate is None):
+            msg = f"axis, start and rate are for hinge and slider, got one on a {self.kind} joint"
+            raise SceneError(msg)
+        if self.axis is not None:
+            bounds.direction("axis", self.axis)
+        for key in ("start", "rate"):
+            value = getattr(self, key)
+            if value is not None:
+                bounds.finite(key, (value,))
+        if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
+            msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
+            raise SceneError(msg)
+        if self.parent == self.child:
+            msg = f"joint {self.name!r} joins {self.parent!r} to itself"
+            raise SceneError(msg)
+
+
+class DistanceLink(Neutral):
+    """A massless rigid link: keeps two points at a constant distance."""
+
+    name: str
+    bodies: tuple[str, str]
+    """Two bodies, or a body and "world"."""
+    points: tuple[Vector, Vector]
+    """The attachment points in W at the reference pose [m]."""
+    length: float | None = None
+    """[m]; left out, the distance at the reference pose."""
+
+    def __post_init__(self) -> None:
+        bounds.name(self.name)
+        _two_points(self.name, self.bodies, self.points)
+        if self.length is not None:
+            bounds.size("length", self.length)
+
+
+class SpringDamper(Neutral):
+    """A massless linear spring and damper along the line between two points."""
+
+    name: str
+    bodies: tuple[str, str]
+    """Two bodies, or a body and "world"."""
+    points: tuple[Vector, Vector]
+    """The attachment points in W at the reference pose [m]."""
+    stiffness: float = 0.0
+    """[N/m]"""
+    damping: float = 0.0
+    """[N·s/m]"""
+    rest_length: float | None = None
+    """[m]; left out, the distance at the reference pose."""
+
+    def __post_init__(self) -> None:
+        bounds.name(self.name)
+        _two_points(self.name, self.bodies, self.points)
+        bounds.at_least_zero("stiffness", self.stiffness)
+        bounds.at_least_zero("damping", self.damping)
+        if self.rest_length is not None:
+            bounds.at_least_zero("rest_length", self.rest_length)
+            bounds.place("rest_length", (self.rest_length,))
+
+
+class Force(Neutral):
+    """A force in W on a body's centre of mass, the same in every trajectory."""
+
+    body: str
+    series: tuple[Vector, ...]
+    """One row per held stretch [N]; a single row is a constant force."""
+    hold: int = 1
+    """Frames that each row lasts; the last row goes on to the end."""
+
+    def __post_init__(self) -> None:
+        bounds.held_series(len(self.series), self.hold)
+        for row in self.series:
+            bounds.finite("series", row)
+
+
+class Torque(Neutral):
+    """A torque about a hinge's axis: on the child, and the opposite on the parent."""
+
+    joint: str
+    series: tuple[float, ...]
+    """One value per held stretch [N·m]; a single one is a constant torque."""
+    hold: int = 1
+    """Frames that each value lasts; the last goes on to the end."""
+
+    def __post_init__(self) -> None:
+        bounds.held_series(len(self.series), self.hold)
+        bounds.finite("series", self.series)
+
+
+class ContactSphere(Neutral):
+    """A sphere fixed in a body that can touch the ground plane, and nothing else."""
+
+    body: str
+    center: Vector
+    """In W at the reference pose [m]."""
+    radius: float
+    """[m]"""
+
+    def __post_init__(self) -> None:
+        bounds.place("center", self.center)
+        bounds.size("radius", self.radius)
+
+
+class Ground(Neutral):
+    """The plane z = 0. The coefficients are those of the pair sphere–ground."""
+
+    friction: float
+    """Coulomb's coefficient μ, isotropic."""
+    restitution: float
+    """Newton's coefficient e of the normal velocity, in [0, 1]."""
+
+    def __post_init__(self) -> None:
+        bounds.at_least_zero("friction", self.friction)
+        if not 0.0 <= self.restitution <= 1.0:
+            msg = f"restitution: got {self.restitution}, allowed is 0 to 1"
+            raise SceneError(msg)
+
+
+class Clock(Neutral):
+    """When frames are recorded: frame k at k · frame, k = 0 … steps."""
+
+    frame: float = 0.02
+    """Interval between recorded frames [s]; inputs are constant over it."""
+    steps: int = 200
+    """Number of intervals."""
+
+    def __post_init__(self) -> None:
+        bounds.positive(
+            "frame", self.frame, least=1e-9, why="in less, 1 m/s moves a body by less than 1e-9 m"
+        )
+        bounds.at_least_one("steps", self.steps)
+
+    @property
+    def duration(self) -> float:
+        """Length of a trajectory [s]."""
+        return self.frame * self.steps
+
+
+class Budget(Neutral):
+    """What a trajectory may deviate and still pass; `docs/checks.md` defines each figure."""
+
+    error_1s: float = 1e-3
+    """RMS particle error at 1 s over the scene's length (low and medium intervals)."""
+    error: float = 1e-2
+    """Largest growth-weighted RMS particle error over the scene's length."""
+    error_turn: float = 0.1
+    """Largest growth-weighted angle between a body and the reference's [rad]."""
+    gap: float = 1e-4
+    """Distance between a joint's anchor points [m]."""
+    angle_gap: float = 1e-3
+    """Angle between a hinge's axes, or of a slider's or fixed joint's misalignment [rad]."""
+    energy: float = 1e-3
+    """Energy balance over the energy scale, for methods of order 2 and more."""
+    energy_first_order: float = 1e-2
+    """The same for methods of order 1."""
+    planarity: float = 1e-6
+    """Excursion out of the scene's dimensions over its length."""
+    penetration: float = 0.02
+    """Overlap of a contact sphere with the ground over the scene's length."""
+    contact_gap: float = 2e-3
+    """Distance from the ground at which it carries a sphere, over the scene's length."""
+    passivity: float = 1e-3
+    """Energy that contact creates over the energy scale; height that a ball gains by it, over the
+    scene's length."""
+    friction: float = 0.02
+    """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
+    balance: float = 1e-3
+    """Impulse of a step that no contact explains, over the weight's or the ground's own."""
+    rolling: float = 1e-3
+    """Slip of a ball that rolls over its largest speed."""
+    restitution: float = 0.01
+    """Deviation of the coefficient of restitution that a ball's rebound shows."""
+    resting: float = 1e-3
+    """Distance that a body at rest moves over the scene's length."""
+
+    def __post_init__(self) -> None:
+        for key in self.__struct_fields__:
+            bounds.positive(key, getattr(self, key))
+
+
+class Scene(Neutral):
+    """A whole scene. `Mechanism.of` in `mbds_xsim.scene.mechanism` gives its arrays and tree."""
+
+    name: str
+    bodies: tuple[Body, ...]
+    length: float
+    """The scene's size, the unit of its error budgets [m]."""
+    description: str = ""
+    source: str = ""
+    """Where the numbers come from."""
+    dimension: Literal[1, 2, 3] = 3
+    """1: moves along x; 2: in x and z; 3."""
+    gravity: Vector = GRAVITY
+    """[m/s²]"""
+    joints: tuple[Joint, ...] = ()
+    distance_links: tuple[DistanceLink, ...] = ()
+    springs: tuple[SpringDamper, ...] = ()
+    forces: tuple[Force, ...] = ()
+    torques: tuple[Torque, ...] = ()
+    contacts: tuple[ContactSphere, ...] = ()
+    ground: Ground | None = None
+    clock: Clock = Clock()
+    sampling: tuple[Draw, ...] = ()
+    """How starts and inputs are drawn; without it every trajectory starts alike."""
+    noise: float = 0.0
+    """Standard deviation of the random force per component and particle [N], see docs."""
+    anchors: tuple[Vector, ...] = ()
+    """Fixed points of the drawn skeleton and the learned graph; numbered after the particles."""
+    edges: tuple[tuple[int, int], ...] = ()
+    """Pairs of particles (numbered body by body), anchors behind them."""
+    budget: Budget = Budget()
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            msg = "name: got '', allowed is any text"
+            raise SceneError(msg)
+        if not self.bodies:
+            msg = "bodies: got none, a scene needs at least one"
+            raise SceneError(msg)
+        bounds.name(self.name)
+        for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
+            bounds.count(key, len(getattr(self, key)), MOST_PARTS, "larger scenes are not tested")
+        frames = self.clock.steps * len(self.bodies)
+        bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more takes 1 GB")
+        for anchor in self.anchors:
+            bounds.place("anchors", anchor)
+        bounds.finite("gravity", self.gravity)
+        bounds.size("length", self.length)
+        bounds.at_least_zero("noise", self.noise)
+        self._check_names()
+        self._check_references()
+        self._check_edges()
+
+    def _check_names(self) -> None:
+        for table in ("bodies", "joints", "distance_links", "springs"):
+            names = Counter(item.name for item in getattr(self, table))
+            twice = [name for name, count in names.items() if count > 1]
+            if twice:
+                msg = f"{table}: got {twice[0]!r} twice, each name is allowed once"
+                raise SceneError(msg)
+
+    def _check_references(self) -> None:
+        bodies = {body.name for body in self.bodies}
+        held = bodies | {WORLD}
+        hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
+        for k, joint in enumerate(self.joints):
+            for key in ("parent", "child"):
+                _known(f"joints[{k}].{key}", getattr(joint, key), held)
+        for table in ("distance_links", "springs"):
+            for k, item in enumerate(getattr(self, table)):
+                for end in (0, 1):
+                    _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], held)
+        for k, force in enumerate(self.forces):
+            _known(f"forces[{k}].body", force.body, bodies)
+        for k, torque in enumerate(self.torques):
+            _known(f"torques[{k}].joint", torque.joint, hinges, what="hinge")
+        for k, sphere in enumerate(self.contacts):
+            _known(f"contacts[{k}].body", sphere.body, bodies)
+        if bool(self.contacts) != (self.ground is not None):
+            msg = f"ground: got {self.ground}, with {len(self.contacts)} contact spheres; " + (
+                "they need a [ground]" if self.contacts else "a ground needs contact spheres"
+            )
+            raise SceneError(msg)
+        for k, draw in enumerate(self.sampling):
+            for body in getattr(draw, "bodies", ()):
+                _known(f"sampling[{k}].bodies", body, bodies)
+            for joint_name in getattr(draw, "joints", ()):
+                _known(f"sampling[{k}].joints", joint_name, hinges, what="hinge")
+            if isinstance(draw, Throw | Roll):
+                _known(f"sampling[{k}].body", draw.body, bodies)
+
+    def _check_edges(self) -> None:
+        count = self.particle_count + len(self.anchors)
+        for k, edge in enumerate(self.edges):
+            if not all(0 <= node < count for node in edge) or edge[0] == edge[1]:
+                msg = (
+                    f"edges[{k}]: got {list(edge)}, allowed are two different numbers from 0 to "
+                    f"{count - 1} ({self.particle_count} particles, {len(self.anchors)} anchors)"
+                )
+                raise SceneError(msg)
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles over all bodies."""
+        return sum(len(body.particles) for body in self.bodies)
+
+
+def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> None:
+    if got not in allowed:
+        listed = sorted(allowed)[:12] + ["…"] * (len(allowed) > 12)
+        msg = f"{where}: {UnknownName.of(what, got, listed)}"
+        raise SceneError(msg)
+
+
+def _two_points(name: str, bodies: tuple[str, str], points: tuple[Vector, Vector]) -> None:
+    for point in points:
+        bounds.place("points", point)
+    if bodies[0] == bodies[1]:
+        msg = f"{name!r} joins {bodies[0]!r} to itself"
+        raise SceneError(msg)
+    if not math.dist(*points) > 0:
+        msg = f"points: got {list(points[0])} twice, the two ends must be apart"
+        raise SceneError(msg)

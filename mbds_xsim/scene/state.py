@@ -1,0 +1,157 @@
+"""What goes into a simulation and what comes out: arrays with units and shapes.
+
+Axes are (trajectory, frame, body, component). Bodies are in scene order. Orientations turn
+published body frames to W (wxyz); velocities are of the centres of mass, all in W.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
+
+STATES = ("position", "orientation", "velocity", "angular_velocity")
+"""What is known of a body in a frame, and of its start."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Starts and inputs of some trajectories."""
+
+    index: NDArray[np.int64]
+    """Number of each trajectory; decides its interval and its random numbers; (trajectory,)."""
+    position: Array
+    """Centres of mass at frame 0 [m], shape (trajectory, body, 3)."""
+    orientation: Array
+    """At frame 0, shape (trajectory, body, 4)."""
+    velocity: Array
+    """At frame 0 [m/s], shape (trajectory, body, 3)."""
+    angular_velocity: Array
+    """At frame 0 in W [rad/s], shape (trajectory, body, 3)."""
+    force: Array
+    """In W on centres of mass, held over each step [N], shape (trajectory, step, body, 3)."""
+    torque: Array
+    """About the hinges of `Mechanism.hinges`, held over each step: on the child, and the
+    opposite on the parent; the axis turns with the bodies [N·m]. Shape (trajectory, step, hinge).
+    """
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def interval(self, row: int) -> Interval:
+        """Give the sampling interval of a row."""
+        return INTERVALS[int(self.index[row]) % len(INTERVALS)]
+
+    def label(self, row: int) -> str:
+        """Name a row for reading, with its interval unless the row is the only one."""
+        interval = f" ({self.interval(row)})" if len(self) > 1 else ""
+        return f"trajectory {self.index[row]}{interval}"
+
+    def __getitem__(self, rows: slice | list[int] | NDArray[np.int64]) -> Batch:
+        """Take some of the trajectories."""
+        return Batch(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))
+
+    def truncated(self, steps: int) -> Batch:
+        """Keep the inputs of the first steps only."""
+        fields = {key: getattr(self, key) for key in self.__dataclass_fields__}
+        fields |= {"force": self.force[:, :steps], "torque": self.torque[:, :steps]}
+        return Batch(**fields)
+
+    @property
+    def steps(self) -> int:
+        """Number of recorded steps."""
+        return self.force.shape[1]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a trajectory ended early; a value, not an exception."""
+
+    frame: int
+    """First frame that is missing."""
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Recorded motion of a batch. Frames from a failure on are NaN."""
+
+    time: Array
+    """[s], shape (frame,)."""
+    position: Array
+    """Centres of mass [m], shape (trajectory, frame, body, 3)."""
+    orientation: Array
+    """Shape (trajectory, frame, body, 4)."""
+    velocity: Array
+    """[m/s], shape (trajectory, frame, body, 3)."""
+    angular_velocity: Array
+    """In W [rad/s], shape (trajectory, frame, body, 3)."""
+    failures: tuple[Failure | None, ...]
+    """One entry a trajectory; None where it ran to the end."""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getitem__(self, rows: slice | list[int]) -> Trajectory:
+        """Take some of the trajectories."""
+        picked = (
+            self.failures[rows] if isinstance(rows, slice) else [self.failures[k] for k in rows]
+        )
+        return Trajectory(
+            self.time,
+            self.position[rows],
+            self.orientation[rows],
+            self.velocity[rows],
+            self.angular_velocity[rows],
+            tuple(picked),
+        )
+
+    def replaced(self, rows: NDArray[np.int64], other: Trajectory) -> Trajectory:
+        """Put another's trajectories in the place of some, in their order."""
+        arrays = {key: getattr(self, key).copy() for key in STATES}
+        failures = list(self.failures)
+        for key, values in arrays.items():
+            values[rows] = getattr(other, key)
+        for row, failure in zip(rows, other.failures, strict=True):
+            failures[row] = failure
+        return Trajectory(self.time, **arrays, failures=tuple(failures))
+
+    def cut_at_failures(self) -> Trajectory:
+        """Put NaN into all frames from each failure on, the last one at least.
+
+        So that no frame is used, whatever numbers an adapter left there.
+        """
+        last = len(self.time) - 1
+        for row, failure in enumerate(self.failures):
+            if failure is not None:
+                for key in STATES:
+                    getattr(self, key)[row, min(max(failure.frame, 0), last) :] = np.nan
+        return self
+
+    @staticmethod
+    def joined(parts: Sequence[Trajectory]) -> Trajectory:
+        """Put trajectories one after the other, one part at least."""
+        if len(parts) == 1:
+            return parts[0]
+        arrays = {key: np.concatenate([getattr(part, key) for part in parts]) for key in STATES}
+        failures = tuple(failure for part in parts for failure in part.failures)
+        return Trajectory(parts[0].time, **arrays, failures=failures)
+
+    @staticmethod
+    def empty(time: Array, trajectory_count: int, body_count: int) -> Trajectory:
+        """Make a trajectory of NaN, for a run to fill in."""
+        shape = (trajectory_count, len(time), body_count)
+        return Trajectory(
+            time,
+            np.full((*shape, 3), np.nan),
+            np.full((*shape, 4), np.nan),
+            np.full((*shape, 3), np.nan),
+            np.full((*shape, 3), np.nan),
+            (None,) * trajectory_count,
+        )

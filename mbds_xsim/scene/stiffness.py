@@ -1,0 +1,95 @@
+"""How fast the springs and dampers of a scene can make it move, with its joints holding."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
+from mbds_xsim.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+# Of the largest singular value: constraint rows that say nothing new.
+_RANK = 1e-9
+
+
+def spring_step(scene: Scene, *, angle: float, decay: float) -> float:
+    """Give the longest step in which springs turn by an angle [rad] and dampers decay so far [s].
+
+    For explicit methods, which are unstable where a decay is faster than their steps; infinite
+    without springs.
+    """
+    oscillating, decaying = spring_rates(scene)
+    return min(
+        limit / rate if rate > 0 else np.inf
+        for limit, rate in ((angle, oscillating), (decay, decaying))
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def spring_rates(scene: Scene) -> tuple[float, float]:
+    """Bound the rates at which spring–dampers oscillate and decay at the scene's start [1/s].
+
+    They are √λ(K Y) and λ(C Y), λ the largest eigenvalue and Y the inverse of the effective mass
+    between the springs' ends: what a force between them accelerates them apart by while joints
+    hold. Each spring may pull in the direction in which its ends yield most, as it turns while a
+    mechanism moves, and only the joints of the spanning tree hold, as at a dead point of a loop
+    nothing would move. Both are 0 without springs.
+    """
+    mechanism = Mechanism.of(scene)
+    if not mechanism.springs:
+        return 0.0, 0.0
+    start = assemble(mechanism)
+    root = _inverse_mass_root(mechanism, start)
+    still = np.zeros_like(start.position)
+    rows = constraint_rows(mechanism, start.position, start.native, still, still)
+    apart = np.concatenate([_apart(mechanism, start, spring) for spring in mechanism.springs])
+    loops = [joint.index for joint in mechanism.loops]
+    tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
+    free = _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, apart @ root)
+    stiffness, damping = (
+        np.repeat([getattr(spring, key) for spring in mechanism.springs], 3)
+        for key in ("stiffness", "damping")
+    )
+    return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
+
+
+def _inverse_mass_root(mechanism: Mechanism, start: BodyStates) -> Array:
+    """R with R Rᵀ the inverse of the mass matrix of all twists in W."""
+    turn = rotation.matrix(start.native)
+    inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
+    root = np.zeros((mechanism.body_count, 6, mechanism.body_count, 6))
+    for k, (mass, tensor) in enumerate(zip(mechanism.mass, inertia, strict=True)):
+        root[k, :3, k, :3] = np.eye(3) / np.sqrt(mass)
+        root[k, 3:, k, 3:] = np.linalg.cholesky(np.linalg.inv(tensor))
+    return root.reshape(6 * mechanism.body_count, -1)
+
+
+def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:
+    """Rows that give the velocity of the second end against the first, (3, 6 · body)."""
+    rows = np.zeros((3, mechanism.body_count, 6))
+    for body, point, sign in zip(spring.bodies, spring.in_body, (-1.0, 1.0), strict=True):
+        if body != WORLD_INDEX:
+            arm = rotation.rotate(start.native[body], point)
+            rows[:, body, :3] += sign * np.eye(3)
+            rows[:, body, 3:] += sign * np.cross(arm, np.eye(3))
+    return rows.reshape(3, -1)
+
+
+def _without(held: Array, rows: Array) -> Array:
+    """Take out of rows what lies in the span of those that are held."""
+    _, sizes, basis = np.linalg.svd(held, full_matrices=False)
+    basis = basis[sizes > _RANK * sizes.max(initial=0.0)]
+    return np.asarray(rows - rows @ basis.T @ basis)
+
+
+def _largest(weight: Array, rows: Array) -> float:
+    weighted = np.sqrt(weight)[:, None] * rows
+    return float(np.linalg.norm(weighted, 2) ** 2)

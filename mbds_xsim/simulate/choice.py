@@ -1,0 +1,170 @@
+"""Which engines run at which settings, from the user's words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
+from mbds_xsim.simulate.catalogue import as_profile
+from mbds_xsim.simulate.matched import Matched, read_matched, settings_for
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of the table to be."""
+
+    engine: str
+    profile: Profile
+    settings: Settings
+    limit: float = field(default=LIMIT, compare=False)
+    """Longest that one piece of its work may take [s]."""
+
+    @property
+    def name(self) -> str:
+        """Engine and profile."""
+        return f"{self.engine} ({self.profile})"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which engines at which settings."""
+
+    engines: tuple[str, ...]
+    profiles: tuple[Profile, ...] = ("matched",)
+    method: str | None = None
+    step: float | None = None
+    named: bool = True
+    """Whether the engines were asked for by name: one that cannot do the scene is then an error;
+    otherwise it is left out, and the result says so."""
+    given: Mapping[str, Matched] = field(default_factory=dict, hash=False)
+    """Matched settings by engine, from a file or a search, that go before those stored."""
+    limit: float = LIMIT
+    """Longest that one piece of an engine's work may take [s]."""
+
+    @staticmethod
+    def parse(
+        *,
+        engines: str | Iterable[str] | None = None,
+        profiles: str | Iterable[str] = "matched",
+        method: str | None = None,
+        step: float | None = None,
+        limit: float = LIMIT,
+    ) -> Choice:
+        """Read names, or words separated by commas; no engine named means all installed.
+
+        A profile may be the path of a file of settings, as `mbds-xsim match --out` writes it:
+        settings that are matched for a scene; no engine named means all of the file then.
+        """
+        names = words_of(engines) if engines is not None else ()
+        for name in names:
+            registry.load_adapter(name)
+        named = bool(names)
+        words, given = _profiles(words_of(profiles), names)
+        names = names or tuple(given) or tuple(registry.installed_engines())
+        if not names:
+            msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
+            raise InputError(msg)
+        if method is not None and len(names) != 1:
+            msg = f"--method {method}: methods differ between engines, name one with --engines"
+            raise InputError(msg)
+        return Choice(names, words, method, step, named, given, limit)
+
+    def contenders(self, scene: Scene) -> tuple[list[Contender], dict[str, str]]:
+        """Settle the settings of every engine.
+
+        Returns:
+            The contenders, and the engines left out, each with the reason.
+
+        Raises:
+            Unsupported: An engine asked for by name cannot do the scene, or none can.
+            InputError: The settings are wrong.
+        """
+        found: list[Contender] = []
+        left_out: dict[str, str] = {}
+        for profile in self.profiles:
+            for name in self.engines:
+                adapter = registry.load_adapter(name)
+                try:
+                    settings = self._settings(scene, adapter, profile)
+                    adapter.check(scene, settings)
+                except Unsupported as error:
+                    left_out[name] = str(error)
+                else:
+                    found.append(Contender(name, profile, settings, self.limit))
+        if left_out and (self.named or not found):
+            raise Unsupported(self._refusal(scene, left_out))
+        return found, left_out | self.faulty
+
+    @property
+    def faulty(self) -> dict[str, str]:
+        """Adapters that would take part but cannot be used, each with the reason."""
+        return {} if self.named or self.given else registry.faulty_engines()
+
+    def _settings(self, scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
+        preset = (
+            self.given[adapter.name].settings(scene)
+            if profile == "matched" and adapter.name in self.given
+            else settings_for(scene, adapter, profile)
+        )
+        return Settings(
+            self.method or preset.method,
+            preset.step if self.step is None else self.step,
+            preset.options if self.method in (None, preset.method) else {},
+        )
+
+    def _refusal(self, scene: Scene, left_out: dict[str, str]) -> str:
+        """Say what cannot be done, and what can do it."""
+        name, reason = next(iter(left_out.items()))
+        methods = _able_methods(registry.load_adapter(name), scene)
+        able = [e for e in self.engines if _able_methods(registry.load_adapter(e), scene)]
+        hint = f"use --method {' or '.join(methods)}" if methods else "no engine given here can"
+        if able and not methods:
+            hint = f"use --engines {','.join(able)}"
+        return f"{reason}; {hint}"
+
+
+def is_file(word: str) -> bool:
+    """Tell whether a word for settings names a file, and no profile."""
+    return bool(Path(word).suffix) or os.sep in word
+
+
+def _profiles(
+    words: tuple[str, ...], engines: tuple[str, ...]
+) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
+    """Tell profiles from files of settings, and read these."""
+    paths = [word for word in words if is_file(word)]
+    if len(paths) > 1 or (paths and "matched" in words):
+        msg = f"--settings: got {','.join(words)}, allowed is one of matched and a file"
+        raise InputError(msg)
+    given = read_matched(Path(paths[0])) if paths else {}
+    missing = [name for name in engines if given and name not in given]
+    if missing:
+        msg = f"--settings {paths[0]}: no settings of {missing[0]}; there are: {', '.join(given)}"
+        raise InputError(msg)
+    return tuple("matched" if word in paths else as_profile(word) for word in words), given
+
+
+def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
+    if adapter.too_small(scene):
+        return []
+    return [name for name in adapter.methods if not adapter.refusals(scene, name)]
+
+
+def words_of(given: str | Iterable[str]) -> tuple[str, ...]:
+    """Split a text at commas; each word counts once.
+
+    Raises:
+        InputError: It is neither a text nor several.
+    """
+    words = given.split(",") if isinstance(given, str) else given
+    if not isinstance(words, Iterable) or not all(isinstance(word, str) for word in words):
+        msg = f"got {given!r}, allowed are names, as 'one,other' or ['one', 'other']"
+        raise InputError(msg)
+    return tuple(dict.fromkeys(word.strip() for word in words))

@@ -1,0 +1,130 @@
+"""The one stopwatch around a rollout."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base import isolate, rotation
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings
+from mbds_xsim.simulate.registry import load_adapter
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What an engine made of a batch, and how long it took."""
+
+    engine: str
+    version: str
+    settings: Settings
+    trajectory: Trajectory
+    readback: Readback
+    size: ModelSize
+    contact_time: float
+    """Over which the engine spreads an impact [s]."""
+    setup_s: float
+    """Loading the model [s]."""
+    rollout_s: float
+    """Simulating the whole batch [s]."""
+    cpu_s: float
+    """Processor time of that [s]."""
+
+
+def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
+    """Run a batch in this process.
+
+    Raises:
+        Unsupported: The engine cannot represent the scene.
+        EngineMissing: The engine is not installed.
+    """
+    adapter = load_adapter(engine)
+    isolate.begin()
+    begin = time.perf_counter()
+    with adapter.open(scene, settings) as run:
+        loaded = time.perf_counter()
+        readback = _read_back(run, batch)
+        start, spent = time.perf_counter(), time.process_time()
+        trajectory = recorded(run, batch)
+        end, spent = time.perf_counter(), time.process_time() - spent
+        return Simulation(
+            engine=engine,
+            version=adapter.version(),
+            settings=settings,
+            trajectory=trajectory,
+            readback=readback,
+            size=_size(run),
+            contact_time=adapter.contact_scales(settings).time,
+            setup_s=loaded - begin,
+            rollout_s=end - start,
+            cpu_s=spent,
+        )
+
+
+def recorded(run: Run, batch: Batch) -> Trajectory:
+    """Run a batch, and hold what comes back against what a `Run` promises.
+
+    Frames from a failure on are NaN, whatever an adapter left in them; signs of quaternions go on
+    from the start's, whichever an engine gives.
+
+    Raises:
+        ValueError: An array has another shape or type than it must, or failures are not told.
+    """
+    trajectory = run.rollout(batch)
+    rows = (len(batch), batch.steps + 1, batch.position.shape[1])
+    shapes = {
+        "time": rows[1:2],
+        "position": (*rows, 3),
+        "orientation": (*rows, 4),
+        "velocity": (*rows, 3),
+        "angular_velocity": (*rows, 3),
+    }
+    for name, shape in shapes.items():
+        given = getattr(trajectory, name, None)
+        if not isinstance(given, np.ndarray) or given.dtype != float or given.shape != shape:
+            got = f"{given.dtype} {given.shape}" if isinstance(given, np.ndarray) else type(given)
+            msg = f"the adapter gave {name} as {got}, not as float64 {shape}"
+            raise ValueError(msg)
+    told: object = trajectory.failures
+    sound = isinstance(told, tuple) and all(isinstance(one, Failure | None) for one in told)
+    if not sound or len(trajectory.failures) != len(batch):
+        msg = f"the adapter gave failures {told!r:.80}, not a Failure or None for each trajectory"
+        raise ValueError(msg)
+    whole = trajectory.cut_at_failures()
+    turned = rotation.continuous(whole.orientation, batch.orientation)
+    return dataclasses.replace(whole, orientation=turned)
+
+
+def _read_back(run: Run, batch: Batch) -> Readback:
+    """Read the native model back, and hold it against what a `Readback` is."""
+    found: object = run.readback(batch)
+    if not isinstance(found, Readback) or not isinstance(found.step, float | None):
+        raise TypeError(f"the adapter read back {found!r:.60}, not a Readback with a step or None")
+    bodies = batch.position.shape[1]
+    shapes: dict[str, tuple[int, ...]] = {
+        "mass": (bodies,),
+        "inertia": (bodies, 3, 3),
+        "com": (bodies, 3),
+        "orientation": (bodies, 4),
+        "velocity": (bodies, 3),
+        "angular_velocity": (bodies, 3),
+    }
+    for name in {field.name: None for field in dataclasses.fields(found)}.keys() - {"step"}:
+        given, shape = getattr(found, name), shapes.get(name)
+        sound = isinstance(given, np.ndarray) and given.dtype == float
+        if not (sound and shape in (None, given.shape)) and (shape or given is not None):
+            msg = f"the adapter read back {name} as {given!r:.60}, not as float64 {shape or ''}"
+            raise ValueError(msg)
+    return found
+
+
+def _size(run: Run) -> ModelSize:
+    size: object = run.size
+    if not isinstance(size, ModelSize):
+        msg = f"the adapter gave its size as {size!r:.60}, not as a ModelSize"
+        raise TypeError(msg)
+    return size

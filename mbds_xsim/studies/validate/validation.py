@@ -1,0 +1,150 @@
+"""The main job: run a scene in all engines, check every trajectory, give a verdict."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbds_xsim.base.counted import counted
+from mbds_xsim.base.silence import Silent
+from mbds_xsim.checks import agreement, ensemble
+from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, run_campaign
+from mbds_xsim.measure.convergence import refine
+from mbds_xsim.measure.judge import Row, judge, reference_result
+from mbds_xsim.measure.quick import searched
+from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
+from mbds_xsim.scene.fingerprint import fingerprint
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+
+__all__ = ["Choice", "validate_with_evidence"]
+
+Array = NDArray[np.float64]
+
+_ONE_SECOND = 1.0
+_HIGH = INTERVALS.index("high")
+
+
+def validate_with_evidence(
+    scene: Scene,
+    *,
+    choice: Choice,
+    trajectories: int = 1,
+    seed: int = 0,
+    noise: bool = True,
+    inputs: bool = True,
+    cache: bool = True,
+    workers: int | None = None,
+    readback: bool = True,
+    progress: Watch | None = None,
+    command: str = "",
+) -> tuple[Validation, Evidence]:
+    """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
+
+    Without `readback` the verdict is on the motion alone, whatever the native model is.
+    """
+    begin, progress = time.perf_counter(), progress or Silent()
+    choice = searched(scene, choice, cache=cache, workers=workers, progress=progress)
+    contenders, left_out = choice.contenders(scene)
+    count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
+    batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
+    outcomes, reference = run_campaign(
+        scene, batch, contenders, cache=cache, workers=workers, progress=progress
+    )
+    refine(scene, batch, outcomes, reference, workers=workers, progress=progress)
+    rows = []
+    for outcome in outcomes:
+        progress.doing(f"{outcome.contender.name}: checks")
+        rows.append(judge(scene, batch, outcome, reference, native=readback))
+    results = [row.result for row in rows]
+    names, matrix, odd = _vote(scene, rows, reference)
+    evidence = Evidence(
+        scene=scene,
+        batch=batch,
+        trajectories=tuple(row.trajectory for row in rows),
+        reference=reference.trajectory,
+        growth=reference.growth,
+        errors=tuple(row.error for row in rows),
+        series=tuple(row.series for row in rows),
+    )
+    failed = any(result.verdict == "fail" for result in results)
+    warned = any(result.verdict == "warn" for result in results)
+    validation = Validation(
+        schema=SCHEMA,
+        scene=scene.name,
+        description=scene.description,
+        verdict="fail" if failed else "warn" if warned else "pass",
+        wall_s=time.perf_counter() - begin,
+        command=command,
+        seed=seed,
+        trajectories=tuple(int(index) for index in batch.index),
+        length_m=scene.length,
+        budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
+        engines=tuple(results),
+        left_out=left_out,
+        reference=reference_result(scene, batch, reference),
+        names=names,
+        matrix_m=matrix,
+        odd_one_out=odd,
+        versions=_versions(results),
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        ensembles=_ensembles(scene, batch, rows, reference),
+        fingerprint=fingerprint(scene),
+    )
+    return validation, evidence
+
+
+def _vote(
+    scene: Scene, rows: list[Row], reference: ReferenceOutcome
+) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
+    """Hold every engine against every other and the reference, at 1 s on predictable starts."""
+    present = [row for row in rows if row.trajectory is not None]
+    names = (*(f"{r.result.engine} {r.result.profile}" for r in present), "reference")
+    families = (*(row.result.family for row in present), "reference")
+    regular = [k for k in range(len(reference.growth)) if k % len(INTERVALS) != _HIGH]
+    runs = [row.trajectory[regular] for row in present if row.trajectory is not None]
+    runs.append(reference.trajectory[regular])
+    instant = min(_ONE_SECOND, scene.clock.duration)
+    matrix = agreement.pairwise(Mechanism.of(scene), runs, instant)
+    allowed = scene.budget.error_1s * scene.length
+    # Past a first impact no solution is unique, and sound engines may stand apart.
+    unique = np.isfinite(matrix[-1, :-1]).any()
+    odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
+    told = ", ".join(names[k] for k in odd) or None
+    return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+
+
+def _ensembles(
+    scene: Scene, batch: Batch, rows: list[Row], reference: ReferenceOutcome
+) -> tuple[EnsembleResult, ...]:
+    """Compare distributions at the end, where motions no longer agree one by one."""
+    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in rows]
+    named.append(("reference", reference.trajectory))
+    names, runs = zip(*((name, run) for name, run in named if run is not None), strict=True)
+    return tuple(
+        EnsembleResult(
+            one=names[one],
+            other=names[other],
+            time_s=scene.clock.duration,
+            distance=found.distance,
+            p_value=found.p_value,
+            count=found.count,
+        )
+        for (one, other), found in ensemble.compare_runs(scene, batch, runs).items()
+    )
+
+
+def _versions(results: list[EngineResult]) -> dict[str, str]:
+    packages = ("mbds-xsim", "numpy", "scipy")
+    versions = {name: registry.package_version(name) for name in packages}
+    versions["python"] = platform.python_version()
+    return versions | {result.engine: result.version for result in results}
