@@ -1,31 +1,25 @@
 """Put files on the disk for good, in a folder in which one run works at a time.
 
-A file is written under another name, flushed, read back and only then renamed. Both ways go past
-the system's cache where the file system allows it: what is read back is then what the disk has,
-and filling the cache with pages that nobody asks for again costs ten times the writing.
+A file is written under another name, flushed, read back and only then renamed. The system's cache
+forgets it in between, where it can be asked to: what is read back is then what the disk has, and
+pages that nobody asks for again do not push others out of the memory.
 """
 
 from __future__ import annotations
 
-import errno
 import fcntl
-import mmap
 import os
 import socket
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import IO
 
 from mbds_xsim.base.errors import InputError
 
 _PART = ".part"  # ending of files that are being written
 _LOCK = ".lock"
-_DIRECT = getattr(os, "O_DIRECT", 0)
-_BLOCK = 4096  # bytes; sizes and places in memory and file must be multiples of the disk's blocks
-_PIECE = 2**21  # bytes
-
-Answer = TypeVar("Answer")
+_PIECE = 2**21  # bytes that are read back at a time
 
 
 def put(path: Path, content: bytes) -> None:
@@ -57,17 +51,16 @@ def put(path: Path, content: bytes) -> None:
 def tidied(folders: Iterable[Path]) -> Iterator[None]:
     """Remove what writers left behind that were killed, before the block and in it."""
     every = list(folders)
+
+    def clean() -> None:
+        for part in (part for folder in every for part in folder.glob(f".*{_PART}")):
+            part.unlink(missing_ok=True)
+
+    clean()
     try:
-        _clean(every)
         yield
     finally:
-        _clean(every)
-
-
-def _clean(folders: list[Path]) -> None:
-    for folder in folders:
-        for part in folder.glob(f".*{_PART}"):
-            part.unlink(missing_ok=True)
+        clean()
 
 
 @contextmanager
@@ -95,65 +88,37 @@ def locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _past_cache(work: Callable[[Path, bytes, int], Answer]) -> Callable[[Path, bytes], Answer]:
-    """Have it done past the cache, or through it where the file system refuses."""
-
-    def attempt(path: Path, content: bytes) -> Answer:
-        try:
-            return work(path, content, _DIRECT)
-        except OSError as error:
-            if error.errno != errno.EINVAL:
-                raise
-            return work(path, content, 0)
-
-    return attempt
-
-
-@_past_cache
-def _write(path: Path, content: bytes, flags: int) -> None:
+def _write(path: Path, content: bytes) -> None:
     """Write a file and flush it to the disk."""
-    whole, piece = memoryview(content), _block_memory()
-    with _handle(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | flags) as handle:
-        for first in range(0, len(content), _PIECE):
-            size = min(_PIECE, len(content) - first)
-            piece[:size] = whole[first : first + size]
-            rest = piece[: -(-size // _BLOCK) * _BLOCK]
-            while rest:
-                rest = rest[os.write(handle, rest) :]
-        os.truncate(handle, len(content))
-        os.fsync(handle)
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+        _forget(file)
 
 
-@_past_cache
-def _reads_back(path: Path, content: bytes, flags: int) -> bool:
+def _reads_back(path: Path, content: bytes) -> bool:
     """Tell whether the disk has these bytes."""
-    place, piece = 0, _block_memory()
-    with _handle(path, os.O_RDONLY | flags) as handle:
-        if os.fstat(handle).st_size != len(content):
-            return False
-        while place < len(content):
-            count = os.readv(handle, [piece])
-            if not count or not content.startswith(bytes(piece[:count]), place):
+    place = 0
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(_PIECE):
+            if not content.startswith(piece, place):
                 return False
-            place += count
-    return True
+            place += len(piece)
+        _forget(file)
+    return place == len(content)
+
+
+def _forget(file: IO[bytes]) -> None:
+    """Take a file out of the system's cache, where there is a way to."""
+    if hasattr(os, "posix_fadvise"):
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def _flush_folder(folder: Path) -> None:
     """Make the new name as durable as the bytes."""
-    with _handle(folder, os.O_RDONLY) as handle:
-        os.fsync(handle)
-
-
-@contextmanager
-def _handle(path: Path, flags: int) -> Iterator[int]:
-    handle = os.open(path, flags, 0o666)
+    handle = os.open(folder, os.O_RDONLY)
     try:
-        yield handle
+        os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _block_memory() -> memoryview:
-    """Give memory that begins at a block."""
-    return memoryview(mmap.mmap(-1, _PIECE))
