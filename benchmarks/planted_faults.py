@@ -63,7 +63,7 @@ _NEVER = """
 - A mistake in what all share: adapters and reference get masses, centres of mass, inertias and
   anchors from one module, `mbds_xsim/scene/mechanism.py`. If that is wrong, all agree on a wrong
   motion.
-  It is tested against closed forms instead (`tests/test_mechanism.py`).
+  It is tested against closed forms instead (`tests/scene/test_mechanism.py`).
 - What the scene does not exercise, of which the faults above are examples. Reading the native
   model back tells such a mistake all the same, where the engine says what it holds: PyBullet does
   not tell the damping of its links and its joint motors, nor do PyBullet and DART tell the axes

@@ -26,7 +26,7 @@ from mbds_xsim.scene.neutral import Neutral
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 
-PAGE = (Path(__file__).parent.parent / "docs" / "scene-file.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "scene-file.md").read_text("utf-8")
 EXAMPLES = dict(re.findall(r"^`([\w.-]+)`:\n\n```toml\n(.*?)^```$", PAGE, re.M | re.S))
 
 _HEADINGS: dict[type[msgspec.Struct], str] = {
