@@ -93,7 +93,8 @@ def without_inputs(frame: int) -> Callable[[Batch], Batch]:
 
     def changed(batch: Batch) -> Batch:
         force, torque = batch.force.copy(), batch.torque.copy()
-        force[:, frame], torque[:, frame] = 0.0, 0.0
+        left_out = slice(frame, frame + 1)  # nothing of a start alone
+        force[:, left_out], torque[:, left_out] = 0.0, 0.0
         return dataclasses.replace(batch, force=force, torque=torque)
 
     return changed
