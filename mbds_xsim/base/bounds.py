@@ -81,6 +81,13 @@ def name(value: str) -> None:
         raise SceneError(msg)
 
 
+def names(key: str, values: tuple[str, ...]) -> None:
+    """Raise unless a list names something, and nothing twice."""
+    if not values or len(set(values)) < len(values):
+        msg = f"{key}: got {list(values)}, allowed is one name or more, each once"
+        raise SceneError(msg)
+
+
 def count(key: str, got: int, most: int, why: str) -> None:
     """Raise unless there are few enough of something."""
     if got > most:

@@ -91,7 +91,7 @@ def _text(path: Path) -> str:
     try:
         with path.open("rb") as file:
             content = file.read(_LARGEST_FILE + 1)
-        text = content.decode("utf-8")
+        text = content.decode("utf-8-sig")  # Windows writes a mark before the text
     except OSError as error:
         msg = (
             f"{path}: cannot be read ({error.strerror}); give the path of a .toml file or the "

@@ -60,6 +60,7 @@ class Swing(_Draw, tag_field="kind", tag="swing"):
     """[m/s]"""
 
     def __post_init__(self) -> None:
+        bounds.names("bodies", self.bodies)
         _ordered("polar", self.polar)
         _ordered("speed", self.speed)
 
@@ -132,6 +133,7 @@ class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
     over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
 
     def __post_init__(self) -> None:
+        bounds.names("joints", self.joints)
         _ordered("rate", self.rate)
         bounds.finite("travel", self.travel)
 
@@ -151,6 +153,7 @@ class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
     random_sign: bool = False
 
     def __post_init__(self) -> None:
+        bounds.names("joints", self.joints)
         _ordered("torque", self.torque)
         bounds.at_least_one("hold", self.hold)
 

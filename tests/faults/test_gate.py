@@ -26,6 +26,7 @@ from mbds_xsim.simulate.timed import simulate
 
 from .contact_changes import ground
 from .planting import Fault, Faulty
+from .recorded import RECORDED
 from .smooth import heavier
 
 pytestmark = pytest.mark.slow
@@ -101,6 +102,15 @@ def test_nothing_is_published_that_the_scene_does_not_say(
     assert any(line.startswith("together: ") for line in verdict.misbuilt)
 
 
+def test_a_frame_twice_with_the_rest_late_is_not_published(
+    pendulum: tuple[Scene, Batch, Making, Trajectory, Trajectory],
+) -> None:
+    scene, batch, making, motion, _ = pendulum
+    twice = _recorded("a frame twice, those after it late").motion(scene, batch, 0.0, motion)
+
+    assert _published(judge_rows(scene, batch, twice, making)) == 0
+
+
 def test_inputs_dropped_in_one_frame_are_named(
     pendulum: tuple[Scene, Batch, Making, Trajectory, Trajectory],
 ) -> None:
@@ -109,6 +119,10 @@ def test_inputs_dropped_in_one_frame_are_named(
 
     assert _published(verdict) == 0
     assert any(f"inputs of step {_DROPPED}:" in line for line in verdict.misbuilt)
+
+
+def _recorded(name: str) -> Fault:
+    return next(fault for fault in RECORDED if fault.name == name)
 
 
 def _no_noise(batch: Batch) -> Batch:
@@ -125,6 +139,10 @@ def _torque_off(batch: Batch) -> Batch:
     return dataclasses.replace(batch, torque=torque)
 
 
+def _torque_weak(batch: Batch) -> Batch:
+    return dataclasses.replace(batch, torque=0.95 * batch.torque)
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -132,7 +150,10 @@ def _torque_off(batch: Batch) -> Batch:
         {"inputs": _no_noise},
         {"inputs": _other_noise},
         {"inputs": _torque_off},
+        {"inputs": _torque_weak},
         {"model": ground(restitution=0.88)},
+        {"model": ground(friction=0.35)},
+        {"motion": _recorded("last ten frames frozen").motion},
     ],
 )
 def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(

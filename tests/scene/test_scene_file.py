@@ -76,7 +76,7 @@ def _scenes(draw: st.DrawFn) -> Table:
     names = draw(st.lists(_NAME, min_size=2, max_size=4, unique=True))
     pair = st.lists(st.sampled_from([*names, "world"]), min_size=2, max_size=2, unique=True)
     hinges = draw(st.lists(_NAME, min_size=1, max_size=3, unique=True))
-    some_hinges = st.lists(st.sampled_from(hinges), min_size=1)
+    some_hinges = st.lists(st.sampled_from(hinges), min_size=1, unique=True)
     ends = {"bodies": pair, "points": _TWO_POINTS}
 
     def joint(name: str, kind: str) -> st.SearchStrategy[Table]:
@@ -457,12 +457,20 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
         ),
         "sampling: 'leaf' hangs on no ball joint and cannot swing",
     ),
+    "draw of nothing": (
+        _set("sampling", 0, to={"kind": "swing", "bodies": [], "polar": [0, 1], "speed": [0, 1]}),
+        "sampling[0].bodies: got [], allowed is one name or more, each once",
+    ),
+    "draw of one thing twice": (
+        _set("sampling", 0, to={"kind": "hinge_rate", "joints": ["frame"] * 2, "rate": [0, 1]}),
+        "sampling[0].joints: got ['frame', 'frame'], allowed is one name or more, each once",
+    ),
 }
 
 
 def test_the_scene_to_be_spoilt_is_sound(tmp_path: Path) -> None:
     path = tmp_path / "door.toml"
-    path.write_text(tomli_w.dumps(_swinging_door()))
+    path.write_text(tomli_w.dumps(_swinging_door()), encoding="utf-8-sig")  # as Notepad does
 
     assert [body.name for body in read_scene(path).bodies] == ["leaf", "knob"]
 
