@@ -12,8 +12,8 @@ comma = ,
 
 # One at a time: the reports take times.
 .NOTPARALLEL:
-.PHONY: validate test fuzz lint package docs clean reports reports-validate reports-contact \
-	reports-tradeoff reports-cheapest reports-stability reports-ablation reports-overhead \
+.PHONY: validate test fuzz lint package docs clean reports reports-validate \
+	reports-tradeoff reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-data \
 	reports-data-full reports-pages pictures readme
 
@@ -64,7 +64,7 @@ ABLATION ?=
 files = --json $(REPORTS)/$(1).json --markdown $(REPORTS)/$(1).md
 figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
-reports: reports-validate reports-contact reports-tradeoff reports-cheapest reports-stability \
+reports: reports-validate reports-tradeoff reports-stability \
 	reports-shift reports-lite reports-models reports-ablation reports-overhead \
 	reports-learn-speed reports-data reports-data-full reports-pages readme
 
@@ -74,10 +74,6 @@ reports-validate: $(VENV)/ready
 		$(BIN)/mbds-xsim validate $$scene --trajectories $(STARTS) --seed 1 \
 			$(call files,$$scene) || [ $$? -eq 1 ] || exit; \
 	done
-
-reports-contact: $(VENV)/ready
-	mkdir -p $(REPORTS)
-	$(BIN)/python -m benchmarks.contact_limits > $(REPORTS)/contact-limits.md
 
 # What is interrupted goes on where it stopped; so do the studies of stability.
 reports-tradeoff: $(VENV)/ready
@@ -95,20 +91,12 @@ reports-stability: $(VENV)/ready
 reports-ablation: $(VENV)/ready
 	$(BIN)/mbds-xsim ablate $(SCENES) $(ABLATION) --markdown $(REPORTS)/ablation.md
 
-# Whether the charts have anything cheaper than what is matched.
-reports-cheapest: $(VENV)/ready
-	$(BIN)/python -m benchmarks.cheapest $(REPORTS)/tradeoff > $(REPORTS)/cheapest.md
-
 reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
-	$(BIN)/python -m benchmarks.yardstick > $(REPORTS)/yardstick.md
-	$(BIN)/python -m benchmarks.filters > $(REPORTS)/filters.md
 
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md
-	$(BIN)/python -m benchmarks.lagrangian_speed > $(REPORTS)/lagrangian-speed.md
-	$(BIN)/python -m benchmarks.rollout_speed > $(REPORTS)/rollout-speed.md
 
 # Trained models beside the engines, as far as there are any: those that were trained until level,
 # or else the studies'. Their engines are those of the two reports above. A map is of models whose

@@ -2,178 +2,140 @@
 
 python -m benchmarks.adapter_overhead [SCENE…] > reports/adapter-overhead.md
 
-Each engine gets the adapter's own native model at matched settings. The adapter's rollout of a
-start and a lean loop by hand (`lean_loops`) take turns on it. The aim is an overhead of 10 %.
+A stopwatch runs while an adapter's rollout is inside the engine's own functions: steps, loads, and
+what is read of the state. The rest is the adapter's. The aim is 10 % of the engine's time or less.
 """
 
 from __future__ import annotations
 
-import itertools
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from statistics import median, quantiles
 from typing import Any
+from unittest.mock import patch
 
+import dartpy
+import exudyn
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
+import pybullet
 
-from benchmarks.harness import (
-    both_s,
-    print_head,
-    print_made,
-    print_table,
-    processor_s,
-    take_turns,
-)
-from benchmarks.lean_loops import LEAN, Lean, apart, exudyn_in_one_call, mujoco_coordinates
-from mbds_xsim.scene.mechanism import Mechanism
+from benchmarks.harness import print_head, print_made, print_table, wall_s
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 
-Array = NDArray[np.float64]
-
 SCENES = ("6pendulum", "3ladder", "simplecubli")
-STARTS, REPEATS = 3, (15, 91)
-PATIENCE = 2.0  # seconds of engine time a line may take, if the repeats are enough
+STARTS = {"mujoco": (10, 1), "pybullet": (1,), "dart": (1,), "exudyn": (1,)}
+"""In one call; of MuJoCo, which takes but milliseconds for one, several as data sets have them."""
+ROUNDS, PATIENCE = (7, 41), 4.0  # rounds, and the seconds that a line may take if they are enough
 MOST = 0.10
-TOGETHER = {"mujoco": 10}
-"""Starts in one call where one takes but milliseconds, as data sets and `validate` have them."""
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """What is measured."""
-
-    scene: str
-    engine: str
-    starts: int = 1
-    """In one call of the adapter."""
-    loop: Callable[[Any, Batch], Lean] | None = None
-    """In place of the engine's usual lean loop."""
-    note: str = ""
-
-
-CASES = (
-    *(Pairing(scene, engine, TOGETHER.get(engine, 1)) for scene in SCENES for engine in LEAN),
-    *(Pairing(scene, "mujoco", 1, note="1 start a call") for scene in SCENES),
-    *(
-        Pairing(
-            scene, "mujoco", TOGETHER["mujoco"], mujoco_coordinates, "against coordinates alone"
-        )
-        for scene in SCENES
+ENGINE: dict[str, tuple[tuple[Any, str], ...]] = {
+    "mujoco": ((mujoco, "mj_step mj_forward mj_kinematics mj_comPos mj_comVel mj_resetData"),),
+    "pybullet": (
+        (pybullet, "stepSimulation getLinkStates getBasePositionAndOrientation getBaseVelocity"),
+        (pybullet, "applyExternalForce applyExternalTorque setJointMotorControl2"),
     ),
-    *(
-        Pairing(scene, "exudyn", loop=exudyn_in_one_call, note="against one call of the solver")
-        for scene in SCENES[:2]
+    "dart": (
+        (dartpy.simulation.World, "step"),
+        (dartpy.dynamics.BodyNode, "setExtForce addExtForce addExtTorque"),
+        (dartpy.dynamics.Skeleton, "getPositions getVelocities clearExternalForces"),
     ),
-)
+    "exudyn": ((exudyn.MainSystem, "SolveDynamic SetLoadParameter GetMarkerOutput"),),
+}
 
 
-@dataclass(frozen=True)
-class Overhead:
-    """A line of the table; times of the processor [s]."""
+class Stopwatch:
+    """Counts the time inside the functions that it wraps [s]."""
 
-    case: Pairing
-    adapter: float
-    lean: float
-    ratios: Array
-    """Of the processor's times, one a repeat."""
-    wall: float
-    """Median ratio of wall times."""
-    load: float
-    start: float
-    apart: float
+    def __init__(self) -> None:
+        self.inside, self.calls = 0.0, 0
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        clock = time.perf_counter
+
+        def call(*args: Any, **options: Any) -> Any:
+            begin = clock()
+            try:
+                return function(*args, **options)
+            finally:
+                self.inside += clock() - begin
+                self.calls += 1
+
+        return call
+
+    def own_cost(self) -> float:
+        """Time that a call spends beside what it times, which is no adapter's [s]."""
+        nothing, count = Stopwatch().timed(lambda: None), 2000
+        return min(wall_s(lambda: [nothing() for _ in range(count)]) for _ in range(20)) / count
 
 
-def measure(case: Pairing) -> Overhead:
-    """Let the adapter and the lean loop take turns on one native model."""
-    scene, adapter = load_scene(case.scene), load_adapter(case.engine)
+@contextmanager
+def watched(engine: str) -> Iterator[Stopwatch]:
+    """Time an engine's functions; models must be loaded within, as adapters keep some of them."""
+    watch = Stopwatch()
+    with ExitStack() as patches:
+        for owner, names in ENGINE[engine]:
+            for name in names.split():
+                wrapped = watch.timed(getattr(owner, name))
+                patches.enter_context(patch.object(owner, name, wrapped))
+        yield watch
+
+
+def row(name: str, engine: str, starts: int) -> list[str]:
+    """Time rollouts, and say how much of each the engine took."""
+    scene, adapter = load_scene(name), load_adapter(engine)
     settings = settings_for(scene, adapter, "matched")
-    load = median(processor_s(lambda: adapter.open(scene, settings).close()) for _ in range(5))
-    count = max(STARTS, case.starts)
-    starts = [draw_batch(scene, [k]) for k in range(count)]
-    with adapter.open(scene, settings) as run:
-        loops = [(case.loop or LEAN[case.engine])(run, start) for start in starts]
-        gaps = [
-            apart(Mechanism.of(scene), run, start, loop)
-            for start, loop in zip(starts, loops, strict=True)
-        ]
-        still = draw_batch(scene, list(range(case.starts))).truncated(0)
-        start = median(processor_s(lambda: run.rollout(still)) for _ in range(15))
-        batches = [
-            draw_batch(scene, list(range(k, k + case.starts))) for k in range(0, count, case.starts)
-        ]
-        parts = [loops[k : k + case.starts] for k in range(0, count, case.starts)]
-        mine, bare = itertools.cycle(batches), itertools.cycle(parts)
-        works = [
-            lambda: run.rollout(next(mine)),
-            lambda: [loop.roll() for loop in next(bare)],
-        ]
-        times = take_turns(works, REPEATS, PATIENCE, both_s)
-    ratios = times[:, 0] / times[:, 1]
-    cpu = np.median(times[..., 0], axis=0)
-    return Overhead(
-        case=case,
-        adapter=float(cpu[0]),
-        lean=float(cpu[1]),
-        ratios=ratios[:, 0],
-        wall=float(np.median(ratios[:, 1])),
-        load=load,
-        start=start,
-        apart=max(gaps),
-    )
-
-
-def row(line: Overhead) -> list[str]:
-    """Write a line as Markdown."""
-    low, middle, high = (value - 1.0 for value in quantiles(line.ratios, n=4))
+    batch = draw_batch(scene, range(starts))
+    load = median(wall_s(lambda: adapter.open(scene, settings).close()) for _ in range(5))
+    with watched(engine) as watch, adapter.open(scene, settings) as run:
+        still = median(wall_s(lambda: run.rollout(batch.truncated(0))) for _ in range(9))
+        rounds = int(np.clip(PATIENCE / wall_s(lambda: run.rollout(batch)), *ROUNDS))
+        each = watch.own_cost()
+        wholes, shares = [], []
+        for _ in range(rounds):
+            watch.inside, watch.calls = 0.0, 0
+            whole = wall_s(lambda: run.rollout(batch))
+            whole -= watch.calls * each
+            wholes.append(whole)
+            shares.append(whole / watch.inside - 1.0)
+    low, middle, high = quantiles(shares, n=4)
     mark = "**" if middle > MOST else ""
     return [
-        line.case.scene,
-        ", ".join(filter(None, (line.case.engine, line.case.note))),
-        f"{1e3 * line.adapter:.1f} ms",
-        f"{1e3 * line.lean:.1f} ms",
+        name,
+        engine,
+        str(starts),
+        f"{1e3 * median(wholes):.1f} ms",
         f"{mark}{middle:+.1%}{mark}",
         f"{low:+.1%} to {high:+.1%}",
-        f"{line.wall - 1.0:+.1%}",
-        f"{line.apart:.0e}",
-        f"{line.load / line.adapter:.1%}",
-        f"{line.start / line.adapter:.1%}",
+        f"{load / median(wholes):.1%}",
+        f"{still / median(wholes):.1%}",
     ]
 
 
 _COMMAND = "python -m benchmarks.adapter_overhead > reports/adapter-overhead.md"
 _TEXT = f"""\
-The adapter's rollout over 4 s of one start, in MuJoCo of 10 in one call as data sets make them,
-against a lean loop by hand on the same native model with the same inputs and steps (see
-`benchmarks/lean_loops.py`), at matched settings. Where steps depend on how near the ground is, or
-on how fast joints turn, the loop is told them and the adapter has to find out. Times are the
-processor's, medians over at least {REPEATS[0]} turns of each on {STARTS} starts, in one process on
-one thread. An overhead above {MOST:.0%} is bold.
+The adapter's rollout over 4 s at matched settings, beside the time that it spends in the engine's
+own functions: steps, loads and what is read of the state. Overhead: the rest over that time, the
+median of {ROUNDS[0]} rollouts or more; of 50 %: what the middle half of them had. An overhead above
+{MOST:.0%} is bold. Load: building the model, once for all starts; start: what a rollout costs
+before its first step and after its last, with the state reset and nothing built. Both as a part of
+the rollout's time. All in one process on one thread.
 """
-_FOOT = """\
-- Overhead: adapter over lean loop less 1, the median over turns; of 50 %: what the middle half of
-  the turns had; of wall time: the median told by the clock on the wall
-- Same to: largest difference of the two trajectories in positions, quaternions and velocities
-- Coordinates alone: a loop that keeps MuJoCo's qpos and qvel, and leaves it to others to make
-  states of bodies of them. The lean loop of MuJoCo's other lines keeps the bodies' places, turns
-  and rates, which MuJoCo works out once a frame for it
-- One call of the solver: Exudyn without the new start at each frame, at which its loads jump. It
-  makes another trajectory and is no like for like
-- Load: building the model, once for all starts; start: what a rollout costs before its first step
-  and after its last, with the state reset and nothing built. Both as a part of the adapter's"""
 
 
 def main(names: list[str]) -> None:
     print_head("What the adapters cost beside their engines", _COMMAND, _TEXT)
-    headings = "scene|engine|>adapter|>lean loop|>overhead|>of 50 %|>of wall time|>same to"
-    cases = (case for case in CASES if case.scene in (names or SCENES))
-    print_table(f"{headings}|>load|>start", (row(measure(case)) for case in cases))
-    print(f"\n{_FOOT}")
-    engines = [f"{name} {load_adapter(name).version()}" for name in LEAN]
+    lines = (
+        row(name, engine, starts)
+        for name in names or SCENES
+        for engine, counts in STARTS.items()
+        for starts in counts
+    )
+    print_table("scene|engine|>starts|>rollout|>overhead|>of 50 %|>load|>start", lines)
+    engines = [f"{name} {load_adapter(name).version()}" for name in STARTS]
     print_made(f"numpy {np.__version__}", *engines)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import platform
 import textwrap
 import time
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.report.markdown import table_lines
 
@@ -85,37 +83,3 @@ def take_turns(
         found = {place: spent(works[place]) for place in order}
         times.append([found[place] for place in range(len(works))])
     return np.array(times)
-
-
-def device_asked(parser: argparse.ArgumentParser) -> tuple[argparse.Namespace, str]:
-    """Read the arguments, a device among them; end with one line where there is none."""
-    from mbds_xsim.learn.device import check_device
-
-    parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    arguments = parser.parse_args()
-    try:
-        check_device(arguments.device)
-    except InputError as error:
-        parser.error(str(error))
-    return arguments, arguments.device
-
-
-def machine_of(device: str) -> str:
-    """Name what work was timed on."""
-    import torch
-
-    return machine() if device == "cpu" else f"{torch.cuda.get_device_name()}, {machine()}"
-
-
-def spent_on(device: str) -> Callable[[Work], float]:
-    """Count the time of one thread of the processor, or on a GPU until all is done."""
-    import torch
-
-    def on_gpu(work: Work) -> float:
-        torch.cuda.synchronize()
-        begin = time.perf_counter()
-        work()
-        torch.cuda.synchronize()
-        return time.perf_counter() - begin
-
-    return processor_s if device == "cpu" else on_gpu

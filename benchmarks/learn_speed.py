@@ -1,158 +1,106 @@
-"""Training throughput of the graph networks, beside a GNS written the straightforward way.
+"""How fast learned models train, and predict trajectories one by one and many at once.
 
 python -m benchmarks.learn_speed [SCENE…] [--device cuda] > reports/learn-speed.md
 
-The yardstick is what a tutorial shows: the graphs of a batch joined to one, the ends of an edge
-gathered and concatenated, messages added up by a scatter, Adam as torch has it by default. It has
-the weights of our GNS and gives the same numbers, which is checked in double precision. On a GPU
-our networks are compiled to CUDA graphs, as `train --compile` has it; the yardstick is as it is.
+The models are untrained, as time does not depend on weights. On a GPU those that train are compiled
+to CUDA graphs, as `train --compile` has it.
 """
 
 from __future__ import annotations
 
 import argparse
-import copy
-from collections.abc import Callable
-from dataclasses import dataclass
+import functools
+import time
+from collections.abc import Callable, Iterator
 from statistics import quantiles
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from benchmarks.harness import (
-    device_asked,
-    machine_of,
-    print_head,
-    print_made,
-    print_table,
-    spent_on,
-    take_turns,
-)
-from mbds_xsim.learn.device import compile_networks, put
-from mbds_xsim.learn.gns import GNS, Interaction
+from benchmarks.harness import Work, print_head, print_made, print_table, processor_s, take_turns
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.learn.device import check_device, compile_networks, put
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import LearnedModel, load_model
+from mbds_xsim.learn.model import LearnedModel, build, load_model
 from mbds_xsim.learn.recipe import Recipe
-from mbds_xsim.learn.statistics import Moments, Statistics
+from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.train import optimiser
+from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.measure.identity import machine
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import simulate
+
+Array = NDArray[np.float64]
 
 SCENES = ("6pendulum", "3ladder")
-TRACKS = ("lite", "native", "paper")
-BATCH, ROUNDS = 64, (7, 25)
-PATIENCE = 10.0  # seconds a line may take, if the rounds are enough
-SAME = 1e-9
-AIM = {"cpu": 1.1, "cuda": 3.0}
-_COMMAND = "python -m benchmarks.learn_speed > reports/learn-speed.md"
+TRAINED, TRACKS, BATCH = ("gns", "sgnn"), ("lite", "native", "paper"), 64
+MODELS, BATCHES, AIM = ("gns", "sgnn", "hgnn", "lgnn"), (1, 64, 512), 20
+FRAMES, STARTS = 5, 30
+ROUNDS, PATIENCE = {"train": (7, 25), "roll": (3, 31)}, {"train": 10.0, "roll": 180.0}
+"""Rounds, the least and the most, and the seconds they may take if they are enough."""
 UNIT = {"cpu": "one thread, by the processor's time", "cuda": "on a GPU, until it is done"}
+_COMMAND = "python -m benchmarks.learn_speed > reports/learn-speed.md"
 
 
-class ScatterGNS(GNS):
-    """Our GNS's weights in a straightforward forward pass."""
+def spent_on(device: str) -> Callable[[Work], float]:
+    """Count the time of one thread of the processor, or on a GPU until all is done."""
 
-    def forward(self, history: Tensor, inputs: KnownInputs) -> Tensor:
-        batch, count = len(history), self.graph.node_count
-        shift = count * torch.arange(batch, device=history.device)[:, None]
-        senders = (self.senders + shift).flatten()
-        receivers = (self.receivers + shift).flatten()
-        position = joined(self.graph.with_anchors(history[:, -1]) / self.graph.spacing)
-        apart = position[senders] - position[receivers]
-        nodes = self.node_encoder(joined(self._node_features(history, inputs).transpose(0, 1)))
-        edges = self.edge_encoder(torch.cat([apart, apart.norm(dim=-1, keepdim=True)], dim=-1))
-        for layer in self.interactions:
-            assert isinstance(layer, Interaction)
-            ends = torch.cat([nodes[receivers], nodes[senders], edges], dim=-1)
-            message = layer.message(layer.ends(ends))
-            received = torch.zeros_like(nodes).index_add(0, receivers, message)
-            nodes = nodes + layer.update(torch.cat([received, nodes], dim=-1))
-            edges = edges + message
-        found: Tensor = self.decoder(nodes)
-        return found.reshape(batch, count, -1)[:, : self.graph.particle_count]
+    def on_gpu(work: Work) -> float:
+        torch.cuda.synchronize()
+        begin = time.perf_counter()
+        work()
+        torch.cuda.synchronize()
+        return time.perf_counter() - begin
+
+    return processor_s if device == "cpu" else on_gpu
 
 
-def joined(nodes: Tensor) -> Tensor:
-    """Nodes of all graphs in one row, from shape (batch, node, …)."""
-    return nodes.flatten(0, 1)
+def still() -> Statistics:
+    """Changes are small, so that untrained models stay near the motions."""
+    one, small = (
+        Moments(torch.zeros(3).double(), torch.full((3,), size).double()) for size in (1.0, 1e-4)
+    )
+    return Statistics(one, small, small, torch.ones(len(CHANNELS)).double())
 
 
-KINDS: dict[str, type[LearnedModel]] = {
-    "gns": GNS,
-    "scatter": ScatterGNS,
-    "sgnn": load_model("sgnn"),
-}
-
-
-@dataclass(frozen=True)
-class Throughput:
-    """A line of the table; processor seconds a step, one column a model of `KINDS`."""
-
-    scene: str
-    track: str
-    nodes: int
-    edges: int
-    weights: tuple[int, ...]
-    seconds: NDArray[np.float64]
-
-
-def measure(name: str, track: str, device: str) -> Throughput:
-    """Let the models take turns at a step of training on one batch."""
+def training(name: str, track: str, device: str) -> list[str]:
+    """Graphs a second in training; the models take turns at a step on one batch."""
     graph = Graph.of(load_scene(name))
-    models = {kind: made(kind, graph, track) for kind in KINDS}
-    sample = drawn(graph, KINDS["gns"].tracks[track].recipe.horizon)
-    difference = apart(models["gns"], models["scatter"], sample)
-    if difference > SAME:
-        msg = f"{name}, {track}: the two forms of GNS differ by {difference:.1e}"
-        raise SystemExit(msg)
-    for kind, model in models.items():
+    models, works = [], []
+    for kind in TRAINED:
+        model = build(kind, graph, still(), track=track)
         put(model, device)
-        if device != "cpu" and kind != "scatter":
+        if device != "cpu":
             compile_networks(model)
-    there = mapped(sample, lambda part: part.to(device))
-    steps = [step(model, adam_of(kind, model, track), there) for kind, model in models.items()]
-    seconds = take_turns(steps, ROUNDS, PATIENCE, spent_on(device))
-    weights = tuple(sum(w.numel() for w in model.parameters()) for model in models.values())
-    return Throughput(name, track, graph.node_count, graph.edge_count, weights, seconds)
+        models.append(model)
+        works.append(step(model, graph, load_model(kind).tracks[track].recipe, device))
+    seconds = take_turns(works, ROUNDS["train"], PATIENCE["train"], spent_on(device))
+    weights = ", ".join(f"{sum(w.numel() for w in model.parameters()):,}" for model in models)
+    rates = (f"{rate:.0f}" for rate in BATCH / np.median(seconds, axis=0))
+    return [name, f"{graph.node_count}, {graph.edge_count}", track, weights, *rates]
 
 
-def made(kind: str, graph: Graph, track: str) -> LearnedModel:
-    torch.manual_seed(0)
-    return KINDS[kind](graph, statistics(), KINDS[kind].tracks[track])
-
-
-def statistics() -> Statistics:
-    """Of no consequence for the time."""
-    one = Moments(torch.zeros(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64))
-    return Statistics(one, one, one, torch.ones(2, dtype=torch.float64))
-
-
-def drawn(graph: Graph, horizon: int) -> Sample:
+def drawn(graph: Graph, horizon: int, device: str) -> Sample:
     """A batch of random windows with so many frames to come."""
     generator = torch.Generator().manual_seed(0)
     shape = (BATCH, HISTORY + horizon, graph.particle_count, 3)
-    position = (
-        torch.randn(shape, generator=generator) * 0.1
-        + graph.reference[: graph.particle_count].float()
-    )
+    near = graph.reference[: graph.particle_count].float()
+    position = (torch.randn(shape, generator=generator) * 0.1 + near).to(device)
     force = torch.randn((BATCH, horizon, graph.body_count, 3), generator=generator)
     torque = torch.randn((BATCH, horizon, len(graph.mechanism.hinges)), generator=generator)
     start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
     after = position[:, HISTORY:]
-    return Sample(start, KnownInputs(force, torque), after, torch.zeros_like(after))
+    inputs = KnownInputs(force.to(device), torque.to(device))
+    return Sample(start, inputs, after, torch.zeros_like(after))
 
 
-def adam_of(kind: str, model: LearnedModel, track: str) -> torch.optim.Adam:
-    """Our trainer's optimiser; the yardstick has torch's as it comes."""
-    if kind == "scatter":
-        return torch.optim.Adam(model.parameters())
-    recipe: Recipe = KINDS[kind].tracks[track].recipe
-    return optimiser(model, recipe)
-
-
-def step(model: LearnedModel, adam: torch.optim.Adam, sample: Sample) -> Callable[[], None]:
+def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str) -> Work:
     """A step of training: loss, gradient, new parameters."""
+    adam, sample = optimiser(model, recipe), drawn(graph, recipe.horizon, device)
 
     def descend() -> None:
         adam.zero_grad()
@@ -162,59 +110,73 @@ def step(model: LearnedModel, adam: torch.optim.Adam, sample: Sample) -> Callabl
     return descend
 
 
-def apart(one: LearnedModel, other: LearnedModel, sample: Sample) -> float:
-    """Largest difference of two models' losses and gradients, beside the largest gradient."""
-    exact = mapped(sample, Tensor.double)
-    found = [gradient(copy.deepcopy(model).double(), exact) for model in (one, other)]
-    largest = max(float(grad.abs().max()) for grad in found[0])
-    pairs = zip(*found, strict=True)
-    return max(float((mine - yours).abs().max()) for mine, yours in pairs) / largest
+def rolling(name: str, device: str) -> Iterator[list[str]]:
+    """Milliseconds a trajectory and frame; models and batches take turns."""
+    graph = Graph.of(load_scene(name))
+    models = [build(kind, graph, still(), track="lite") for kind in MODELS]
+    known = starts(name, models, device)
+    for model in models:
+        put(model, device)
+    works = [
+        functools.partial(carry_on, model, given.repeated(count))
+        for model, given in zip(models, known, strict=True)
+        for count in BATCHES
+    ]
+    turns = take_turns(works, ROUNDS["roll"], PATIENCE["roll"], spent_on(device))
+    each = turns.reshape(len(turns), len(MODELS), len(BATCHES)) / (np.array(BATCHES) * FRAMES)
+    for kind, rounds in zip(MODELS, np.moveaxis(each, 1, 0), strict=True):
+        times = [f"{1e3 * seconds:.3g}" for seconds in np.median(rounds, axis=0)]
+        low, middle, high = quantiles(rounds[:, 0] / rounds[:, -1], n=4)
+        yield [name, kind, *times, f"{middle:.3g} ({low:.3g} … {high:.3g})"]
 
 
-def gradient(model: LearnedModel, sample: Sample) -> list[Tensor]:
-    """Loss and its gradient."""
-    loss = model.loss(sample, torch.Generator().manual_seed(0))
-    grads = torch.autograd.grad(loss, list(model.parameters()), allow_unused=True)
-    return [loss.detach(), *(grad for grad in grads if grad is not None)]
+def starts(name: str, models: list[LearnedModel], device: str) -> list[Known]:
+    """What each model is given of the same slow motions."""
+    scene = load_scene(name)
+    batch = draw_batch(scene, range(0, 3 * STARTS, 3), noise=False)
+    settings = settings_for(scene, load_adapter("mujoco"), "matched")
+    motion = simulate(scene, batch, "mujoco", settings).trajectory
+    given = [known_start(model, motion, batch).truncated(FRAMES) for model in models]
+    return [moved(each, device) for each in given]
 
 
-def mapped(sample: Sample, change: Callable[[Tensor], Tensor]) -> Sample:
-    """Put other tensors in place of all of a sample's."""
-    start, inputs = sample.start, sample.inputs
-    return Sample(
-        Start(change(start.history), change(start.velocity)),
-        KnownInputs(change(inputs.force), change(inputs.torque)),
-        change(sample.position),
-        change(sample.velocity),
+def moved(known: Known, device: str) -> Known:
+    start, inputs = known.start, known.inputs
+    body = None if start.body is None else start.body.to(device)
+    return Known(
+        Start(start.history.to(device), start.velocity.to(device), body),
+        KnownInputs(inputs.force.to(device), inputs.torque.to(device)),
     )
-
-
-def row(line: Throughput) -> list[str]:
-    gns, scatter, sgnn = BATCH / np.median(line.seconds, axis=0)
-    low, middle, high = quantiles(line.seconds[:, 1] / line.seconds[:, 0], n=4)
-    weights = f"{line.weights[0]:,}, {line.weights[2]:,}"
-    ratio = f"{middle:.2f} ({low:.2f} … {high:.2f})"
-    rates = (f"{gns:.0f}", f"{scatter:.0f}", ratio, f"{sgnn:.0f}")
-    return [line.scene, f"{line.nodes}, {line.edges}", line.track, weights, *rates]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES, metavar="SCENE")
-    arguments, device = device_asked(parser)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    arguments = parser.parse_args()
+    scenes, device = arguments.scenes, arguments.device
+    try:
+        check_device(device)
+    except InputError as error:
+        parser.error(str(error))
     torch.set_num_threads(1)
-    text = (
-        f"Graphs a second in training (loss, gradient, Adam), batch {BATCH}, {UNIT[device]}; "
-        "medians of rounds in which the models take turns. *Scatter* is a "
-        "straightforward GNS on joined graphs with the same weights, which gives the same loss and "
-        f"gradient; *ratio* is GNS over it with its quartiles, aim {AIM[device]}."
-    )
-    print_head("Training throughput of the graph networks", _COMMAND, text)
-    lines = (measure(scene, track, device) for scene in arguments.scenes for track in TRACKS)
+    text = f"""\
+Graphs a second in training (loss, gradient, Adam), batch {BATCH}, {UNIT[device]}. All times are
+medians of rounds in which models and batches take turns."""
+    print_head("Speed of learned models", _COMMAND, text)
+    lines = (training(scene, track, device) for scene in scenes for track in TRACKS)
+    print_table("scene|nodes, edges|track|weights GNS, SGNN|>GNS|>SGNN", lines)
+    print(f"""
+Milliseconds a trajectory and frame in rollouts of models in their `lite` size, {UNIT[device]}.
+Ratio: batch {BATCHES[0]} over batch {BATCHES[-1]}, with its quartiles; the aim is {AIM}. The
+{FRAMES} frames are of slow motions; [whole rollouts](models/6pendulum.md) take longer.
+""")
+    heads = "|>".join(f"batch {count}" for count in BATCHES)
     print_table(
-        "scene|nodes, edges|track|weights GNS, SGNN|>GNS|>scatter|>ratio|>SGNN", map(row, lines)
+        f"scene|model|>{heads}|>ratio", (row for name in scenes for row in rolling(name, device))
     )
-    print_made(f"torch {torch.__version__}", on=machine_of(device))
+    where = machine() if device == "cpu" else f"{torch.cuda.get_device_name()}, {machine()}"
+    print_made(f"torch {torch.__version__}", on=where)
 
 
 if __name__ == "__main__":

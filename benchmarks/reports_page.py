@@ -14,22 +14,16 @@ from benchmarks.harness import print_table
 CHAPTERS = (
     ("Validation", "make reports-validate", "[0-9a-z]*.md"),
     ("How near the budgets", "make reports-pages", "margins.md"),
-    ("Contact at matched settings", "make reports-contact", "contact-limits.md"),
     ("Speed against accuracy", "make reports-tradeoff", "tradeoff/*.md"),
-    ("Is anything cheaper?", "make reports-cheapest", "cheapest.md"),
     ("Where methods fail", "make reports-stability", "stability/*.md"),
     ("Where models fail, and at what price", "make reports-models", "models/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),
-    ("Chunks and filters", "make reports-overhead", "filters.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
-    ("Beside a bare loop", "make reports-overhead", "yardstick.md"),
     ("Models under a change of engine", "make reports-shift", "shift/*.md"),
     ("Models trained until level", "make reports-lite", "lite/*.md"),
     ("What energies are given", "make reports-models", "energy-rollouts.md"),
-    ("Training throughput", "make reports-learn-speed", "learn-speed.md"),
-    ("Closed forms beside differentiation", "make reports-learn-speed", "lagrangian-speed.md"),
-    ("Rollouts in batches", "make reports-learn-speed", "rollout-speed.md"),
+    ("Speed of learned models", "make reports-learn-speed", "learn-speed.md"),
 )
 _COMMAND = re.compile(r"(?:Made by `|Written by: )(.+?)(?:`| -->)")
 # The files stand beside it.

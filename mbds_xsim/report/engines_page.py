@@ -28,8 +28,8 @@ reasons.
 _SMALLEST = """
 ## How small a body may be
 
-What is smaller is refused before the engine sees it. Measured, to four digits, by
-`python benchmarks/smallest.py`; a scene file may name masses down to 1e-30 kg.
+What is smaller is refused before the engine sees it, and what is not moves rightly, as a test tells
+of each engine; a scene file may name masses down to 1e-30 kg.
 """
 _CONTACT = """
 ## What contact is

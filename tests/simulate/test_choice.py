@@ -71,7 +71,7 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
     ],
 )
 def test_what_an_engine_holds_it_moves(name: str, moment: float, mass: float) -> None:
-    """As a body of 10⁶ times the mass and moment, which falls alike; see benchmarks/smallest.py."""
+    """As a body of 10⁶ times the mass and moment, which falls alike."""
     scenes = [_hinged(moment * scale, mass * scale) for scale in (1.0, 1e6)]
     small, large = (
         simulate(scene, draw_batch(scene, [0]), name, contender.settings)
