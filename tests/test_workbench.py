@@ -21,7 +21,8 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Adapter, Feature, features_of
+from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.claims import Feature, features_of
 
 Array = NDArray[np.float64]
 Slip = Callable[[Scene, Batch], tuple[Scene, Batch]]

@@ -43,7 +43,7 @@ from scipy.optimize import brentq
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.adapter import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw
 
 Array = NDArray[np.float64]
 

@@ -14,18 +14,8 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.stiffness import spring_step
-from mbds_xsim.simulate.adapter import (
-    LOOPS,
-    Adapter,
-    ContactScales,
-    Feature,
-    Method,
-    Option,
-    Profile,
-    Run,
-    Settings,
-    Sweep,
-)
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW, HARDEST, Impact
 from .model import StepOptions

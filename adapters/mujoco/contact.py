@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.simulate.adapter import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw
 
 Array = NDArray[np.float64]
 

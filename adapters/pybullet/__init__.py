@@ -11,17 +11,8 @@ from mbds_xsim.base.steps import careful_step, nearest_step
 from mbds_xsim.scene.mechanism import Link, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
-from mbds_xsim.simulate.adapter import (
-    LOOPS,
-    Adapter,
-    Feature,
-    Method,
-    Option,
-    Profile,
-    Run,
-    Settings,
-    Sweep,
-)
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW
 from .run import PyBulletRun

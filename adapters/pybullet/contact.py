@@ -32,7 +32,7 @@ from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Ground
-from mbds_xsim.simulate.adapter import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw
 
 from .client import Client, Constant
 

@@ -25,7 +25,7 @@ from mbds_xsim.checks.resting import hop, resting
 from mbds_xsim.checks.wheels import wheels
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 
 Check = Callable[[Record], Finding | None]
 

@@ -26,7 +26,7 @@ from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

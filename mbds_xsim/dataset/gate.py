@@ -27,8 +27,9 @@ from mbds_xsim.measure.judge import error_findings, failed_lines
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
-from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, simulate
 

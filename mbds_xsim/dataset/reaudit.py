@@ -21,7 +21,8 @@ from mbds_xsim.dataset.proof import attributes_of, misfits, scene_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import STATES, Trajectory
-from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import simulate
 

@@ -15,8 +15,8 @@ from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSI
 from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.adapter import Method
 from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter, package_version
 
 _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much

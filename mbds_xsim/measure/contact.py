@@ -19,7 +19,7 @@ from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from mbds_xsim.report.markdown import table_lines
-from mbds_xsim.simulate.adapter import Feature
 from mbds_xsim.simulate.catalogue import EngineRow, MethodRow, by_reason
+from mbds_xsim.simulate.claims import Feature
 
 _HEAD = """\
 # Engines

@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from importlib.metadata import version
 from types import TracebackType
 from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
@@ -15,98 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
-from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.claims import (
+    ContactLaw,
+    ContactScales,
+    Feature,
+    Method,
+    Option,
+    Sweep,
+    features_of,
+)
 
 Array = NDArray[np.float64]
 Profile = Literal["native", "matched"]
-Family = Literal[
-    "semi-implicit Euler", "implicit Euler", "RK4", "Runge-Kutta 5(4)", "Runge-Kutta 6(7)",
-    "generalised-alpha", "trapezoidal", "toolkit RK4",
-]  # fmt: skip
-
-
-class Feature(Enum):
-    """What a scene can ask of an engine."""
-
-    BALL = "ball joint"
-    HINGE = "hinge joint"
-    SLIDER = "slider joint"
-    FIXED = "fixed joint"
-    FREE_BODY = "free body"
-    LOOP_BALL = "loop closed by a ball joint"
-    LOOP_HINGE = "loop closed by a hinge"
-    LOOP_SLIDER = "loop closed by a slider"
-    LOOP_FIXED = "loop closed by a fixed joint"
-    DISTANCE_LINK = "distance link"
-    SPRING_DAMPER = "spring–damper"
-    FORCE = "force at the centre of mass"
-    HINGE_TORQUE = "hinge torque"
-    FULL_INERTIA = "inertia not along the body frame"
-    CONTACT = "sphere on the ground"
-
-
-LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
-"""Every way of closing a loop."""
-
-
-def features_of(scene: Scene) -> frozenset[Feature]:
-    """List what the scene needs; forces count where sampling, noise or tables can make one."""
-    mechanism = Mechanism.of(scene)
-    tree = [link.joint for link in mechanism.links]
-    kinds = {Feature[joint.kind.upper()] for joint in tree if joint is not None}
-    kinds |= {Feature[f"LOOP_{joint.kind.upper()}"] for joint in mechanism.loops}
-    diagonal = np.einsum("kii->ki", mechanism.inertia)[:, :, None] * np.eye(3)
-    draws = {draw.__struct_config__.tag for draw in scene.sampling}
-    asked = {
-        Feature.FREE_BODY: None in tree,
-        Feature.DISTANCE_LINK: bool(scene.distance_links),
-        Feature.SPRING_DAMPER: bool(scene.springs),
-        Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
-        Feature.HINGE_TORQUE: bool(scene.torques) or "hinge_torque" in draws,
-        Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
-        Feature.CONTACT: bool(scene.contacts),
-    }
-    return frozenset(kinds | {feature for feature, needed in asked.items() if needed})
-
-
-@dataclass(frozen=True)
-class Method:
-    """One way of stepping, with the claims that the contract suite measures."""
-
-    name: str
-    family: Family
-    """Methods of one family are one vote: their agreement is no evidence."""
-    order: int
-    """Order of convergence on smooth scenes that the method can run."""
-    refuses: Mapping[Feature, str] = field(default_factory=dict)
-    """Features that this method, unlike the engine, cannot do, with the reason."""
-    loop_order: int | None = None
-    """Order where constraints are solved beside the coordinates, if it differs."""
-    loop_velocity_order: int | None = None
-    """Order of the velocities there, if it is lower than that of the positions."""
-    velocity_lag: float = 0.0
-    """Recorded velocities belong to (frame time + lag · step): −½ for a leapfrog's."""
-    own: bool = True
-    """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
-    says nothing about the engine's stepping."""
-
-    def order_for(self, scene: Scene) -> int:
-        """Order that holds for a scene."""
-        constrained = self.loop_order is not None and _constrained(scene)
-        return self.loop_order if constrained and self.loop_order is not None else self.order
-
-    def velocity_order_for(self, scene: Scene) -> int:
-        """Order to which a scene's velocities may be down, where they carry constraint forces."""
-        order = self.order_for(scene)
-        lower = self.loop_velocity_order
-        return min(order, lower) if lower is not None and _constrained(scene) else order
-
-
-def _constrained(scene: Scene) -> bool:
-    mechanism = Mechanism.of(scene)
-    return bool(mechanism.loops or mechanism.distances)
 
 
 @dataclass(frozen=True)
@@ -130,91 +51,6 @@ class Settings:
             )
             raise InputError(msg)
         return count
-
-
-@dataclass(frozen=True)
-class Option:
-    """A knob of an adapter: its default, what it does and which values it takes.
-
-    Values are of the default's kind: true or false, a whole number, a finite number or a name.
-    """
-
-    default: float | int | bool | str
-    meaning: str
-    least: float | None = None
-    """Smallest number allowed; None sets no bound, here and below."""
-    most: float | None = None
-    above: float | None = None
-    """Bound that numbers must exceed."""
-    names: tuple[str, ...] = ()
-    """All names allowed."""
-
-    def check(self, what: str, value: object) -> None:
-        """Raise InputError, which calls the option `what`, unless the value is allowed."""
-        if self.names:
-            if value not in self.names:
-                raise UnknownName.of(what, str(value), list(self.names))
-        elif not (self._kind_fits(value) and self._is_within(value)):
-            raise InputError(f"{what}: got {value!r}, allowed is {self._allowed()}")
-
-    def _kind_fits(self, value: object) -> bool:
-        if isinstance(self.default, bool | str):
-            return isinstance(value, type(self.default))
-        number = int if isinstance(self.default, int) else int | float
-        return isinstance(value, number) and not isinstance(value, bool) and math.isfinite(value)
-
-    def _is_within(self, value: Any) -> bool:
-        return (
-            (self.least is None or value >= self.least)
-            and (self.most is None or value <= self.most)
-            and (self.above is None or value > self.above)
-        )
-
-    def _allowed(self) -> str:
-        if isinstance(self.default, bool | str):
-            return "true or false" if isinstance(self.default, bool) else "a text"
-        kind = "a whole number" if isinstance(self.default, int) else "a finite number"
-        bounds = {"more than": self.above, "at least": self.least, "at most": self.most}
-        told = [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
-        return ", ".join([kind, *([" and ".join(told)] if told else [])])
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Values of an option that are worth trying, one at a time, in place of the one in use."""
-
-    values: tuple[float | int | bool | str, ...]
-    methods: tuple[str, ...] = ()
-    """Methods that the option acts on; all where none is named."""
-    needs: frozenset[Feature] = frozenset()
-    """The option acts where a scene needs any of these; everywhere where none is named."""
-
-
-@dataclass(frozen=True)
-class ContactScales:
-    """How finely an engine resolves contact; the contract suite derives from it what it allows."""
-
-    time: float
-    """Over which it spreads an impact: the step where contact is rigid, and as long as a spring
-    takes to push a sphere out where it is compliant [s]."""
-    slip: float = 0.0
-    """Slip up to which friction is less than Coulomb's [m/s]."""
-
-
-@dataclass(frozen=True)
-class ContactLaw:
-    """What contact is in an engine, in words; `mbds-xsim contact` measures it."""
-
-    normal: str
-    """How a sphere is kept out of the ground."""
-    restitution: str
-    """What decides the rebound."""
-    friction: str
-    """In which set the friction force is."""
-    mixing: str
-    """How the coefficients of two bodies become those of the pair."""
-    adapter: str
-    """What the adapter does about it, in sentences."""
 
 
 @dataclass(frozen=True, eq=False)

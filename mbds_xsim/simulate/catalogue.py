@@ -13,7 +13,8 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import ContactLaw, Feature, Method, Profile, Settings, features_of
+from mbds_xsim.simulate.adapter import Profile, Settings
+from mbds_xsim.simulate.claims import ContactLaw, Feature, Method, features_of
 
 _TIMEOUT = 600.0  # [s] to load a scene
 

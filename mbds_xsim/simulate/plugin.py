@@ -18,18 +18,8 @@ import msgspec
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.adapter import (
-    Adapter,
-    ContactLaw,
-    ContactScales,
-    Feature,
-    Method,
-    Option,
-    Profile,
-    Run,
-    Settings,
-    Sweep,
-)
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.claims import ContactLaw, ContactScales, Feature, Method, Option, Sweep
 
 T = TypeVar("T")
 

@@ -35,7 +35,7 @@ from mbds_xsim.scene.scene import (
     Vector,
 )
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ContactScales
+from mbds_xsim.simulate.claims import ContactScales
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
 

@@ -32,7 +32,8 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
-from mbds_xsim.simulate.adapter import Adapter, Feature, Method, Settings, features_of
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.claims import Feature, Method, features_of
 from mbds_xsim.testing.cases import CASES, Case
 from mbds_xsim.testing.contact_contract import ContactContract
 

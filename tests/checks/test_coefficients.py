@@ -14,7 +14,7 @@ from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Scene
 from mbds_xsim.scene.state import Batch
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
 
 RK4 = Method("RK4", "RK4", 4)

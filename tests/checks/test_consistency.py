@@ -15,7 +15,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.consistency import consistency, extrapolate, unsettled
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 
 METHODS = {
     "euler_reduced": (Method("Euler", "semi-implicit Euler", 1), (2, 4, 8)),

@@ -12,7 +12,7 @@ from mbds_xsim.checks.energy import energy_balance, energy_of, hinge_turns, inpu
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, Torque
 from mbds_xsim.scene.state import Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 
 SECOND_ORDER = Method("midpoint", "trapezoidal", 2)
 

@@ -17,7 +17,8 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Trajectory
-from mbds_xsim.simulate.adapter import Adapter, Method, Settings
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate as run
 from mbds_xsim.testing.cases import CASES

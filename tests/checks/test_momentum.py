@@ -27,7 +27,7 @@ from mbds_xsim.scene.scene import (
     Torque,
 )
 from mbds_xsim.scene.state import Trajectory
-from mbds_xsim.simulate.adapter import Method
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
 
 RK4 = Method("RK4", "RK4", 4)

@@ -17,8 +17,9 @@ from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure.store import Store
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Adapter, features_of
+from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.studies.tradeoff import bench, point, sweep
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
 from mbds_xsim.studies.tradeoff.point import measure

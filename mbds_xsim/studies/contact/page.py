@@ -12,7 +12,7 @@ from mbds_xsim.base.safe_text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.markdown import table_lines
-from mbds_xsim.simulate.adapter import ContactLaw
+from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS

@@ -15,8 +15,9 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import ProgressSink
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import ContactLaw, Profile
+from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure, reason

@@ -35,7 +35,8 @@ from mbds_xsim.checks.passivity import passivity
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Method, Settings
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.timed import recorded
 from mbds_xsim.studies.stability.rows import Outcome, Told
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Adapter, Settings, features_of
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.matched import settings_for
 
 Options = Mapping[str, float | int | bool | str]
