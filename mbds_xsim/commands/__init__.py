@@ -1,43 +1,11 @@
 """The commands, a file each; importing one adds it to the command line."""
 
-from mbds_xsim.commands import (
-    ablate,
-    audit,
-    contact,
-    diff,
-    export,
-    generate,
-    inspect,
-    listing,
-    match,
-    plan,
-    shift,
-    stability,
-    tradeoff,
-    train,
-    validate,
-    verify,
-    version,
-)
+from importlib import import_module
+from pkgutil import iter_modules
+
 from mbds_xsim.commands.shared import app
 
-__all__ = [
-    "ablate",
-    "app",
-    "audit",
-    "contact",
-    "diff",
-    "export",
-    "generate",
-    "inspect",
-    "listing",
-    "match",
-    "plan",
-    "shift",
-    "stability",
-    "tradeoff",
-    "train",
-    "validate",
-    "verify",
-    "version",
-]
+__all__ = ["app"]
+
+for _module in iter_modules(__path__, f"{__name__}."):
+    import_module(_module.name)

@@ -5,56 +5,44 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
-from mbds_xsim.commands.shared import (
-    HtmlFile,
-    JsonFile,
-    Opened,
-    check_targets,
-    command,
-    command_line,
-    console_for,
-    deliver,
-    encoded,
-    scene_named,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim audit lab.csv --scene 6pendulum  ·  "
     "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0",
 )
 def audit(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
+    file: Annotated[Path, Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
     scene: Annotated[
         str | None,
-        typer.Option(help="A built-in name, a family with a size, or a file; else the file's own."),
+        Option(help="A built-in name, a family with a size, or a file; else the file's own."),
     ] = None,
     index: Annotated[
-        str | None, typer.Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
+        str | None, Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of those starts.", min=0)] = None,
+    seed: Annotated[int | None, Option(help="Seed of those starts.", min=0)] = None,
     noise: Annotated[
-        bool | None, typer.Option(help="Whether their random forces acted.", show_default=False)
+        bool | None, Option(help="Whether their random forces acted.", show_default=False)
     ] = None,
     order: Annotated[
-        int | None, typer.Option(help="Order of the method that made it; else first.", min=1)
+        int | None, Option(help="Order of the method that made it; else first.", min=1)
     ] = None,
     step: Annotated[
-        float | None, typer.Option(help="Its integration step [s]; else the frame.", min=1e-12)
+        float | None, Option(help="Its integration step [s]; else the frame.", min=1e-12)
     ] = None,
     velocity_lag: Annotated[
-        float | None, typer.Option(help="Velocities belong to frame time + lag [s].")
+        float | None, Option(help="Velocities belong to frame time + lag [s].")
     ] = None,
     contact_time: Annotated[
-        float | None, typer.Option(help="Over which it spreads an impact [s].", min=0.0)
+        float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
     ] = None,
-    json: JsonFile = None,
-    html: HtmlFile = None,
-    opened: Opened = False,
+    json: shared.JsonFile = None,
+    html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
     from mbds_xsim.dataset.audit import Provenance, audit_file
@@ -62,8 +50,8 @@ def audit(
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit.present import present
 
-    console = console_for(json)
-    check_targets(json=json, html=html)
+    console = shared.console_for(json)
+    shared.check_targets(json=json, html=html)
     told = Provenance(
         index=None if index is None else tuple(parse_numbers(index, "--index")),
         seed=seed,
@@ -73,9 +61,9 @@ def audit(
         velocity_lag_s=velocity_lag,
         contact_time_s=contact_time,
     )
-    audited = audit_file(file, None if scene is None else scene_named(scene), told)
-    report = present(audited, command_line())
+    audited = audit_file(file, None if scene is None else shared.scene_named(scene), told)
+    report = present(audited, shared.command_line())
     print_report(report, console)
-    deliver([report], audited.file, console, html=html, opened=opened)
-    write_json(encoded(audited, "audit"), json)
-    raise typer.Exit(0 if audited.verdict == "pass" else 1)
+    shared.deliver([report], audited.file, console, html=html, opened=opened)
+    shared.write_json(shared.encoded(audited, "audit"), json)
+    raise Exit(0 if audited.verdict == "pass" else 1)

@@ -5,36 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
-from mbds_xsim.commands.shared import (
-    JsonFile,
-    check_targets,
-    command,
-    console_for,
-    deliver,
-    encoded,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 
-@command(
+@shared.command(
     "check",
     epilog="Examples:  mbds-xsim diff reports/3ladder.json new.json  ·  "
     "mbds-xsim diff before.json after.json --markdown changes.md",
 )
 def diff(
-    old: Annotated[Path, typer.Argument(metavar="OLD", help="JSON of the earlier result.")],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="JSON of the later one.")],
+    old: Annotated[Path, Argument(metavar="OLD", help="JSON of the earlier result.")],
+    new: Annotated[Path, Argument(metavar="NEW", help="JSON of the later one.")],
     rtol: Annotated[
-        float, typer.Option(help="Relative difference of a figure that is no change.", min=0.0)
+        float, Option(help="Relative difference of a figure that is no change.", min=0.0)
     ] = 1e-6,
     factor: Annotated[
-        float, typer.Option(help="Factor between two times that is no change.", min=1.0)
+        float, Option(help="Factor between two times that is no change.", min=1.0)
     ] = 1.5,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
     markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write everything as Markdown.")
+        Path | None, Option(metavar="FILE", help="Write everything as Markdown.")
     ] = None,
 ) -> None:
     """Compare two results of one command and scene: 0 nothing is worse, 1 something is."""
@@ -42,12 +34,12 @@ def diff(
     from mbds_xsim.studies.diff.compare import compare_files
     from mbds_xsim.studies.diff.present import present, remarks_of
 
-    check_targets(json=json, markdown=markdown)
+    shared.check_targets(json=json, markdown=markdown)
     comparison = compare_files(old, new, rtol=rtol, factor=factor)
-    console, reports = console_for(json), list(present(comparison))
+    console, reports = shared.console_for(json), list(present(comparison))
     print_blocks([remarks_of(comparison)], console)
     for report in reports:
         print_report(report, console)
-    deliver(reports, "", console, markdown=markdown)
-    write_json(encoded(comparison), json)
-    raise typer.Exit(1 if comparison.verdict == "worse" else 0)
+    shared.deliver(reports, "", console, markdown=markdown)
+    shared.write_json(shared.encoded(comparison), json)
+    raise Exit(1 if comparison.verdict == "worse" else 0)

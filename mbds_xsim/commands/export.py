@@ -5,45 +5,37 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
-from mbds_xsim.commands.shared import (
-    JsonFile,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    progress_on,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim export data --out npz --format npz  ·  "
     "mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9",
 )
 def export(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="A data file or folder.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write, made if needed.")],
-    form: Annotated[Literal["npz", "csv"], typer.Option("--format", help="Of the files.")],
+    dataset: Annotated[Path, Argument(metavar="DATASET", help="A data file or folder.")],
+    out: Annotated[Path, Option(metavar="DIR", help="Folder to write, made if needed.")],
+    form: Annotated[Literal["npz", "csv"], Option("--format", help="Of the files.")],
     engines: Annotated[
-        str | None, typer.Option(help="Comma-separated; all that there are when left out.")
+        str | None, Option(help="Comma-separated; all that there are when left out.")
     ] = None,
     indices: Annotated[
-        str | None, typer.Option(help="Numbers of trajectories, as 0-9,15; all when left out.")
+        str | None, Option(help="Numbers of trajectories, as 0-9,15; all when left out.")
     ] = None,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
 ) -> None:
     """Write data sets in a form that any program reads, and say what it does not carry."""
     from mbds_xsim.base.counted import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 
-    console = console_for(json)
-    check_targets(json=json)
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
     numbers = None if indices is None else parse_numbers(indices, "--indices")
-    with progress_on(console) as progress:
+    with shared.progress_on(console) as progress:
         done = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
     console.print(
         f"{counted(done.trajectories, 'trajectory')} in "
@@ -59,4 +51,4 @@ def export(
     console.print("not carried over:")
     for line in done.lost:
         console.print(f"  {line}", highlight=False, soft_wrap=True)
-    write_json(encoded(done, "export"), json)
+    shared.write_json(shared.encoded(done, "export"), json)

@@ -7,61 +7,48 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Exit, Option
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.shared import (
-    LIMIT,
-    EngineNames,
-    JsonFile,
-    SceneNames,
-    Seed,
-    TimeLimit,
-    WorkerCount,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    scene_named,
-    write_json,
-)
-from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.commands import shared
+from mbds_xsim.report.blocks import Block, Remarks, Text, table_of
 
 if TYPE_CHECKING:
     from mbds_xsim.dataset.generate import Generated
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data"
     "  ·  run it again after any interruption, and it goes on",
 )
 def generate(
-    scenes: SceneNames,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the data, made if needed.")],
-    engines: EngineNames = None,
+    scenes: shared.SceneNames,
+    out: Annotated[Path, Option(metavar="DIR", help="Folder of the data, made if needed.")],
+    engines: shared.EngineNames = None,
     settings: Annotated[
         str,
-        typer.Option(
+        Option(
             help="matched or a file of `match --out` (certified), native (uncertified), or two."
         ),
     ] = "matched",
     trajectories: Annotated[
-        int, typer.Option(help="How many are drawn; rejected ones are not replaced.", min=1)
+        int, Option(help="How many are drawn; rejected ones are not replaced.", min=1)
     ] = 15_000,
-    seed: Seed = 0,
-    noise: Annotated[bool, typer.Option(help="Random forces.")] = True,
-    workers: WorkerCount = None,
-    limit: TimeLimit = LIMIT,
+    seed: shared.Seed = 0,
+    noise: Annotated[bool, Option(help="Random forces.")] = True,
+    workers: shared.WorkerCount = None,
+    limit: shared.TimeLimit = LIMIT,
     scheduler: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="ADDRESS",
             help="A Dask scheduler, whose workers see DIR too, in place of --workers.",
         ),
     ] = None,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
 ) -> None:
     """Make data sets: simulate, check every trajectory, publish what passes."""
     from mbds_xsim.base.isolate import run_tasks
@@ -73,10 +60,10 @@ def generate(
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
 
-    console = console_for(json)
-    check_targets(json=json)
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
     request = Request(
-        scenes=tuple(scene_named(name) for name in dict.fromkeys(scenes)),
+        scenes=tuple(shared.scene_named(name) for name in dict.fromkeys(scenes)),
         choice=Choice.parse(engines=engines, profiles=settings, limit=limit),
         trajectories=trajectories,
         out=out,
@@ -94,17 +81,15 @@ def generate(
         progress = stack.enter_context(GeneratingBar(console))
         generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
     print_blocks(_outcome(generated), console)
-    write_json(encoded(generated, "generate"), json)
+    shared.write_json(shared.encoded(generated, "generate"), json)
     whole = not generated.failed and all(count.published for count in generated.variants)
-    raise typer.Exit(0 if whole else 1)
+    raise Exit(0 if whole else 1)
 
 
 def _outcome(generated: Generated) -> Iterator[Block]:
     """Say what was published and what was rejected, and why."""
-    words = ("file", "rejected by")
-    headings = ("file", "drawn", "published", "rejected", "MB", "rejected by")
     yield table_of(
-        [Column(heading, words=heading in words) for heading in headings],
+        ["file", ">drawn", ">published", ">rejected", ">MB", "rejected by"],
         [
             [
                 count.file,

@@ -6,18 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.shared import (
-    JsonFile,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    write_json,
-)
+from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Table, Text, table_of
 
@@ -25,17 +18,17 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.summary import Range, Summary
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim inspect data  ·  "
     "mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png",
 )
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="FILE|DIR", help="A data file or a folder.")],
+    path: Annotated[Path, Argument(metavar="FILE|DIR", help="A data file or a folder.")],
     png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw paths of particles into this file.")
+        Path | None, Option(metavar="FILE", help="Draw paths of particles into this file.")
     ] = None,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
 ) -> None:
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
     from mbds_xsim.dataset.read import load_dataset
@@ -43,8 +36,8 @@ def inspect(
     from mbds_xsim.report.paths import draw_paths
     from mbds_xsim.report.terminal import print_blocks
 
-    console = console_for(json)
-    check_targets(json=json, png=png)
+    console = shared.console_for(json)
+    shared.check_targets(json=json, png=png)
     found = summaries(path)
     if png is not None and len(found) > 1:
         msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
@@ -54,7 +47,7 @@ def inspect(
     if png is not None:
         draw_paths(load_dataset(found[0].file), png)
         console.print(f"written: {png}", highlight=False)
-    write_json(encoded(found, "inspect"), json)
+    shared.write_json(shared.encoded(found, "inspect"), json)
 
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:
@@ -63,9 +56,8 @@ def summary_blocks(summary: Summary) -> Iterator[Block]:
     yield Remarks.of(_facts(summary))
     yield _counts(summary)
     if summary.figures:
-        headings = ("check", "trajectories", "smallest", "median", "largest", "allowed", "")
-        columns = [Column(heading, words=heading == "check") for heading in headings]
-        yield table_of(columns, map(_cells, summary.figures))
+        figures = (">trajectories", ">smallest", ">median", ">largest", ">allowed", ">")
+        yield table_of(["check", *figures], map(_cells, summary.figures))
 
 
 def _facts(summary: Summary) -> list[tuple[str, str]]:
@@ -98,7 +90,7 @@ def _facts(summary: Summary) -> list[tuple[str, str]]:
 def _counts(summary: Summary) -> Table:
     intervals = list(next(iter(summary.counts.values())))
     return table_of(
-        [Column("trajectories", words=True), *map(Column, (*intervals, "all"))],
+        ["trajectories", *map(Column, (*intervals, "all"))],
         [
             [part, *(str(counts[name]) for name in intervals), str(sum(counts.values()))]
             for part, counts in summary.counts.items()

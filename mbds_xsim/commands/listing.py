@@ -6,33 +6,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.shared import (
-    JsonFile,
-    SceneName,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    progress_on,
-    scene_named,
-    write_json,
-)
-from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
+from mbds_xsim.commands import shared
+from mbds_xsim.report.blocks import Block, Remark, Remarks, Text, table_of
 
 if TYPE_CHECKING:
     from mbds_xsim.scene.scene import Scene
     from mbds_xsim.simulate.catalogue import EngineRow, SceneRow
 
 
-@command("check")
+@shared.command("check")
 def engines(
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
     markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the page docs/engines.md instead.")
+        bool, Option("--markdown", help="Print the page docs/engines.md instead.")
     ] = False,
 ) -> None:
     """List the engines, their methods, and what each cannot do."""
@@ -43,55 +33,55 @@ def engines(
     if markdown and json:
         msg = "engines gives one form at a time; choose one of --markdown and --json"
         raise InputError(msg)
-    check_targets(json=json)
+    shared.check_targets(json=json)
     rows = engine_rows()
     if markdown:
         print(engines_page(rows), end="")
     else:
-        console = console_for(json)
+        console = shared.console_for(json)
         for row in rows:
             print_blocks(_about_engine(row), console)
             console.print()
-    write_json(encoded(rows), json)
+    shared.write_json(shared.encoded(rows), json)
 
 
-@command("check")
-def scenes(json: JsonFile = None) -> None:
+@shared.command("check")
+def scenes(json: shared.JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.catalogue import scene_rows
 
-    check_targets(json=json)
+    shared.check_targets(json=json)
     rows = scene_rows()
-    print_blocks(_about_scenes(rows), console_for(json))
-    write_json(encoded(rows), json)
+    print_blocks(_about_scenes(rows), shared.console_for(json))
+    shared.write_json(shared.encoded(rows), json)
 
 
-@command(
+@shared.command(
     "check",
     epilog="Examples:  mbds-xsim show 3ladder --png ladder.png  ·  "
     "mbds-xsim show 5pendulum --native mujoco > pendulum.xml  ·  "
     "mbds-xsim show 5pendulum --start 2 --native dart | python",
 )
 def show(
-    scene: SceneName,
-    toml: Annotated[bool, typer.Option("--toml", help="Print it as a scene file.")] = False,
+    scene: shared.SceneName,
+    toml: Annotated[bool, Option("--toml", help="Print it as a scene file.")] = False,
     native: Annotated[
         str | None,
-        typer.Option(metavar="ENGINE", help="Print exactly what this engine is given, to run."),
+        Option(metavar="ENGINE", help="Print exactly what this engine is given, to run."),
     ] = None,
     settings: Annotated[
-        str, typer.Option(help="With --native: matched, native, or a file of `match --out`.")
+        str, Option(help="With --native: matched, native, or a file of `match --out`.")
     ] = "matched",
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw it into a file.")] = None,
+    png: Annotated[Path | None, Option(metavar="FILE", help="Draw it into a file.")] = None,
     start: Annotated[
         int | None,
-        typer.Option(
+        Option(
             help="With --png or --native: as this trajectory starts, not as the scene is written.",
             min=0,
         ),
     ] = None,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given."""
     from mbds_xsim.report.terminal import print_blocks
@@ -104,8 +94,8 @@ def show(
     if start is not None and png is None and native is None:
         msg = f"--start: got {start}, which says what is drawn or given; add --png or --native"
         raise InputError(msg)
-    check_targets(json=json, png=png)
-    loaded = scene_named(scene)
+    shared.check_targets(json=json, png=png)
+    loaded = shared.scene_named(scene)
     if png is not None:
         from mbds_xsim.report.draw import draw_scene
 
@@ -114,9 +104,9 @@ def show(
         from mbds_xsim.measure.quick import searched
         from mbds_xsim.simulate.choice import Choice
 
-        console = console_for(Path("-"))
+        console = shared.console_for(Path("-"))
         choice = Choice.parse(engines=native, profiles=settings)
-        with progress_on(console) as progress:
+        with shared.progress_on(console) as progress:
             choice = searched(loaded, choice, progress=progress)
         (contender,), _ = choice.contenders(loaded)
         print(native_text(loaded, native, contender.settings, start))
@@ -124,8 +114,8 @@ def show(
         print(write_scene(loaded), end="")
     else:
         row = scene_row(loaded)
-        print_blocks(_about_scene(loaded, row), console_for(json))
-        write_json(encoded(row), json)
+        print_blocks(_about_scene(loaded, row), shared.console_for(json))
+        shared.write_json(shared.encoded(row), json)
 
 
 def _about_engine(row: EngineRow) -> Iterator[Block]:
@@ -148,9 +138,8 @@ def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:
 
 
 def _about_scenes(rows: list[SceneRow]) -> Iterator[Block]:
-    headings = ("scene", "dim", "bodies", "particles", "joints", "loops", "dof", "needs")
     yield table_of(
-        [Column(heading, words=heading in ("scene", "needs")) for heading in headings],
+        ["scene", ">dim", ">bodies", ">particles", ">joints", ">loops", ">dof", "needs"],
         [
             [
                 row.scene,

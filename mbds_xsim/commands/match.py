@@ -5,58 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Exit, Option
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.shared import (
-    CacheUse,
-    EngineNames,
-    HtmlFile,
-    JsonFile,
-    Opened,
-    SceneNames,
-    WorkerCount,
-    check_targets,
-    command,
-    command_line,
-    console_for,
-    deliver,
-    encoded,
-    scene_named,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 
-@command(
+@shared.command(
     "study",
     epilog="Examples:  mbds-xsim match 3ladder  ·  "
     "mbds-xsim match my.toml --out my-settings.toml --engines mujoco",
 )
 def match(
-    scenes: SceneNames,
-    engines: EngineNames = None,
+    scenes: shared.SceneNames,
+    engines: shared.EngineNames = None,
     trajectories: Annotated[
-        int, typer.Option(help="Starts of each interval to search with.", min=1, max=1000)
+        int, Option(help="Starts of each interval to search with.", min=1, max=1000)
     ] = 2,
     held_out: Annotated[
-        int, typer.Option(help="Starts of each interval to verify with.", min=1, max=1000)
+        int, Option(help="Starts of each interval to verify with.", min=1, max=1000)
     ] = 20,
-    seed: Annotated[
-        int, typer.Option(help="Seed of the search; the next one verifies.", min=0)
-    ] = 0,
-    limit: Annotated[float, typer.Option(help="Longest rollout of a start [s].", min=0.1)] = 30.0,
+    seed: Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)] = 0,
+    limit: Annotated[float, Option(help="Longest rollout of a start [s].", min=0.1)] = 30.0,
     options: Annotated[
-        bool, typer.Option("--options", help="Vary the engines' own options, too.")
+        bool, Option("--options", help="Vary the engines' own options, too.")
     ] = False,
-    cache: CacheUse = True,
-    workers: WorkerCount = None,
+    cache: shared.CacheUse = True,
+    workers: shared.WorkerCount = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write here, not where validate finds them."),
+        Option(metavar="FILE", help="Write here, not where validate finds them."),
     ] = None,
-    json: JsonFile = None,
-    html: HtmlFile = None,
-    opened: Opened = False,
+    json: shared.JsonFile = None,
+    html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
 ) -> None:
     """Search the cheapest settings of each engine that keep all budgets of a scene."""
     from mbds_xsim.base.isolate import core_count
@@ -69,7 +51,7 @@ def match(
     from mbds_xsim.studies.match.file import matched_toml, stored_path
     from mbds_xsim.studies.match.present import present
 
-    console = console_for(json)
+    console = shared.console_for(json)
     choice = Choice.parse(engines=engines)
     if out is not None and len(scenes) > 1:
         msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
@@ -80,10 +62,10 @@ def match(
             raise InputError(msg)
     targets = [out] if out is not None else [stored_path(name) for name in scenes]
     for target in targets:
-        check_targets(json=json, html=html, out=target)
+        shared.check_targets(json=json, html=html, out=target)
     found = []
     for name, target in zip(scenes, targets, strict=True):
-        scene = scene_named(name)
+        scene = shared.scene_named(name)
         with StudyBar(console, workers or core_count(), scene.name) as meter:
             result = study.match(
                 scene,
@@ -96,7 +78,7 @@ def match(
                 workers=workers,
                 cache=cache,
                 meter=meter,
-                command=command_line(),
+                command=shared.command_line(),
             )
         print_report(present(result), console)
         before = target.read_text("utf-8") if target.is_file() else ""
@@ -104,7 +86,7 @@ def match(
         console.print(f"written: {target}", highlight=False)
         found.append(result)
     reports = [present(result) for result in found]
-    deliver(reports, "Matched settings", console, html=html, opened=opened)
-    write_json(encoded(found[0] if len(found) == 1 else found), json)
+    shared.deliver(reports, "Matched settings", console, html=html, opened=opened)
+    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
     met = all(engine.meets_budget for result in found for engine in result.engines)
-    raise typer.Exit(0 if met else 1)
+    raise Exit(0 if met else 1)

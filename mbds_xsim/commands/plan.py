@@ -5,23 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Exit, Option
 
 from mbds_xsim.base.counted import counted
-from mbds_xsim.commands.shared import (
-    LIMIT,
-    EngineNames,
-    JsonFile,
-    SceneName,
-    TimeLimit,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    progress_on,
-    scene_named,
-    write_json,
-)
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
 
@@ -30,41 +18,41 @@ if TYPE_CHECKING:
 
 _SIZES = ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B"))
 _TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3600, "s"))
-_HEADINGS = ("variant", "each", "simulate", "check", "core-h", "wall", "size", "published")
+_FIGURES = ("each", "simulate", "check", "core-h", "wall", "size", "published")
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim plan 6pendulum --trajectories 1000000000  ·  "
     "mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64",
 )
 def plan(
-    scene: SceneName,
-    trajectories: Annotated[int, typer.Option(help="How many are planned.", min=1)] = 15_000,
-    engines: EngineNames = None,
+    scene: shared.SceneName,
+    trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
+    engines: shared.EngineNames = None,
     settings: Annotated[
-        str, typer.Option(help="matched, native, a file of `match --out`, or two: matched,native.")
+        str, Option(help="matched, native, a file of `match --out`, or two: matched,native.")
     ] = "matched",
     sample: Annotated[
-        int, typer.Option(help="Trajectories of each of the two measured shards.", min=2, max=1000)
+        int, Option(help="Trajectories of each of the two measured shards.", min=2, max=1000)
     ] = 6,
     workers: Annotated[
-        int | None, typer.Option(help="Processes that will work; all cores when left out.", min=1)
+        int | None, Option(help="Processes that will work; all cores when left out.", min=1)
     ] = None,
-    limit: TimeLimit = LIMIT,
-    json: JsonFile = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
 ) -> None:
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
     from mbds_xsim.dataset.estimate import plan as run
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
 
-    console = console_for(json)
-    check_targets(json=json)
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
-    with progress_on(console) as progress:
+    with shared.progress_on(console) as progress:
         found = run(
-            scene_named(scene),
+            shared.scene_named(scene),
             choice,
             trajectories,
             sample=sample,
@@ -72,16 +60,15 @@ def plan(
             progress=progress,
         )
     print_blocks(plan_blocks(found), console)
-    write_json(encoded(found, "plan"), json)
-    raise typer.Exit(0 if all(not one.failure for one in found.estimates) else 1)
+    shared.write_json(shared.encoded(found, "plan"), json)
+    raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
 
 
 def plan_blocks(plan: CostPlan) -> Iterator[Block]:
     """Say in a line an engine what a data set will cost."""
     cores = counted(plan.workers, "core")
     yield Text(f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on {cores}")
-    columns = [Column(heading, words=heading == "variant") for heading in _HEADINGS]
-    yield table_of(columns, map(_cells, plan.estimates))
+    yield table_of(["variant", *map(Column, _FIGURES)], map(_cells, plan.estimates))
     failed = [Remark(e.variant, e.failure, "fail") for e in plan.estimates if e.failure]
     left_out = [Remark(f"{name} left out", reason) for name, reason in plan.left_out.items()]
     yield Remarks((*failed, *left_out))
@@ -98,7 +85,7 @@ def plan_blocks(plan: CostPlan) -> Iterator[Block]:
 def _cells(estimate: Estimate) -> tuple[str, ...]:
     one = estimate.measured
     if one is None or estimate.core_hours is None:
-        return (estimate.variant, *[quantity.NONE] * (len(_HEADINGS) - 1))
+        return (estimate.variant, *[quantity.NONE] * len(_FIGURES))
     return (
         estimate.variant,
         quantity.span(one.trajectory_s),

@@ -8,13 +8,14 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.commands.help import Chapter, Command, Commands
 
 if TYPE_CHECKING:
@@ -23,32 +24,6 @@ if TYPE_CHECKING:
     from mbds_xsim.report.bar import ProgressBar
     from mbds_xsim.report.blocks import Report
     from mbds_xsim.scene.scene import Scene
-
-__all__ = [
-    "LIMIT",
-    "CacheUse",
-    "Device",
-    "DeviceWorkers",
-    "EngineNames",
-    "HtmlFile",
-    "JsonFile",
-    "Opened",
-    "SceneName",
-    "SceneNames",
-    "Seed",
-    "TimeLimit",
-    "WorkerCount",
-    "app",
-    "check_targets",
-    "command",
-    "command_line",
-    "console_for",
-    "deliver",
-    "encoded",
-    "progress_on",
-    "scene_named",
-    "write_json",
-]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -62,6 +37,22 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"mbds-xsim {version('mbds-xsim')}")
+        raise typer.Exit
+
+
+_Version = Annotated[
+    bool,
+    typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version."),
+]
+
+
+@app.callback()
+def _of_all_commands(_version: _Version = False) -> None: ...
 
 
 def command(chapter: Chapter, epilog: str | None = None) -> Callable[[F], F]:
@@ -113,6 +104,14 @@ CacheUse = Annotated[bool, typer.Option(help="Use stored reference solutions.")]
 WorkerCount = Annotated[
     int | None, typer.Option(help="Processes at a time; all cores when left out.", min=1)
 ]
+ModelPlaces = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="PATH",
+        help="Trained models beside the engines: a file, a folder of train, or a pattern such as "
+        "'models/*/*/*/all-s0.pt'; may be repeated.",
+    ),
+]
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
     int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
@@ -120,6 +119,9 @@ DeviceWorkers = Annotated[
 HtmlFile = Annotated[
     Path | None,
     typer.Option("--html", metavar="FILE", help="Write a self-contained page."),
+]
+MarkdownFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
 ]
 Opened = Annotated[
     bool,
@@ -149,6 +151,13 @@ def command_line() -> str:
         elif not joined:
             next(words, None)
     return shlex.join(["mbds-xsim", *kept])
+
+
+def check_torch(command: str) -> None:
+    """Refuse a command that works with learned models where torch is not installed."""
+    if find_spec("torch") is None:
+        msg = f"{command} needs torch, which is not installed: pip install 'mbds-xsim[learn]'"
+        raise InputError(msg)
 
 
 def scene_named(name: str) -> Scene:

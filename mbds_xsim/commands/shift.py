@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,
@@ -15,6 +14,7 @@ from mbds_xsim.commands.shared import (
     JsonFile,
     Opened,
     check_targets,
+    check_torch,
     command,
     command_line,
     console_for,

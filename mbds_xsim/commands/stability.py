@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     HtmlFile,
     JsonFile,
+    ModelPlaces,
     Opened,
     WorkerCount,
     check_targets,
+    check_torch,
     command,
     command_line,
     console_for,

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbds_xsim.commands.extras import ModelPlaces, check_torch
 from mbds_xsim.commands.shared import (
     CacheUse,
     EngineNames,
     HtmlFile,
     JsonFile,
+    ModelPlaces,
     Opened,
     SceneNames,
     Seed,
     WorkerCount,
     check_targets,
+    check_torch,
     command,
     command_line,
     console_for,

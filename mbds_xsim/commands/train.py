@@ -11,12 +11,12 @@ import typer
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.extras import check_torch
 from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,
     JsonFile,
     check_targets,
+    check_torch,
     command,
     console_for,
     encoded,

@@ -7,21 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from mbds_xsim.base.counted import counted
-from mbds_xsim.commands.shared import (
-    LIMIT,
-    JsonFile,
-    TimeLimit,
-    WorkerCount,
-    check_targets,
-    command,
-    console_for,
-    encoded,
-    progress_on,
-    write_json,
-)
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text
 
 if TYPE_CHECKING:
@@ -31,33 +21,33 @@ _MOST = 20
 """Problems that are listed."""
 
 
-@command(
+@shared.command(
     "data",
     epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5",
 )
 def verify(
     path: Annotated[
-        Path, typer.Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
+        Path, Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
     ],
     seed: Annotated[
         int | None,
-        typer.Option(help="Chooses what is simulated again; left out, at random.", min=0),
+        Option(help="Chooses what is simulated again; left out, at random.", min=0),
     ] = None,
-    workers: WorkerCount = None,
-    limit: TimeLimit = LIMIT,
-    json: JsonFile = None,
+    workers: shared.WorkerCount = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
 ) -> None:
     """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
     from mbds_xsim.dataset.verify import verify as run
     from mbds_xsim.report.terminal import print_blocks
 
-    console = console_for(json)
-    check_targets(json=json)
-    with progress_on(console) as progress:
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
+    with shared.progress_on(console) as progress:
         verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
     print_blocks(_outcome(verified), console)
-    write_json(encoded(verified, "verify"), json)
-    raise typer.Exit(0 if verified.sound else 1)
+    shared.write_json(shared.encoded(verified, "verify"), json)
+    raise Exit(0 if verified.sound else 1)
 
 
 def _outcome(verified: Verified) -> Iterator[Block]:

@@ -212,18 +212,33 @@ class Report:
 
 
 def table_of(
-    columns: Iterable[Column],
+    columns: Iterable[Column | str],
     rows: Iterable[Iterable[Cell | str]],
     *,
     title: str = "",
     note: str = "",
     most: int | None = None,
 ) -> Table:
-    """Make a table of plain texts and cells."""
+    """Make a table of plain texts and cells.
+
+    Args:
+        columns: A plain text is the heading of a column of words, after `>` of one of figures.
+        rows: As many cells each.
+        title: Stands above.
+        note: Stands below.
+        most: Rows that a terminal shows.
+    """
     return Table(
-        tuple(columns),
+        tuple(map(column_of, columns)),
         tuple(Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in row)) for row in rows),
         title,
         note,
         most,
     )
+
+
+def column_of(heading: Column | str) -> Column:
+    """Make a column of its heading: of words, after `>` of figures."""
+    if isinstance(heading, Column):
+        return heading
+    return Column(heading.removeprefix(">"), words=not heading.startswith(">"))

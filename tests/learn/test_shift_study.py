@@ -455,7 +455,7 @@ def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
 def test_without_torch_the_command_says_what_to_install(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mbds_xsim.commands.extras.importlib.util.find_spec", lambda _: None)
+    monkeypatch.setattr("mbds_xsim.commands.shared.find_spec", lambda _: None)
     with pytest.raises(InputError, match=r"shift needs torch, which is not installed: pip"):
         app(["shift", str(folder / "models"), str(folder / "data")], standalone_mode=False)
 

@@ -17,30 +17,16 @@ from mbds_xsim.scene.scene import Body, Inertia, Scene
 
 Array = NDArray[np.float64]
 
-_LEAST = 1e-3  # of an inertia that is dropped
+LEAST = 1e-3  # of an inertia that is dropped
 _ON_LINE = 1e-9  # of the longest arm
 _replace = msgspec.structs.replace
-
-
-def own_inertia(scene: Scene, factor: float) -> Scene | None:
-    """Make particles points: their distances from the centre of mass still count."""
-    if not any(particle.inertia for body in scene.bodies for particle in body.particles):
-        return None
-    kept = max(factor, _LEAST)
-    bodies = tuple(
-        _replace(
-            body, particles=tuple(_replace(p, inertia=kept * p.inertia) for p in body.particles)
-        )
-        for body in scene.bodies
-    )
-    return _replace(scene, bodies=bodies)
 
 
 def rotary_inertia(scene: Scene, factor: float) -> Scene | None:
     """Weaken the whole inertia of bodies; None where it is their particles' own alone."""
     if all(len(body.particles) == 1 for body in scene.bodies):
         return None
-    mechanism, kept = Mechanism.of(scene), max(factor, _LEAST)
+    mechanism, kept = Mechanism.of(scene), max(factor, LEAST)
     return _with_inertia(mechanism, {k: kept * t for k, t in enumerate(mechanism.inertia)})
 
 
@@ -60,7 +46,7 @@ def _about_axes(
     mechanism = Mechanism.of(scene)
     axes = {body: axis_of(mechanism, body) for body in range(mechanism.body_count)}
     tensors = {
-        body: _less_about(mechanism.inertia[body], axis, max(factor, _LEAST))
+        body: _less_about(mechanism.inertia[body], axis, max(factor, LEAST))
         for body, axis in axes.items()
         if axis is not None
     }

@@ -99,12 +99,12 @@ def _made(row: ablate_result.Row) -> str:
 
 
 def _sizes(ablation: Ablation) -> Table:
-    headings = ("engine", "coordinates", "constraints", "contact pairs", "")
+    headings = ("engine", ">coordinates", ">constraints", ">contact pairs", "")
     rows = [
         [s.engine, *map(str, (s.coordinates, s.constraints, s.contact_pairs)), _more(s)]
         for s in ablation.sizes
     ]
-    return table_of([Column(h, words=h in ("engine", "")) for h in headings], rows)
+    return table_of(headings, rows)
 
 
 def _conclusion(ablation: Ablation) -> str:

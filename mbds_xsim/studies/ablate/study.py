@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim import reference
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.silence import Silent
@@ -27,7 +24,6 @@ from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
-    Least,
     Window,
     compared,
     disagreement,
@@ -39,7 +35,7 @@ from mbds_xsim.studies.ablate.analyse import (
     window_of,
 )
 from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
-from mbds_xsim.studies.ablate.result import Ablation, Floor, Row, Size
+from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
 from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 
@@ -84,40 +80,18 @@ def ablate(
         progress=meter,
     )
     contenders, _ = chosen.contenders(scene)
-    bench = Bench.of(validation, evidence, contenders)
+    bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
     variants = variants_of(scene, effects, evidence.batch, seed)
     rows = bench.rows(variants, workers, cache, meter)
-    sizes = _sizes(scene, contenders, least_size(scene), workers)
-    return _result(scene, validation, bench, rows, sizes, command, time.perf_counter() - begin)
-
-
-def _sizes(
-    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
-) -> tuple[Size, ...]:
-    tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
-    return tuple(
-        compared(contender.engine, size, least)
-        for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True)
-        if isinstance(size, ModelSize)
+    models = run_tasks(
+        [Task(native_size, (scene, c.engine, c.settings)) for c in contenders], workers=workers
     )
-
-
-def _result(
-    scene: Scene,
-    validation: Validation,
-    bench: Bench,
-    rows: Sequence[Row],
-    sizes: tuple[Size, ...],
-    command: str,
-    wall_s: float,
-) -> Ablation:
-    window, least = bench.window, least_size(scene)
     return Ablation(
         scene=scene.name,
         description=scene.description,
         judge=bench.judge_name,
-        judged_s=(float(window.spans.min()), float(window.spans.max())),
-        ends=window.ends,
+        judged_s=(float(bench.window.spans.min()), float(bench.window.spans.max())),
+        ends=bench.window.ends,
         duration_s=scene.clock.duration,
         length_m=scene.length,
         floor=bench.floor,
@@ -129,13 +103,17 @@ def _result(
         joint_coordinates=least.coordinates,
         loop_conditions=least.conditions,
         contact_spheres=least.spheres,
-        sizes=sizes,
+        sizes=tuple(
+            compared(contender.engine, size, least)
+            for contender, size in zip(contenders, models, strict=True)
+            if isinstance(size, ModelSize)
+        ),
         trajectories=validation.trajectories,
-        seed=validation.seed,
+        seed=seed,
         versions=validation.versions,
-        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        machine=validation.machine,
         command=command,
-        wall_s=wall_s,
+        wall_s=time.perf_counter() - begin,
     )
 
 
