@@ -28,7 +28,7 @@ _CENTRED = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class BallState:
     """State of the body."""
 
     place: complex
@@ -64,15 +64,15 @@ class Contact:
     friction: float
     restitution: float
 
-    def slip(self, motion: Motion) -> complex:
+    def slip(self, motion: BallState) -> complex:
         """Velocity of the sphere's lowest point."""
         return motion.velocity + 1j * self.radius * motion.spin
 
-    def impulse(self, motion: Motion) -> float:
+    def impulse(self, motion: BallState) -> float:
         """Of the normal reaction in an impact, by Newton's law."""
         return self.mass * (1.0 + self.restitution) * -motion.climb
 
-    def rebound(self, motion: Motion) -> float:
+    def rebound(self, motion: BallState) -> float:
         """Vertical velocity after an impact."""
         return -self.restitution * motion.climb
 
@@ -85,15 +85,15 @@ class Ball(Protocol):
         """What it touches the ground with."""
         ...
 
-    def fly(self, motion: Motion, load: Load, duration: float) -> Motion:
+    def fly(self, motion: BallState, load: Load, duration: float) -> BallState:
         """Move without contact."""
         ...
 
-    def hit(self, motion: Motion) -> Motion:
+    def hit(self, motion: BallState) -> BallState:
         """Bounce off the ground."""
         ...
 
-    def keep_contact(self, motion: Motion, load: Load, limit: float) -> tuple[float, Motion]:
+    def keep_contact(self, motion: BallState, load: Load, limit: float) -> tuple[float, BallState]:
         """Slide or roll on the ground up to a change of the two, or a limit; also gives when."""
         ...
 
@@ -108,7 +108,7 @@ def has_only_balls(mechanism: Mechanism) -> bool:
     )
 
 
-def flown(motion: Motion, load: Load, t: float) -> Motion:
+def flown(motion: BallState, load: Load, t: float) -> BallState:
     """Move the centre of mass along its parabola; the rotation is left as it is."""
     return dataclasses.replace(
         motion,
@@ -119,7 +119,7 @@ def flown(motion: Motion, load: Load, t: float) -> Motion:
     )
 
 
-def time_to_ground(motion: Motion, load: Load) -> float:
+def time_to_ground(motion: BallState, load: Load) -> float:
     """When the sphere comes down to the ground; infinite where it never does."""
     square = motion.climb**2 - 2.0 * load.lift * motion.gap
     if square < 0.0 or (motion.climb >= 0.0 and load.lift >= 0.0):

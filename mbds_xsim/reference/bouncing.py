@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import Ball, Contact, Load, Motion, time_to_ground
+from mbds_xsim.reference.ball import Ball, BallState, Contact, Load, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.first_impact import TOUCHING
@@ -62,7 +62,7 @@ def march_balls(
     return Marched(states, failures)
 
 
-def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Motion:
+def through_frame(ball: Ball, motion: BallState, load: Load, duration: float) -> BallState:
     """Follow a ball under a constant load.
 
     Raises:
@@ -85,7 +85,7 @@ def through_frame(ball: Ball, motion: Motion, load: Load, duration: float) -> Mo
     raise ArithmeticError(msg)
 
 
-def _settled(motion: Motion, load: Load, ball: Ball) -> Motion:
+def _settled(motion: BallState, load: Load, ball: Ball) -> BallState:
     """Let a ball rest whose bounces are as good as over."""
     last = 2.0 * motion.climb <= -load.lift * (1.0 - ball.contact.restitution) * _SHORTEST
     return dataclasses.replace(motion, climb=0.0) if last else motion
@@ -129,16 +129,16 @@ def _in_plane(mechanism: Mechanism, state: Array, force: Array, inertia: Array) 
     return not (np.any(across) or mixed)
 
 
-def _motion_of(state: Array, radius: float) -> Motion:
+def _motion_of(state: Array, radius: float) -> BallState:
     x, y, z = state[:3].tolist()
     vx, vy, vz, wx, wy, wz = state[7:].tolist()
     gap = z - radius
     if gap <= TOUCHING:
         gap, vz = 0.0, vz if abs(vz) > TOUCHING else 0.0
-    return Motion(complex(x, y), gap, complex(vx, vy), vz, complex(wx, wy), wz, state[3:7])
+    return BallState(complex(x, y), gap, complex(vx, vy), vz, complex(wx, wy), wz, state[3:7])
 
 
-def _state_of(motion: Motion, radius: float) -> Array:
+def _state_of(motion: BallState, radius: float) -> Array:
     place, velocity, spin = motion.place, motion.velocity, motion.spin
     moving = [velocity.real, velocity.imag, motion.climb, spin.real, spin.imag, motion.twist]
     turn = motion.turn / np.linalg.norm(motion.turn)

@@ -21,6 +21,7 @@ from mbds_xsim.reference.multipliers import POOR, Multipliers
 from mbds_xsim.reference.singular import interpolated, projected_onto_branch, typical_states
 from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.assembly import assemble
+from mbds_xsim.scene.constraints import Moving, evaluate, motion_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
@@ -33,17 +34,6 @@ _FOLLOWS = 1e-4
 _FEWER = 0.1
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
-_NEXT = np.array([1, 2, 0])
-
-# Rows r × e_i of a joint's arm r, as a linear map of r.
-_ARM = np.array(
-    [
-        [0, 0, 0, 0, 0, 1, 0, -1, 0],
-        [0, 0, -1, 0, 0, 0, 1, 0, 0],
-        [0, 1, 0, -1, 0, 0, 0, 0, 0],
-    ],
-    dtype=float,
-)
 
 
 def _turn_map() -> Array:
@@ -69,15 +59,6 @@ class _Rows:
     jacobian: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Bodies' rotations, and the body-fixed vectors and spans with two time derivatives."""
-
-    turn: Array
-    vector: tuple[Array, Array, Array]
-    span: tuple[Array, Array, Array]
-
-
 @functools.lru_cache(maxsize=64)
 def dynamics_of(mechanism: Mechanism) -> Dynamics:
     """Prepare a mechanism (once each)."""
@@ -91,11 +72,7 @@ class Dynamics:
         self.topology = topology_of(mechanism)
         self.length = mechanism.scene.length
         self._multipliers = Multipliers(self.topology)
-        rows = self.topology.row_count
-        self._half = np.zeros((2, rows + 1, 6))
-        points = self.topology.points.stop
-        eye = np.tile(np.eye(3), (points, 1))
-        self._half[0, : 3 * points, :3], self._half[1, : 3 * points, :3] = -eye, eye
+        self._constrains = bool(self.topology.layout.row_count)
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
         self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
         self._closes = bool(mechanism.loops or mechanism.distances)
@@ -142,7 +119,7 @@ class Dynamics:
         rate = np.empty_like(state)
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
-        rate[..., 4:7] = 0.5 * (w * q[..., :1] + _cross(w, q[..., 1:]))
+        rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
         rate[..., _V] = acceleration[..., :3] * self._inverse_mass_root
         rate[..., _W] = _times(motion.turn, acceleration[..., 3:] * self._inverse_inertia_root)
         return rate, share
@@ -152,7 +129,7 @@ class Dynamics:
 
         Near a singular pose they are put onto the branch that their velocities are on.
         """
-        if not self.topology.row_count:
+        if not self._constrains:
             return _normalised(state)
         projected, share = self.closest(state)
         for k in np.flatnonzero(share < self.near):
@@ -179,7 +156,7 @@ class Dynamics:
 
     def is_singular(self, state: Array) -> bool:
         """Whether the constraints of one state have lost rank, or nearly so."""
-        return bool(self.topology.row_count and self.closest(state[None])[1][0] < self.near)
+        return bool(self._constrains and self.closest(state[None])[1][0] < self.near)
 
     def heights(self, state: Array) -> tuple[Array, Array]:
         """Gaps between contact spheres and the plane z = 0 [m] and their rates [m/s].
@@ -190,7 +167,7 @@ class Dynamics:
         carrier = state[:, top.sphere_body]
         arm = rotation.rotate(carrier[..., _Q], top.sphere)
         height = carrier[..., 2] + arm[..., 2] - top.sphere_radius
-        return height, carrier[..., 9] + _cross(carrier[..., _W], arm)[..., 2]
+        return height, carrier[..., 9] + rotation.cross(carrier[..., _W], arm)[..., 2]
 
     def _closed(self, state: Array) -> tuple[Array, Array]:
         motion = self._motion(state)
@@ -202,65 +179,54 @@ class Dynamics:
         moved[..., _Q] = rotation.multiply(rotation.from_vector(-turn), state[..., _Q])
         return moved, share
 
-    def _motion(self, state: Array) -> _Motion:
-        top = self.topology
+    def _motion(self, state: Array) -> Moving:
         q = state[..., _Q]
         outer = (q[..., :, None] * q[..., None, :]).reshape(*q.shape[:-1], 16)
         turn = outer @ _TURN
         turn *= (2.0 / np.einsum("bni,bni->bn", q, q))[..., None]
         turn[..., ::4] += 1.0
         turn = turn.reshape(*q.shape[:-1], 3, 3)
-        u = np.einsum("bvij,vj->bvi", turn[:, top.vector_body], top.vector)
-        w = state[:, top.vector_body, _W]
-        rate = _cross(w, u)
-        bend = _cross(w, rate)
-        first, second = top.span_body
-        count = len(first)
-        a, b = slice(count), slice(count, 2 * count)
-        apart = state[:, second] - state[:, first]
-        span = (
-            apart[..., _X] + u[:, b] - u[:, a],
-            apart[..., _V] + rate[:, b] - rate[:, a],
-            bend[:, b] - bend[:, a],
-        )
-        return _Motion(turn, (u, rate, bend), span)
+        layout, (x, v, w) = self.topology.layout, (state[..., k] for k in (_X, _V, _W))
+        return motion_of(layout, turn, x, v, w, bodies_first=True)
 
-    def _applied(self, motion: _Motion, state: Array, force: Array, torque: Array) -> Array:
+    def _applied(self, motion: Moving, state: Array, force: Array, torque: Array) -> Array:
         """Scaled accelerations without constraints, shape (batch, body + world, 6)."""
         top = self.topology
         push = np.zeros((*state.shape[:-1], 3))
         push[:, :-1] = force
         twist = np.zeros_like(push)
-        if top.hinge.stop > top.hinge.start:
-            twist += top.hinge_incidence @ (motion.vector[0][:, top.hinge] * torque[..., None])
+        if top.hinge_incidence.size:
+            twist += top.hinge_incidence @ (
+                motion.vector[0][:, top.layout.hinge] * torque[..., None]
+            )
         if len(top.stiffness):
             self._add_springs(motion, push, twist)
         spin = _times(motion.turn.swapaxes(-1, -2), state[..., _W])
         moment = _times(motion.turn.swapaxes(-1, -2), twist)
-        moment -= _cross(spin, top.inertia_root**2 * spin)
+        moment -= rotation.cross(spin, top.inertia_root**2 * spin)
         scaled = np.empty((*state.shape[:-1], 6))
         scaled[..., :3] = push * self._inverse_mass_root
         scaled[..., :3] += top.gravity * top.mass_root[:, None] * top.weight
         scaled[..., 3:] = moment * self._inverse_inertia_root
         return scaled
 
-    def _add_springs(self, motion: _Motion, push: Array, twist: Array) -> None:
+    def _add_springs(self, motion: Moving, push: Array, twist: Array) -> None:
         top = self.topology
-        d, d_rate = (motion.span[k][:, top.springs] for k in (0, 1))
+        d, d_rate = (motion.span[k][:, top.layout.springs] for k in (0, 1))
         distance = np.sqrt(np.einsum("bsi,bsi->bs", d, d))
         along = d / distance[..., None]
         stretch = np.einsum("bsi,bsi->bs", along, d_rate)
         tension = top.stiffness * (distance - top.rest_length) + top.damping * stretch
         pull = tension[..., None] * along
-        spans = top.span_body.shape[1]
+        spans = top.layout.span_body.shape[1]
         for end, sign in ((0, 1.0), (1, -1.0)):
-            first = end * spans + top.springs.start
+            first = end * spans + top.layout.springs.start
             arm = motion.vector[0][:, first : first + len(top.stiffness)]
             push += top.spring_incidence[end] @ (sign * pull)
-            twist += top.spring_incidence[end] @ _cross(arm, sign * pull)
+            twist += top.spring_incidence[end] @ rotation.cross(arm, sign * pull)
 
-    def _constrained(self, motion: _Motion, applied: Array) -> tuple[Array, Array]:
-        if not self.topology.row_count:
+    def _constrained(self, motion: Moving, applied: Array) -> tuple[Array, Array]:
+        if not self._constrains:
             return applied, np.ones(len(applied))
         rows = self._rows(motion)
         goal = self._sum(rows.jacobian, applied)
@@ -297,74 +263,20 @@ class Dynamics:
         first, second = self._multipliers.row_slot
         return values[:, first] + values[:, second]
 
-    def _rates(self, jacobian: Array, motion: _Motion, state: Array) -> Array:
+    def _rates(self, jacobian: Array, motion: Moving, state: Array) -> Array:
         top = self.topology
         scaled = np.empty((*state.shape[:-1], 6))
         scaled[..., :3] = state[..., _V] * top.mass_root[:, None]
         scaled[..., 3:] = _times(motion.turn.swapaxes(-1, -2), state[..., _W]) * top.inertia_root
         return self._sum(jacobian, scaled)
 
-    def _rows(self, motion: _Motion) -> _Rows:
-        top = self.topology
-        batch = len(motion.turn)
-        half = np.empty((batch, *self._half.shape))
-        half[:] = self._half
-        arm = motion.vector[0]
-        spans, points = top.span_body.shape[1], top.points.stop
-        half[:, 0, : 3 * points, 3:] = (arm[:, :points] @ -_ARM).reshape(batch, -1, 3)
-        half[:, 1, : 3 * points, 3:] = (arm[:, spans : spans + points] @ _ARM).reshape(batch, -1, 3)
-        residual = [motion.span[0][:, :points].reshape(batch, -1)]
-        bias = [motion.span[2][:, :points].reshape(batch, -1)]
-        done = 3 * points
-        for part in (self._along_rows, self._normal_rows, self._distance_rows):
-            error, curvature = part(motion, half[:, :, done:])
-            residual.append(error)
-            bias.append(curvature)
-            done += error.shape[1]
-        slots = half.reshape(batch, -1, 6)[:, self._multipliers.slot_half]
+    def _rows(self, motion: Moving) -> _Rows:
+        residual, bias, halves = evaluate(self.topology.layout, motion)
+        slots = halves.reshape(len(halves), -1, 6)[:, self._multipliers.slot_half]
         slots[..., :3] *= self._inverse_mass_root[:, None]
         scale = motion.turn * self._inverse_inertia_root[:, None]
         slots[..., 3:] = np.matmul(slots[..., 3:], scale)
-        return _Rows(np.concatenate(residual, axis=1), np.concatenate(bias, axis=1), slots)
-
-    def _along_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
-        top = self.topology
-        d, d_rate, d_bend = (part[:, top.along] for part in motion.span)
-        n, n_rate, n_bend = (part[:, top.along_normal] for part in motion.vector)
-        count = d.shape[1]
-        if count:
-            self._fill_line(motion, half[:, :, :count], top.along, n, d)
-        return _dot(n, d), _dot(n, d_bend) + 2.0 * _dot(n_rate, d_rate) + _dot(n_bend, d)
-
-    def _normal_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
-        top = self.topology
-        n, n_rate, n_bend = (part[:, top.normal] for part in motion.vector)
-        a, a_rate, a_bend = (part[:, top.lever] for part in motion.vector)
-        lever = _cross(a, n)
-        half[:, 0, : n.shape[1], 3:], half[:, 1, : n.shape[1], 3:] = -lever, lever
-        return _dot(a, n), _dot(a_bend, n) + 2.0 * _dot(a_rate, n_rate) + _dot(a, n_bend)
-
-    def _distance_rows(self, motion: _Motion, half: Array) -> tuple[Array, Array]:
-        top = self.topology
-        d, d_rate, d_bend = (part[:, top.distances] for part in motion.span)
-        distance = np.sqrt(_dot(d, d))
-        u = d / distance[..., None]
-        count = d.shape[1]
-        if count:
-            self._fill_line(motion, half[:, :, :count], top.distances, u, 0.0 * d)
-        along = _dot(u, d_rate)
-        bias = _dot(u, d_bend) + (_dot(d_rate, d_rate) - along**2) / distance
-        return distance - top.length, bias
-
-    def _fill_line(
-        self, motion: _Motion, half: Array, spans: slice, direction: Array, carried: Array
-    ) -> None:
-        """Half-rows along a direction; `carried` is what the parent's turn carries with it."""
-        arm, count = motion.vector[0], self.topology.span_body.shape[1]
-        first, second = arm[:, spans], arm[:, spans.start + count : spans.stop + count]
-        half[:, 0, :, :3], half[:, 1, :, :3] = -direction, direction
-        half[:, 0, :, 3:] = -_cross(first + carried, direction)
-        half[:, 1, :, 3:] = _cross(second, direction)
+        return _Rows(residual, bias, slots)
 
 
 def _pose(mechanism: Mechanism) -> BodyStates:
@@ -384,14 +296,5 @@ def _normalised(state: Array) -> Array:
     return state
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products along the last axis; several times faster than numpy's on small arrays."""
-    return (a * b[..., _NEXT] - a[..., _NEXT] * b)[..., _NEXT]
-
-
 def _times(matrix: Array, vector: Array) -> Array:
     return np.einsum("bnij,bnj->bni", matrix, vector)
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.einsum("bki,bki->bk", a, b)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
+from mbds_xsim.reference.ball import STILL, BallState, Contact, Load, flown
 from mbds_xsim.reference.sliding import Slide, slide
 from mbds_xsim.reference.turning import turned
 
@@ -36,19 +36,19 @@ class EvenBall:
         """Slip that a tangential impulse gives the lowest point [1/kg]."""
         return 1.0 / self.contact.mass + self.contact.radius**2 / self.inertia
 
-    def fly(self, motion: Motion, load: Load, duration: float) -> Motion:
+    def fly(self, motion: BallState, load: Load, duration: float) -> BallState:
         """Move without contact: a parabola, at a constant spin."""
         turn = _turned_by(motion.turn, motion.spin * duration, motion.twist * duration)
         return dataclasses.replace(flown(motion, load, duration), turn=turn)
 
-    def hit(self, motion: Motion) -> Motion:
+    def hit(self, motion: BallState) -> BallState:
         """Bounce: friction takes all the slip, or as much as μ times the normal impulse can."""
         slip, most = self.contact.slip(motion), self.contact.friction * self.contact.impulse(motion)
         stick = abs(slip) <= most * self.yielding
         braked = slip if stick else most * self.yielding * slip / abs(slip)
         return dataclasses.replace(self._braked(motion, braked), climb=self.contact.rebound(motion))
 
-    def keep_contact(self, motion: Motion, load: Load, limit: float) -> tuple[float, Motion]:
+    def keep_contact(self, motion: BallState, load: Load, limit: float) -> tuple[float, BallState]:
         """Slide until the slip stops, or roll while friction can hold against the loads."""
         slip = self.contact.slip(motion)
         brake = self.contact.friction * self.contact.mass * -load.lift * self.yielding
@@ -61,7 +61,9 @@ class EvenBall:
         part = law(limit)
         return part.duration, self._carried(motion, load, slip, part, law)
 
-    def _carried(self, motion: Motion, load: Load, slip: complex, part: Slide, law: _Law) -> Motion:
+    def _carried(
+        self, motion: BallState, load: Load, slip: complex, part: Slide, law: _Law
+    ) -> BallState:
         """Follow the centre of mass and the spin along a slip that is known."""
         t = part.duration
         lost = t * (slip + 0.5 * t * load.push) - part.travelled
@@ -75,7 +77,7 @@ class EvenBall:
         turn = _rolled(motion, spin, self._lever() * lost, t)
         return dataclasses.replace(moved, place=place, turn=turn)
 
-    def _braked(self, motion: Motion, slip: complex) -> Motion:
+    def _braked(self, motion: BallState, slip: complex) -> BallState:
         """Take away some slip by a tangential impulse."""
         share = self.contact.mass * self.yielding
         return dataclasses.replace(
@@ -92,7 +94,9 @@ def _no_slide(limit: float) -> Slide:
     return Slide(limit, 0j, 0j)
 
 
-def _rolled(motion: Motion, spin: Callable[[float], complex], gained: complex, t: float) -> Array:
+def _rolled(
+    motion: BallState, spin: Callable[[float], complex], gained: complex, t: float
+) -> Array:
     """Turn by a spin whose integral is known, which is all where its axis keeps its direction."""
     if not gained or (motion.twist == 0.0 and (motion.spin * gained.conjugate()).imag == 0.0):
         return _turned_by(motion.turn, motion.spin * t + gained, motion.twist * t)

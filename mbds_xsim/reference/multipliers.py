@@ -44,10 +44,11 @@ class Multipliers:
     """Flat slots of the two ends of each row, shape (2, row)."""
 
     def __init__(self, topology: Topology) -> None:
-        rows, world = topology.row_count, topology.body_count
+        layout, world = topology.layout, topology.body_count
+        rows = layout.row_count
         touching: list[list[tuple[int, int]]] = [[] for _ in range(world)]
         for end in (0, 1):
-            for row, body in enumerate(topology.row_body[end]):
+            for row, body in enumerate(layout.row_body[end]):
                 if body != world:
                     touching[body].append((end, row))
         self.row_count = rows

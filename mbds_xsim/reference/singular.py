@@ -8,15 +8,12 @@ put back onto the constraints: there everything is well conditioned.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-
-if TYPE_CHECKING:
-    from mbds_xsim.reference.dynamics import Dynamics
 
 Array = NDArray[np.float64]
 
@@ -43,8 +40,29 @@ _BESIDE, _WAY, _SEED = 2, 0.1, 20240911
 _MET = 1e-9  # residual that Newton's method leaves, over the scene's length
 
 
+class Equations(Protocol):
+    """Equations of motion that may be asked without regard to singular poses."""
+
+    length: float
+    """Of the scene [m]."""
+    near: float
+    """Independent share of the rows below which a pose may be singular."""
+
+    def rate(self, state: Array, force: Array, torque: Array) -> tuple[Array, Array]:
+        """Give time derivatives and independent shares."""
+        ...
+
+    def closest(self, state: Array) -> tuple[Array, Array]:
+        """Put states onto the constraints; also gives independent shares."""
+        ...
+
+    def residual(self, state: Array) -> Array:
+        """Give constraint residuals."""
+        ...
+
+
 def interpolated(
-    dynamics: Dynamics, state: Array, force: Array, torque: Array, rate: Array, share: float
+    dynamics: Equations, state: Array, force: Array, torque: Array, rate: Array, share: float
 ) -> Array:
     """Time derivative of a state near a singular pose, on the branch that its velocity is on.
 
@@ -65,7 +83,7 @@ def interpolated(
 
 
 def projected_onto_branch(
-    dynamics: Dynamics, state: Array, projected: Array, share: float
+    dynamics: Equations, state: Array, projected: Array, share: float
 ) -> Array:
     """Put one state onto the branch that its velocity is on.
 
@@ -81,7 +99,7 @@ def projected_onto_branch(
 
 
 def _neighbours(
-    dynamics: Dynamics, state: Array, acceleration: Array, share: float
+    dynamics: Equations, state: Array, acceleration: Array, share: float
 ) -> Array | None:
     """States on the constraints at `_PLACES` before and behind one, if that is at a singular pose.
 
@@ -96,7 +114,7 @@ def _neighbours(
     return near if shares[np.abs(_PLACES) == 1].min() > _CLEARER * share else None
 
 
-def has_branch(dynamics: Dynamics, state: Array, force: Array, torque: Array) -> bool:
+def has_branch(dynamics: Equations, state: Array, force: Array, torque: Array) -> bool:
     """Whether a state is at no singular pose, or on one of the branches that meet there."""
     rates, shares = dynamics.rate(state[None], force[None], torque[None])
     if not shares[0] < dynamics.near:
@@ -109,7 +127,7 @@ def has_branch(dynamics: Dynamics, state: Array, force: Array, torque: Array) ->
     return bool(np.abs(found - given).max() <= _SAME * max(np.abs(given).max(), moving))
 
 
-def typical_states(dynamics: Dynamics, pose: Array) -> Array:
+def typical_states(dynamics: Equations, pose: Array) -> Array:
     """Give a pose, shape (1, body + world, 13), and some beside it, of which few are singular.
 
     Most constraints are independent at nearly all poses.
@@ -126,7 +144,7 @@ def typical_states(dynamics: Dynamics, pose: Array) -> Array:
     return np.concatenate([pose, moved[met]])
 
 
-def _direction(dynamics: Dynamics, twist: Array, acceleration: Array) -> Array | None:
+def _direction(dynamics: Equations, twist: Array, acceleration: Array) -> Array | None:
     """Twists of the motion, or of the one to come, `_size` 1, shape (body + world, 6)."""
     speed, change = _size(dynamics, twist), _size(dynamics, acceleration)
     if not 0.0 < speed + change < np.inf:
@@ -134,7 +152,7 @@ def _direction(dynamics: Dynamics, twist: Array, acceleration: Array) -> Array |
     return twist / speed if speed > _STILL * np.sqrt(change) else acceleration / change
 
 
-def _size(dynamics: Dynamics, twist: Array) -> float:
+def _size(dynamics: Equations, twist: Array) -> float:
     """Largest turn, or way over the scene's length."""
     return float(max(np.abs(twist[:, :3]).max() / dynamics.length, np.abs(twist[:, 3:]).max()))
 

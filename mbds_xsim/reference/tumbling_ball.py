@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import STILL, Contact, Load, Motion, flown
+from mbds_xsim.reference.ball import STILL, BallState, Contact, Load, flown
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class TumblingBall:
     moments: Array
     """Principal moments of inertia [kg·m²], shape (3,)."""
 
-    def fly(self, motion: Motion, load: Load, duration: float) -> Motion:
+    def fly(self, motion: BallState, load: Load, duration: float) -> BallState:
         """Move without contact: a parabola, and a rotation by Euler's equations."""
         if not duration:
             return motion
@@ -63,7 +63,7 @@ class TumblingBall:
         y = _integrate(rate, np.concatenate([motion.turn, _spin_of(motion)]), duration).y[:, -1]
         return _turned(flown(motion, load, duration), y[:4], y[4:])
 
-    def hit(self, motion: Motion) -> Motion:
+    def hit(self, motion: BallState) -> BallState:
         """Bounce: friction acts against a slip that may turn during the impact."""
         inverse, _ = self._free(motion.turn, _spin_of(motion))
         slip, most = _pair(self.contact.slip(motion)), self.contact.impulse(motion)
@@ -74,7 +74,7 @@ class TumblingBall:
         moved = dataclasses.replace(motion, velocity=velocity, climb=self.contact.rebound(motion))
         return _turned(moved, motion.turn, spin)
 
-    def keep_contact(self, motion: Motion, load: Load, limit: float) -> tuple[float, Motion]:
+    def keep_contact(self, motion: BallState, load: Load, limit: float) -> tuple[float, BallState]:
         """Slide until the slip stops, or roll until friction cannot hold against the loads."""
         most = self.contact.friction * self.contact.mass * -load.lift
         slip, push = _pair(self.contact.slip(motion)), _pair(load.push)
@@ -88,8 +88,8 @@ class TumblingBall:
         return self._slide(motion, push, most, limit, seed, "LSODA")
 
     def _slide(
-        self, motion: Motion, push: Array, most: float, limit: float, slip: Array, method: str
-    ) -> tuple[float, Motion]:
+        self, motion: BallState, push: Array, most: float, limit: float, slip: Array, method: str
+    ) -> tuple[float, BallState]:
         def rate(_: float, y: Array) -> Array:
             slip, turn, spin = y[3:5], y[5:9], y[9:]
             speed = math.hypot(*slip)
@@ -113,7 +113,9 @@ class TumblingBall:
         duration = limit if len(y.t_events[0]) else min(limit, float(end[0]))
         return duration, self._moved(motion, end[1:3], end[3:5], end[5:9], end[9:])
 
-    def _roll(self, motion: Motion, push: Array, most: float, limit: float) -> tuple[float, Motion]:
+    def _roll(
+        self, motion: BallState, push: Array, most: float, limit: float
+    ) -> tuple[float, BallState]:
         def friction(y: Array) -> tuple[Array, Array]:
             drive, yielding, inverse = self._drive(y[2:6], y[6:], push)
             return np.asarray(-np.linalg.solve(yielding, drive)), inverse
@@ -133,7 +135,9 @@ class TumblingBall:
         end = y.y[:, -1]
         return float(y.t[-1]), self._moved(motion, end[:2], np.zeros(2), end[2:6], end[6:])
 
-    def _moved(self, motion: Motion, place: Array, slip: Array, turn: Array, spin: Array) -> Motion:
+    def _moved(
+        self, motion: BallState, place: Array, slip: Array, turn: Array, spin: Array
+    ) -> BallState:
         velocity = complex(*(slip - self.contact.radius * (_CROSS @ spin[:2])))
         moved = dataclasses.replace(motion, place=complex(*place), velocity=velocity)
         return _turned(moved, turn, spin)
@@ -228,13 +232,13 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
-def _turned(motion: Motion, turn: Array, spin: Array) -> Motion:
+def _turned(motion: BallState, turn: Array, spin: Array) -> BallState:
     x, y, z = spin.tolist()
     turn = turn / np.linalg.norm(turn)
     return dataclasses.replace(motion, turn=turn, spin=complex(x, y), twist=z)
 
 
-def _spin_of(motion: Motion) -> Array:
+def _spin_of(motion: BallState) -> Array:
     return np.array([motion.spin.real, motion.spin.imag, motion.twist])
 
 

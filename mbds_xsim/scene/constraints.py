@@ -10,12 +10,18 @@ Dynamics of Mechanical Systems, 1989, section 9.4), from which every joint is pu
 - normal: a · n, a fixed in the child and n in the parent: two make a hinge, three a lock;
 - distance: |p_child − p_parent| − L.
 
+Everything that turns with a body is a *vector* fixed in it (arms of joints, axes, normals), kept in
+one list: the evaluation turns all of them at once. *Spans* are pairs of points, one a joint, link
+or spring; their first and second ends come first in that list.
+
 All functions are vectorised over leading axes. The world is a body at rest with index −1.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,9 +33,18 @@ from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.row_space import independent_rows
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.intp]
 
 _AXES = np.eye(3)
+# Rows r × e_i of an arm r, as a linear map of r.
+_ARM = np.array(
+    [
+        [0, 0, 0, 0, 0, 1, 0, -1, 0],
+        [0, 0, -1, 0, 0, 0, 1, 0, 0],
+        [0, 1, 0, -1, 0, 0, 0, 0, 0],
+    ],
+    dtype=float,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +66,50 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
-    """Constant parts of the rows, grouped by form. Directions and points in native frames."""
+class Layout:
+    """The constant parts of the rows: which vectors and spans make them."""
 
-    point_joints: tuple[Indices, Indices, Array, Array, Indices]
-    along: tuple[Indices, Indices, Array, Array, Array, Indices]
-    normal: tuple[Indices, Indices, Array, Array, Indices]
-    distance: tuple[Indices, Indices, Array, Array, Array, Indices]
-    parent: Indices
-    child: Indices
+    vector_body: Indices
+    vector: Array
+    """In frames of the bodies, shape (vector, 3)."""
+    span_body: Indices
+    """Of the first and second ends, shape (2, span)."""
+    points: slice
+    """Spans of the ball, hinge and fixed joints."""
+    along: slice
+    """Spans of the rows that hold a slider on its line."""
+    distances: slice
+    springs: slice
+    along_normal: slice
+    """Vectors: the normals of the slider's line."""
+    normal: slice
+    """Vectors: the normals n in the parent, then (`lever`) the directions a in the child."""
+    lever: slice
+    hinge: slice
+    """Vectors: the hinges' axes, fixed in the parent."""
+    length: Array
+    """Of the distance links [m]."""
+    row_body: Indices
+    """Bodies of the two ends of every row, shape (2, row)."""
     owner: Indices
+    """As of `Rows`."""
+
+    @property
+    def row_count(self) -> int:
+        """Number of scalar constraints."""
+        return len(self.owner)
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """Bodies' rotation matrices, and vectors and spans with two time derivatives.
+
+    The second derivatives are those without accelerations of the bodies.
+    """
+
+    turn: Array
+    vector: tuple[Array, Array, Array]
+    span: tuple[Array, Array, Array]
 
 
 def constraint_rows(
@@ -79,26 +128,23 @@ def constraint_rows(
         velocity: Of the centres of mass in W [m/s], shape (…, body, 3).
         angular_velocity: In W [rad/s], shape (…, body, 3).
     """
-    layout = _layout(mechanism)
-    lead = position.shape[:-2]
-    world = np.zeros((*lead, 1, 3))
-    x = np.concatenate([position, world], axis=-2)
-    v = np.concatenate([velocity, world], axis=-2)
-    w = np.concatenate([angular_velocity, world], axis=-2)
-    q = np.concatenate([native, np.broadcast_to(rotation.IDENTITY, (*lead, 1, 4))], axis=-2)
-    turn = rotation.matrix(q)
-    parts = [
-        _point_rows(layout, x, turn, w),
-        _along_rows(layout, x, turn, v, w),
-        _normal_rows(layout, turn, w),
-        _distance_rows(layout, x, turn, v, w),
-    ]
-    residual, jacobian_parent, jacobian_child, bias = (
-        np.concatenate([part[k] for part in parts], axis=axis)
-        for k, axis in enumerate((-1, -2, -2, -1))
+    layout = layout_of(mechanism)
+    world = np.zeros((*position.shape[:-2], 1, 3))
+    x, v, w = (
+        np.concatenate([values, world], axis=-2)
+        for values in (position, velocity, angular_velocity)
     )
+    still = np.broadcast_to(rotation.IDENTITY, (*world.shape[:-1], 4))
+    turn = rotation.matrix(np.concatenate([native, still], axis=-2))
+    residual, bias, halves = evaluate(layout, motion_of(layout, turn, x, v, w))
     return Rows(
-        layout.parent, layout.child, layout.owner, residual, jacobian_parent, jacobian_child, bias
+        parent=layout.row_body[0],
+        child=layout.row_body[1],
+        owner=layout.owner,
+        residual=residual,
+        jacobian_parent=halves[..., 0, :-1, :],
+        jacobian_child=halves[..., 1, :-1, :],
+        bias=bias,
     )
 
 
@@ -141,166 +187,175 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
 
 
 @functools.lru_cache(maxsize=64)
-def _layout(mechanism: Mechanism) -> _Layout:
-    pointed = [j for j in mechanism.joints if j.kind != "slider"]
-    along: list[tuple[PlacedJoint, Array]] = []
-    normal: list[tuple[PlacedJoint, Array, Array]] = []
-    for joint in mechanism.joints:
-        if joint.kind == "slider":
-            along += [(joint, n) for n in rotation.normal_to(joint.axis)]
-        if joint.kind == "hinge":
-            normal += [(joint, joint.axis, n) for n in rotation.normal_to(joint.axis)]
-        if joint.kind in ("slider", "fixed"):
-            normal += [(joint, _AXES[k], _AXES[(k + 1) % 3]) for k in range(3)]
-    links = mechanism.distances
-    first_link = len(mechanism.joints)
-
-    def ends(items: list[PlacedJoint]) -> tuple[Indices, Indices]:
-        return (
-            np.array([j.parent for j in items], dtype=np.int64),
-            np.array([j.child for j in items], dtype=np.int64),
-        )
-
-    def vectors(items: list[Array]) -> Array:
-        return np.array(items, dtype=float).reshape(-1, 3)
-
-    def owners(items: list[PlacedJoint]) -> Indices:
-        return np.array([j.index for j in items], dtype=np.int64)
-
-    pp, pc = ends(pointed)
-    ap, ac = ends([j for j, _ in along])
-    np_, nc = ends([j for j, _, _ in normal])
-    dp = np.array([link.bodies[0] for link in links], dtype=np.int64)
-    dc = np.array([link.bodies[1] for link in links], dtype=np.int64)
-    down = first_link + np.arange(len(links))
-    point_owner = owners(pointed)
-    along_owner = owners([j for j, _ in along])
-    normal_owner = owners([j for j, _, _ in normal])
-    return _Layout(
-        point_joints=(
-            pp,
-            pc,
-            vectors([j.in_parent for j in pointed]),
-            vectors([j.in_child for j in pointed]),
-            point_owner,
-        ),
-        along=(
-            ap,
-            ac,
-            vectors([j.in_parent for j, _ in along]),
-            vectors([j.in_child for j, _ in along]),
-            vectors([n for _, n in along]),
-            along_owner,
-        ),
-        normal=(
-            np_,
-            nc,
-            vectors([n for _, _, n in normal]),
-            vectors([a for _, a, _ in normal]),
-            normal_owner,
-        ),
-        distance=(
-            dp,
-            dc,
-            vectors([link.in_body[0] for link in links]),
-            vectors([link.in_body[1] for link in links]),
-            np.array([link.length for link in links]),
-            down,
-        ),
-        parent=np.concatenate([np.repeat(pp, 3), ap, np_, dp]),
-        child=np.concatenate([np.repeat(pc, 3), ac, nc, dc]),
-        owner=np.concatenate([np.repeat(point_owner, 3), along_owner, normal_owner, down]),
+def layout_of(mechanism: Mechanism) -> Layout:
+    """Lay the rows of a mechanism out, with vectors in native frames (once each)."""
+    joints = mechanism.joints
+    points = [joint for joint in joints if joint.kind != "slider"]
+    along = [(j, n) for j in joints if j.kind == "slider" for n in rotation.normal_to(j.axis)]
+    normal = [(joint, a, n) for joint in joints for a, n in _normal_pairs(joint)]
+    pairs = (mechanism.distances, mechanism.springs)
+    groups = [
+        [(joint.parent, joint.child, joint.in_parent, joint.in_child) for joint in group]
+        for group in (points, [joint for joint, _ in along])
+    ] + [[(*pair.bodies, *pair.in_body) for pair in group] for group in pairs]
+    spans = [span for group in groups for span in group]
+    listed = [
+        [(span[0], span[2]) for span in spans],
+        [(span[1], span[3]) for span in spans],
+        [(joint.parent, n) for joint, n in along],
+        [(joint.parent, n) for joint, _, n in normal],
+        [(joint.child, a) for joint, a, _ in normal],
+        [(hinge.parent, hinge.axis) for hinge in mechanism.hinges],
+    ]
+    vectors = [pair for group in listed for pair in group]
+    of_points, of_along, of_distances, of_springs = _slices(groups)
+    along_normal, of_normal, lever, hinge = _slices(listed)[2:]
+    ends = _indices([span[:2] for span in spans]).reshape(-1, 2).T
+    normal_ends = _indices([(j.parent, j.child) for j, _, _ in normal]).reshape(-1, 2).T
+    owners = [joint.index for joint in points for _ in range(3)]
+    owners += [joint.index for joint, _ in along] + [joint.index for joint, _, _ in normal]
+    owners += [len(joints) + k for k in range(len(mechanism.distances))]
+    parts = (np.repeat(ends[:, of_points], 3, axis=1), ends[:, of_along], normal_ends)
+    return Layout(
+        _indices([body for body, _ in vectors]),
+        np.array([vector for _, vector in vectors], dtype=float).reshape(-1, 3),
+        ends,
+        of_points,
+        of_along,
+        of_distances,
+        of_springs,
+        along_normal,
+        of_normal,
+        lever,
+        hinge,
+        length=np.array([link.length for link in mechanism.distances]),
+        row_body=np.concatenate([*parts, ends[:, of_distances]], axis=1),
+        owner=_indices(owners),
     )
 
 
-_Part = tuple[Array, Array, Array, Array]
+def _normal_pairs(joint: PlacedJoint) -> list[tuple[Array, Array]]:
+    """Directions (a in the child, n in the parent) that stay at right angles."""
+    if joint.kind == "hinge":
+        return [(joint.axis, n) for n in rotation.normal_to(joint.axis)]
+    if joint.kind == "ball":
+        return []
+    return [(_AXES[k], _AXES[(k + 1) % 3]) for k in range(3)]
 
 
-def _turned(turn: Array, body: Indices, vector: Array) -> Array:
-    return np.einsum("...kij,kj->...ki", turn[..., body, :, :], vector)
+def _slices(groups: Sequence[Sequence[object]]) -> list[slice]:
+    """Say where groups are when they follow each other in one list."""
+    ends = np.cumsum([0, *map(len, groups)]).tolist()
+    return [slice(*pair) for pair in itertools.pairwise(ends)]
 
 
-def _point_rows(layout: _Layout, x: Array, turn: Array, w: Array) -> _Part:
-    parent, child, in_parent, in_child, _ = layout.point_joints
-    rp, rc = _turned(turn, parent, in_parent), _turned(turn, child, in_child)
-    wp, wc = w[..., parent, :], w[..., child, :]
-    gap = x[..., child, :] + rc - x[..., parent, :] - rp
-    bias = np.cross(wc, np.cross(wc, rc)) - np.cross(wp, np.cross(wp, rp))
-    lead = gap.shape[:-2]
-    rows = 3 * len(parent)
-    return (
-        gap.reshape(*lead, rows),
-        _point_block(rp, -1.0).reshape(*lead, rows, 6),
-        _point_block(rc, 1.0).reshape(*lead, rows, 6),
-        bias.reshape(*lead, rows),
-    )
+def _indices(values: Sequence[object]) -> Indices:
+    return np.array(values, dtype=np.intp)
 
 
-def _point_block(arm: Array, sign: float) -> Array:
-    """Rows e_i · (v + ω × arm): shape (…, joint, 3, 6)."""
-    block = np.zeros((*arm.shape[:-1], 3, 6))
-    block[..., [0, 1, 2], [0, 1, 2]] = sign
-    # e_i · (ω × r) = ω · (r × e_i)
-    block[..., 0, 4], block[..., 0, 5] = sign * arm[..., 2], -sign * arm[..., 1]
-    block[..., 1, 3], block[..., 1, 5] = -sign * arm[..., 2], sign * arm[..., 0]
-    block[..., 2, 3], block[..., 2, 4] = sign * arm[..., 1], -sign * arm[..., 0]
-    return block
+def motion_of(
+    layout: Layout, turn: Array, x: Array, v: Array, w: Array, *, bodies_first: bool = False
+) -> Moving:
+    """Move vectors and spans with their bodies, the world the last of them.
+
+    Args:
+        layout: Of which vectors and spans.
+        turn: Rotation matrices of the frames of the vectors, shape (…, body + world, 3, 3).
+        x: Centres of mass in W [m], shape (…, body + world, 3).
+        v: Their velocities [m/s].
+        w: Angular velocities in W [rad/s].
+        bodies_first: Whether spans add arms to the distance of the bodies, which rounds less far
+            from the origin, or start from the points; the bits of drawn starts depend on it.
+    """
+    body, (first, second) = layout.vector_body, layout.span_body
+    u = np.einsum("...kij,kj->...ki", turn[..., body, :, :], layout.vector)
+    spin = w[..., body, :]
+    rate = rotation.cross(spin, u)
+    bend = rotation.cross(spin, rate)
+    count = len(first)
+    a, b = slice(count), slice(count, 2 * count)
+
+    def between(values: Array | None, carried: Array) -> Array:
+        begin, end = carried[..., a, :], carried[..., b, :]
+        if values is None:
+            return end - begin
+        if bodies_first:
+            return values[..., second, :] - values[..., first, :] + end - begin
+        return values[..., second, :] + end - values[..., first, :] - begin
+
+    return Moving(turn, (u, rate, bend), (between(x, u), between(v, rate), between(None, bend)))
 
 
-def _along_rows(layout: _Layout, x: Array, turn: Array, v: Array, w: Array) -> _Part:
-    parent, child, in_parent, in_child, direction, _ = layout.along
-    rp, rc = _turned(turn, parent, in_parent), _turned(turn, child, in_child)
-    n = _turned(turn, parent, direction)
-    wp, wc = w[..., parent, :], w[..., child, :]
-    d = x[..., child, :] + rc - x[..., parent, :] - rp
-    d_rate = v[..., child, :] + np.cross(wc, rc) - v[..., parent, :] - np.cross(wp, rp)
-    d_bias = np.cross(wc, np.cross(wc, rc)) - np.cross(wp, np.cross(wp, rp))
-    n_rate = np.cross(wp, n)
-    bias = _dot(n, d_bias) + 2.0 * _dot(n_rate, d_rate) + _dot(np.cross(wp, n_rate), d)
-    return (
-        _dot(n, d),
-        np.concatenate([-n, -np.cross(rp + d, n)], axis=-1),
-        np.concatenate([n, np.cross(rc, n)], axis=-1),
-        bias,
-    )
+def evaluate(layout: Layout, motion: Moving) -> tuple[Array, Array, Array]:
+    """Evaluate all rows.
+
+    Returns:
+        Residuals and biases, shape (…, row), and the Jacobian's blocks of the parent and of the
+        child, shape (…, 2, row + 1, 6), of which the last one is empty.
+    """
+    arm, (count, points) = motion.vector[0], (layout.span_body.shape[1], layout.points.stop)
+    lead = arm.shape[:-2]
+    halves = np.zeros((*lead, 2, layout.row_count + 1, 6))
+    for end, sign, first in ((0, -1.0, 0), (1, 1.0, count)):
+        block = halves[..., end, : 3 * points, :].reshape(*lead, points, 3, 6, copy=False)
+        block[..., :3] = sign * _AXES
+        carried = arm[..., first : first + points, :] @ (sign * _ARM)
+        block[..., 3:] = carried.reshape(*lead, points, 3, 3)
+    residual = [motion.span[0][..., layout.points, :].reshape(*lead, -1)]
+    bias = [motion.span[2][..., layout.points, :].reshape(*lead, -1)]
+    done = 3 * points
+    for part in (_along_rows, _normal_rows, _distance_rows):
+        error, curvature = part(layout, motion, halves[..., done:, :])
+        residual.append(error)
+        bias.append(curvature)
+        done += error.shape[-1]
+    return np.concatenate(residual, axis=-1), np.concatenate(bias, axis=-1), halves
 
 
-def _normal_rows(layout: _Layout, turn: Array, w: Array) -> _Part:
-    parent, child, in_parent, in_child, _ = layout.normal
-    n, a = _turned(turn, parent, in_parent), _turned(turn, child, in_child)
-    wp, wc = w[..., parent, :], w[..., child, :]
-    n_rate, a_rate = np.cross(wp, n), np.cross(wc, a)
-    bias = (
-        _dot(np.cross(wc, a_rate), n) + 2.0 * _dot(a_rate, n_rate) + _dot(a, np.cross(wp, n_rate))
-    )
-    lever = np.cross(a, n)
-    zero = np.zeros_like(lever)
-    return (
-        _dot(a, n),
-        np.concatenate([zero, -lever], axis=-1),
-        np.concatenate([zero, lever], axis=-1),
-        bias,
-    )
+def _along_rows(layout: Layout, motion: Moving, halves: Array) -> tuple[Array, Array]:
+    d, d_rate, d_bend = (part[..., layout.along, :] for part in motion.span)
+    n, n_rate, n_bend = (part[..., layout.along_normal, :] for part in motion.vector)
+    if d.shape[-2]:
+        _fill_line(layout, motion, halves, layout.along, n, d)
+    bias = rotation.dot(n, d_bend) + 2.0 * rotation.dot(n_rate, d_rate) + rotation.dot(n_bend, d)
+    return rotation.dot(n, d), bias
 
 
-def _distance_rows(layout: _Layout, x: Array, turn: Array, v: Array, w: Array) -> _Part:
-    parent, child, in_parent, in_child, length, _ = layout.distance
-    rp, rc = _turned(turn, parent, in_parent), _turned(turn, child, in_child)
-    wp, wc = w[..., parent, :], w[..., child, :]
-    d = x[..., child, :] + rc - x[..., parent, :] - rp
-    d_rate = v[..., child, :] + np.cross(wc, rc) - v[..., parent, :] - np.cross(wp, rp)
-    d_bias = np.cross(wc, np.cross(wc, rc)) - np.cross(wp, np.cross(wp, rp))
-    distance = np.linalg.norm(d, axis=-1)
+def _normal_rows(layout: Layout, motion: Moving, halves: Array) -> tuple[Array, Array]:
+    n, n_rate, n_bend = (part[..., layout.normal, :] for part in motion.vector)
+    a, a_rate, a_bend = (part[..., layout.lever, :] for part in motion.vector)
+    lever = rotation.cross(a, n)
+    count = n.shape[-2]
+    halves[..., 0, :count, 3:], halves[..., 1, :count, 3:] = -lever, lever
+    bias = rotation.dot(a_bend, n) + 2.0 * rotation.dot(a_rate, n_rate) + rotation.dot(a, n_bend)
+    return rotation.dot(a, n), bias
+
+
+def _distance_rows(layout: Layout, motion: Moving, halves: Array) -> tuple[Array, Array]:
+    d, d_rate, d_bend = (part[..., layout.distances, :] for part in motion.span)
+    distance = rotation.norm(d)
     u = d / distance[..., None]
-    along = _dot(u, d_rate)
-    bias = _dot(u, d_bias) + (_dot(d_rate, d_rate) - along**2) / distance
-    return (
-        distance - length,
-        np.concatenate([-u, -np.cross(rp, u)], axis=-1),
-        np.concatenate([u, np.cross(rc, u)], axis=-1),
-        bias,
-    )
+    if d.shape[-2]:
+        _fill_line(layout, motion, halves, layout.distances, u, None)
+    along = rotation.dot(u, d_rate)
+    bias = rotation.dot(u, d_bend) + (rotation.dot(d_rate, d_rate) - along**2) / distance
+    return distance - layout.length, bias
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.sum(a * b, axis=-1))
+def _fill_line(
+    layout: Layout,
+    motion: Moving,
+    halves: Array,
+    spans: slice,
+    direction: Array,
+    carried: Array | None,
+) -> None:
+    """Fill blocks along a direction; `carried` is what the parent's turn carries with it."""
+    arm, count = motion.vector[0], layout.span_body.shape[1]
+    first, second = arm[..., spans, :], arm[..., spans.start + count : spans.stop + count, :]
+    if carried is not None:
+        first = first + carried
+    rows = slice(direction.shape[-2])
+    halves[..., 0, rows, :3], halves[..., 1, rows, :3] = -direction, direction
+    halves[..., 0, rows, 3:] = -rotation.cross(first, direction)
+    halves[..., 1, rows, 3:] = rotation.cross(second, direction)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.reference.ball import Contact, Load, Motion
+from mbds_xsim.reference.ball import BallState, Contact, Load
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
@@ -143,7 +143,7 @@ def test_impact_with_a_turning_slip(speed: float, sticks: bool) -> None:
     """Independent: ds/dp = −μ K s/|s| stepped through the impact, by its own matrix K."""
     uneven = TumblingBall(CONTACT, np.array([0.001, 0.004, 0.0049]))
     turn = np.array([0.8, 0.36, -0.48, 0.0])
-    motion = Motion(0j, 0.0, complex(speed, 0.4 * speed), -2.0, 3 - 2j, 1.5, turn)
+    motion = BallState(0j, 0.0, complex(speed, 0.4 * speed), -2.0, 3 - 2j, 1.5, turn)
     after = uneven.hit(motion)
     axes = rotation.matrix(turn)
     inverse = axes @ np.diag(1.0 / uneven.moments) @ axes.T
@@ -173,11 +173,11 @@ def test_equal_moments_are_the_closed_form(spin: complex, push: complex) -> None
     moment = 0.006
     even, uneven = EvenBall(CONTACT, moment), TumblingBall(CONTACT, np.full(3, moment))
     velocity = 0j if spin == 0 else 2 + 1j
-    motion = Motion(0j, 0.0, velocity, 0.0, spin, 2.0, rotation.IDENTITY.copy())
+    motion = BallState(0j, 0.0, velocity, 0.0, spin, 2.0, rotation.IDENTITY.copy())
     load = Load(push, -G)
     (used, one), (also, other) = (each.keep_contact(motion, load, 0.05) for each in (even, uneven))
     assert also == pytest.approx(used, abs=1e-12)
-    for field in dataclasses.fields(Motion):
+    for field in dataclasses.fields(BallState):
         expected, got = getattr(one, field.name), getattr(other, field.name)
         assert got == pytest.approx(expected, abs=1e-10), field.name
 
