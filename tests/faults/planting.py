@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import cast
 from unittest import mock
 
-from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome
-from mbds_xsim.measure.judge import Row, judge
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, reference_of
+from mbds_xsim.measure.judge import Row, judge, reference_result
+from mbds_xsim.measure.result import ReferenceResult
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Profile, Readback, Run, Settings
 from mbds_xsim.simulate.registry import load_adapter
-from mbds_xsim.simulate.timed import Simulation, simulate
+from mbds_xsim.simulate.timed import Simulation, recorded, simulate
 
 __all__ = ["Fault", "Faulty", "planted"]
 
@@ -62,30 +66,65 @@ class Fault:
     native: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext
     """What is changed in the adapter of an engine itself while it runs."""
 
+    @property
+    def only_recorded(self) -> bool:
+        """Whether the engine does what it does without the fault."""
+        changes = (self.model, self.settings, self.inputs, self.native)
+        return changes == (_same_model, _same_settings, _same_inputs, contextlib.nullcontext)
+
 
 @contextlib.contextmanager
 def planted(fault: Fault | None, engine: str) -> Iterator[None]:
     """Plant a fault into the simulations that a validation in this process makes.
 
-    A simulation of the same engine with the same fault, or none, is made and judged only once.
+    What does not depend on the fault is simulated, solved and judged only once.
     """
 
     def run(scene: Scene, batch: Batch, name: str, settings: Settings) -> Simulation:
-        bug = fault if name == engine else None
-        key = (bug, scene, name, repr(settings), batch.index.tobytes(), batch.force.tobytes())
-        if key not in _DONE:
-            _DONE[key] = _simulated(bug, scene, batch, name, settings)
-        return _DONE[key]
+        return _simulated(fault if name == engine else None, scene, batch, name, settings)
 
     with (
         mock.patch("mbds_xsim.measure.campaign.simulate", run),
+        mock.patch("mbds_xsim.measure.campaign.reference_of", _solved),
         mock.patch("mbds_xsim.studies.validate.validation.judge", _judged),
+        mock.patch("mbds_xsim.studies.validate.validation.reference_result", _audited),
     ):
         yield
 
 
-_DONE: dict[tuple[object, ...], Simulation] = {}
-_ROWS: dict[tuple[object, ...], Row] = {}
+_Key = tuple[object, ...]
+_DONE: dict[_Key, Simulation] = {}
+_ROWS: dict[_Key, Row] = {}
+_SOLVED: dict[_Key, ReferenceOutcome] = {}
+_AUDITED: dict[_Key, ReferenceResult] = {}
+
+
+def _drawn(scene: Scene, batch: Batch) -> _Key:
+    """Tell what is simulated from all else; the starts follow from the scene and their numbers."""
+    return scene, batch.index.tobytes(), batch.force.tobytes()
+
+
+def _simulated(
+    fault: Fault | None, scene: Scene, batch: Batch, engine: str, settings: Settings
+) -> Simulation:
+    key = (fault, engine, repr(settings), *_drawn(scene, batch))
+    if key not in _DONE:
+        _DONE[key] = _carried_out(fault, scene, batch, engine, settings)
+    return _DONE[key]
+
+
+def _solved(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:
+    key = _drawn(scene, batch)
+    if key not in _SOLVED:
+        _SOLVED[key] = reference_of(scene, batch, cache)
+    return _SOLVED[key]
+
+
+def _audited(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> ReferenceResult:
+    key = _drawn(scene, batch)
+    if key not in _AUDITED:
+        _AUDITED[key] = reference_result(scene, batch, reference)
+    return _AUDITED[key]
 
 
 def _judged(
@@ -98,11 +137,16 @@ def _judged(
     return _ROWS[key]
 
 
-def _simulated(
+def _carried_out(
     fault: Fault | None, scene: Scene, batch: Batch, engine: str, settings: Settings
 ) -> Simulation:
     if fault is None:
         return simulate(scene, batch, engine, settings)
+    if fault.only_recorded:
+        sound = _simulated(None, scene, batch, engine, settings)
+        motion = fault.motion(scene, batch, settings.step, sound.trajectory)
+        run = cast(Run, SimpleNamespace(rollout=lambda _: motion))
+        return dataclasses.replace(sound, trajectory=recorded(run, batch))
     adapter = Faulty(load_adapter(engine), fault)
     loading = mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter)
     with fault.native(engine), loading:
