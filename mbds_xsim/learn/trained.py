@@ -98,6 +98,11 @@ class TrainedModel:
         return len(self.engines) == 1
 
     @property
+    def domains(self) -> tuple[str, ...]:
+        """Domains that it was trained on: engines and variant."""
+        return tuple(f"{engine}-{self.variant}" for engine in self.engines)
+
+    @property
     def way(self) -> str:
         """The word of `mbds-xsim train --on` that makes it."""
         if self.interval:

@@ -34,7 +34,6 @@ from mbds_xsim.learn.shift.evaluation import (
 from mbds_xsim.learn.shift.gaps import (
     UNKNOWN,
     Draws,
-    ModelSeeds,
     Resampler,
     bounds_of,
     gaps_of,
@@ -320,7 +319,7 @@ def test_kinds_of_gaps() -> None:
     every = ["a-native", "b-native", "c-native", "a-matched", "c-matched"]
 
     def kind(engines: tuple[str, ...], test: str) -> str:
-        return kind_of(ModelSeeds("gns", "any", engines, "native"), test, every)
+        return kind_of(_entry("any", 0, engines), test, every)
 
     assert kind(("a",), "a-native") == ""
     assert kind(("a",), "b-native") == "single"

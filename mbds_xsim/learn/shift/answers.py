@@ -6,6 +6,7 @@ of covariates beside that of domains, as in Koh et al., WILDS, ICML 2021.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,12 +23,13 @@ from mbds_xsim.learn.shift.gaps import (
     UNKNOWN,
     UNSURE,
     WEAK,
+    Bounded,
     Draws,
-    ModelSeeds,
-    bounds_of,
+    Look,
     trainings_of,
 )
 from mbds_xsim.learn.shift.result import INTERVALS, Answer, BoundedRatio, Gap, values
+from mbds_xsim.learn.trained import TrainedModel
 
 RESOLVABLE, ROBUST, MATCHED, SPEED = "resolvable", "robust", "matched", "speed"
 """Kinds of answers beside those that are named after a kind of training."""
@@ -38,52 +40,22 @@ _BLIND = (
 )
 _ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
 _UNTOLD = f"this cannot be told: {_BLIND}"
+_VERDICTS = ("helps", "harms", "makes no difference that can be told")
 
 Array = NDArray[np.float64]
-Look = Callable[[ModelSeeds, str], Array]
-"""Errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
-
-
-@dataclass(frozen=True)
-class _Ratio:
-    """A figure of 1 where nothing changes, with its interval, at the frames."""
-
-    value: Array
-    low: Array
-    high: Array
-
-    def text(self, place: int) -> str:
-        return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
-
-    def verdict(self, place: int, less: str, more: str, same: str) -> str:
-        if self.high[place] < 1.0:
-            return less
-        return more if self.low[place] > 1.0 else same
-
-    @property
-    def result(self) -> BoundedRatio:
-        return BoundedRatio(values(self.value), values(self.low), values(self.high))
-
-
-def _texts(ratios: Mapping[str, _Ratio], place: int) -> str:
-    return ", ".join(f"{model} {ratio.text(place)}" for model, ratio in ratios.items())
-
-
-def _results(ratios: Mapping[str, _Ratio]) -> dict[str, BoundedRatio]:
-    return {model: ratio.result for model, ratio in ratios.items()}
 
 
 @dataclass(frozen=True)
 class _Trainings:
-    """Those of one model in one variant, on domains of the variant."""
+    """Trainings of one model in one variant, on domains of the variant."""
 
     model: str
     variant: str
-    singles: dict[str, ModelSeeds]
-    """By the domain."""
-    without: dict[str, ModelSeeds]
+    singles: dict[str, TrainedModel]
+    """Single-engine trainings by their domain."""
+    without: dict[str, TrainedModel]
     """Leave-one-out trainings, by the domain that is left out."""
-    everything: ModelSeeds | None
+    everything: TrainedModel | None
 
 
 def answers_of(
@@ -105,9 +77,8 @@ def answers_of(
 def _trainings(evaluation: Evaluation, model: str, variant: str) -> _Trainings:
     tests = [domain.name for domain in evaluation.test.domains if domain.variant == variant]
     trainings = [t for t in trainings_of(evaluation, model) if t.variant == variant]
-    singles = {t.domains[0]: t for t in trainings if len(t.engines) == 1}
-    several = [t for t in trainings if len(t.engines) > 1]
-    absent = {t: [name for name in tests if name not in t.domains] for t in several}
+    singles = {t.domains[0]: t for t in trainings if t.single}
+    absent = {t: [n for n in tests if n not in t.domains] for t in trainings if not t.single}
     return _Trainings(
         model,
         variant,
@@ -177,7 +148,8 @@ def _most_robust(
     within = {group.model: _gaps_within(group, group.singles, gaps) for group in groups}
     resolved = {model: [g for g in own if g.resolved[place]] for model, own in within.items()}
     ratios = {
-        g.model: _ratio(draws, _worst_gap, g, resolved[g.model] or within[g.model]) for g in groups
+        group.model: draws.bounded(_worst_gap(group, resolved[group.model] or within[group.model]))
+        for group in groups
     }
     ordered = {m: ratios[m] for m in sorted(ratios, key=lambda model: ratios[model].value[place])}
     able = [model for model in ordered if resolved[model]]
@@ -192,7 +164,7 @@ def _most_robust(
     return Answer(ROBUST, question, text, variant, _results(ratios))
 
 
-def _first(able: Sequence[str], ratios: Mapping[str, _Ratio], place: int) -> str:
+def _first(able: Sequence[str], ratios: Mapping[str, Bounded], place: int) -> str:
     """Name the first of those in which a shift can be seen, and how sure that is."""
     if not able:
         return _UNTOLD
@@ -205,10 +177,10 @@ def _first(able: Sequence[str], ratios: Mapping[str, _Ratio], place: int) -> str
 
 
 def _gaps_within(
-    group: _Trainings, trainings: Mapping[str, ModelSeeds], gaps: Sequence[Gap]
+    group: _Trainings, trainings: Mapping[str, TrainedModel], gaps: Sequence[Gap]
 ) -> list[Gap]:
     """Gaps of some of a group's trainings to domains of its variant."""
-    names = {training.name for training in trainings.values()}
+    names = {training.training for training in trainings.values()}
     own = [gap for gap in gaps if gap.model == group.model and gap.training in names]
     return [gap for gap in own if gap.test in group.singles]
 
@@ -217,14 +189,18 @@ def _count_resolved(gaps: Sequence[Gap], place: int) -> str:
     return f"{sum(gap.resolved[place] for gap in gaps)} of {len(gaps)}"
 
 
-def _worst_gap(group: _Trainings, gaps: Sequence[Gap], look: Look) -> Array:
+def _worst_gap(group: _Trainings, gaps: Sequence[Gap]) -> Callable[[Look], Array]:
     """Largest ratio to the target-trained model."""
-    singles = {training.name: training for training in group.singles.values()}
-    ratios = [
-        _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
-        for gap in gaps
-    ]
-    return np.asarray(np.max(ratios, axis=0))
+    singles = {training.training: training for training in group.singles.values()}
+
+    def worst(look: Look) -> Array:
+        ratios = [
+            _over(look(singles[gap.training], gap.test), look(group.singles[gap.test], gap.test))
+            for gap in gaps
+        ]
+        return np.asarray(np.max(ratios, axis=0))
+
+    return worst
 
 
 def _mean_gap(group: _Trainings, look: Look) -> Array:
@@ -237,47 +213,47 @@ def _mean_gap(group: _Trainings, look: Look) -> Array:
 def _several_engines(
     draws: Draws, group: _Trainings, gaps: Sequence[Gap], place: int
 ) -> Iterator[Answer]:
-    frame = draws.evaluation.frames[place]
-    words = ("helps", "harms", "makes no difference that can be told")
-    shared = [name for name in group.without if name in group.singles]
+    model, variant, singles = group.model, group.variant, group.singles
+    at, everything = f"At t = {draws.evaluation.frames[place]}", group.everything
+    shared = [name for name in group.without if name in singles]
+
+    def left_out(look: Look) -> Array:
+        """Error without the target over that of single other engines, as geometric means."""
+        ratios = []
+        for test in shared:
+            others = [look(t, test) for name, t in singles.items() if name != test]
+            ratios.append(_over(look(group.without[test], test), _geometric(others)))
+        return _geometric(ratios)
+
+    def worst_of_all(look: Look) -> Array:
+        """Worst engine of the all-engine training over the mean worst of the single ones."""
+        assert everything is not None
+        worst, *each = (
+            np.max([look(t, test) for test in singles], axis=0)
+            for t in (everything, *singles.values())
+        )
+        return _over(worst, _geometric(each))
+
     if shared:
-        ratio = _ratio(draws, _left_out_ratio, group, shared)
+        ratio = draws.bounded(left_out)
         parts = _count_resolved(_gaps_within(group, group.without, gaps), place)
         text = (
-            f"At t = {frame} leaving one engine out {ratio.verdict(place, *words)} on the engine "
+            f"{at} leaving one engine out {ratio.verdict(place, *_VERDICTS)} on the engine "
             "left out, against training on a single other engine: error ratio "
             f"{ratio.text(place)}. Of the gaps of these trainings to the target-trained model "
             f"{parts} are resolved"
         )
-        question = f"Does training on several others help {group.model} ({group.variant})?"
-        yield Answer(LEAVE_ONE_OUT, question, text, group.variant, {group.model: ratio.result})
-    if group.everything is not None:
-        ratio = _ratio(draws, _worst_of_all_ratio, group)
+        question = f"Does training on several others help {model} ({variant})?"
+        yield Answer(LEAVE_ONE_OUT, question, text, variant, _results({model: ratio}))
+    if everything is not None:
+        ratio = draws.bounded(worst_of_all)
         text = (
-            f"At t = {frame} training on all engines {ratio.verdict(place, *words)} on the worst "
+            f"{at} training on all engines {ratio.verdict(place, *_VERDICTS)} on the worst "
             "engine, against single-engine trainings on their worst: error ratio "
             f"{ratio.text(place)}"
         )
-        question = f"Does training on all engines help {group.model} ({group.variant})?"
-        yield Answer(ALL, question, text, group.variant, {group.model: ratio.result})
-
-
-def _left_out_ratio(group: _Trainings, targets: Sequence[str], look: Look) -> Array:
-    """Error without the target over that of single other engines, as geometric means."""
-    ratios = []
-    for test in targets:
-        others = [look(t, test) for name, t in group.singles.items() if name != test]
-        ratios.append(_over(look(group.without[test], test), _geometric(others)))
-    return _geometric(ratios)
-
-
-def _worst_of_all_ratio(group: _Trainings, look: Look) -> Array:
-    """Worst engine of the all-engine training over the mean worst of the single ones."""
-    assert group.everything is not None
-    tests = list(group.singles)
-    worst = np.max([look(group.everything, test) for test in tests], axis=0)
-    each = [np.max([look(t, test) for test in tests], axis=0) for t in group.singles.values()]
-    return _over(worst, _geometric(each))
+        question = f"Does training on all engines help {model} ({variant})?"
+        yield Answer(ALL, question, text, variant, _results({model: ratio}))
 
 
 def _matched(
@@ -285,30 +261,31 @@ def _matched(
 ) -> Iterator[Answer]:
     """Compare the mean gaps of a model between variants."""
     frame = draws.evaluation.frames[place]
-    by_model: dict[str, dict[str, _Trainings]] = {}
-    for group in groups:
-        by_model.setdefault(group.model, {})[group.variant] = group
-    for model, variants in by_model.items():
-        if {"native", "matched"} <= set(variants):
-            native, matched = (
-                _ratio(draws, _mean_gap, variants[name]) for name in ("native", "matched")
-            )
-            change = _ratio(draws, _lessening, variants)
-            within = {name: _gaps_within(g, g.singles, gaps) for name, g in variants.items()}
-            text = f"At t = {frame} {_removal(native, matched, change, within, place)}. "
-            text += f"Mean gap ratio {native.text(place)} on native, {matched.text(place)} on "
-            text += f"matched data, {change.text(place)} of the two"
-            question = f"Does matched data remove the shift of {model}?"
-            yield Answer(MATCHED, question, text, ratios={model: change.result})
+    for model in dict.fromkeys(group.model for group in groups):
+        variants = {group.variant: group for group in groups if group.model == model}
+        if not {"native", "matched"} <= set(variants):
+            continue
+        native, matched = (
+            draws.bounded(functools.partial(_mean_gap, variants[v])) for v in ("native", "matched")
+        )
+        change = draws.bounded(functools.partial(_lessening, variants))
+        within = {name: _gaps_within(g, g.singles, gaps) for name, g in variants.items()}
+        text = (
+            f"At t = {frame} {_removal(native, matched, change, within, place)}. "
+            f"Mean gap ratio {native.text(place)} on native, {matched.text(place)} on "
+            f"matched data, {change.text(place)} of the two"
+        )
+        question = f"Does matched data remove the shift of {model}?"
+        yield Answer(MATCHED, question, text, ratios=_results({model: change}))
 
 
-def _lessening(variants: dict[str, _Trainings], look: Look) -> Array:
+def _lessening(variants: Mapping[str, _Trainings], look: Look) -> Array:
     """Mean gap on native data over that on matched data, of the same trajectories."""
     return _over(_mean_gap(variants["native"], look), _mean_gap(variants["matched"], look))
 
 
 def _removal(
-    native: _Ratio, matched: _Ratio, change: _Ratio, gaps: dict[str, list[Gap]], place: int
+    native: Bounded, matched: Bounded, change: Bounded, gaps: dict[str, list[Gap]], place: int
 ) -> str:
     """Tell a shift that went from one that an interval of matched data is too wide to show."""
     if not native.low[place] > 1.0:
@@ -333,17 +310,16 @@ def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
         return
     place = evaluation.frames.index(at)
     draws = {interval: Draws(evaluation, interval) for interval in speeds}
+    trained: dict[tuple[str, str], dict[str, TrainedModel]] = {}
+    for run in evaluation.entries:
+        if run.interval:
+            trained.setdefault((run.model, run.domains[0]), {}).setdefault(run.interval, run)
     for domain in evaluation.test.domains:
-        ratios = {}
-        for model in evaluation.models:
-            trained = {
-                entry.interval: ModelSeeds.of(entry)
-                for entry in evaluation.entries
-                if entry.model == model and entry.interval
-                if domain.name == ModelSeeds.of(entry).domains[0]
-            }
-            if len(trained) == len(speeds):
-                ratios[model] = _worst_speed(draws, trained, domain.name)
+        ratios = {
+            model: _worst_speed(draws, own, domain.name)
+            for model in evaluation.models
+            if len(own := trained.get((model, domain.name), {})) == len(speeds)
+        }
         if ratios:
             text = (
                 f"At t = {at} on {domain.name}, trained on the starts of another interval of speed "
@@ -354,24 +330,31 @@ def answers_by_interval(evaluation: Evaluation, at: int) -> Iterator[Answer]:
             yield Answer(SPEED, question, text, domain.variant, _results(ratios))
 
 
-def _worst_speed(draws: dict[str, Draws], trained: dict[str, ModelSeeds], domain: str) -> _Ratio:
+def _worst_speed(
+    draws: Mapping[str, Draws], trained: Mapping[str, TrainedModel], domain: str
+) -> Bounded:
     """Largest ratio of errors on an interval, of a training on another to that on itself."""
-    pairs = list(itertools.permutations(trained, 2))
 
-    def worst(look: Callable[[Draws, ModelSeeds], Array]) -> Array:
-        ratios = [look(draws[b], trained[a]) / look(draws[b], trained[b]) for a, b in pairs]
-        return np.asarray(np.max(ratios, axis=0))
+    def worst(look: str) -> Array:
+        error = {
+            (run, tested): getattr(draws[tested], look)(trained[run], domain)
+            for run, tested in itertools.product(trained, repeat=2)
+        }
+        pairs = itertools.permutations(trained, 2)
+        return np.asarray(np.max([error[a, b] / error[b, b] for a, b in pairs], axis=0))
 
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = worst(lambda drawn, training: drawn.mean(training, domain))
-        low, high = bounds_of(worst(lambda drawn, training: drawn.drawn(training, domain)))
-    return _Ratio(value, low, high)
+    return Bounded.of(worst, "mean", "drawn")
 
 
-def _ratio(draws: Draws, figure: Callable[..., Array], *what: object) -> _Ratio:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value, drawn = (figure(*what, look) for look in (draws.mean, draws.drawn))
-        return _Ratio(value, *bounds_of(drawn))
+def _texts(ratios: Mapping[str, Bounded], place: int) -> str:
+    return ", ".join(f"{model} {ratio.text(place)}" for model, ratio in ratios.items())
+
+
+def _results(ratios: Mapping[str, Bounded]) -> dict[str, BoundedRatio]:
+    return {
+        model: BoundedRatio(values(ratio.value), values(ratio.low), values(ratio.high))
+        for model, ratio in ratios.items()
+    }
 
 
 def _over(here: Array, there: Array) -> Array:

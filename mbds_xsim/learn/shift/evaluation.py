@@ -63,9 +63,10 @@ class Evaluation:
         """Names of the trained models."""
         return list(dict.fromkeys(e.model for e in self.entries if e.path is not None))
 
-    def runs(self, model: str, training: str) -> list[TrainedModel]:
-        """Seeds of a training."""
-        return [e for e in self.entries if (e.model, e.training) == (model, training)]
+    def runs(self, run: TrainedModel) -> list[TrainedModel]:
+        """All seeds of a run's training."""
+        same = (run.model, run.training)
+        return [entry for entry in self.entries if (entry.model, entry.training) == same]
 
     def rolled(self) -> Iterator[tuple[tuple[str, str, int, str], RolloutFigures]]:
         """Give model, training, seed and domain of all figures; engines stand behind as models."""
@@ -75,12 +76,12 @@ class Evaluation:
             for (first, test), figures in pairs.items():
                 yield (kind, first, 0, test), figures
 
-    def errors(self, model: str, training: str, test: str) -> Array:
-        """Errors at `frames`, none of them dropped: lost ones count as exploded [m²].
+    def errors(self, training: TrainedModel, test: str) -> Array:
+        """Errors of a training at `frames`, none dropped: lost ones count as exploded [m²].
 
         Shape (seed, trajectory, frame); NaN where the truth is not known.
         """
-        errors = [self.figures[run, test].error for run in self.runs(model, training)]
+        errors = [self.figures[run, test].error for run in self.runs(training)]
         return self.counted(np.stack(errors))
 
     def floor(self, first: str, test: str) -> Array:

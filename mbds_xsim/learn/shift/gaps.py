@@ -1,7 +1,7 @@
 """What a change of engine costs: models on a domain against those that were trained there.
 
-Intervals are by paired bootstrap. Whether engines, and the paper, put the models in one order is
-told beside.
+Intervals are by paired bootstrap. Beside the gaps stands whether engines, and the paper, put the
+models in one order.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ import csv
 import functools
 import itertools
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from mbds_xsim.learn.trained import TrainedModel
 Array = NDArray[np.float64]
 Errors = dict[tuple[str, int], float]
 """Mean errors by model and frame."""
+Look = Callable[[TrainedModel, str], Array]
+"""Gives errors of a training on a domain: means (frame,), or resampled ones (draw, frame)."""
 
 SINGLE, LEAVE_ONE_OUT, ALL = "single", "leave-one-out", "all"
 
@@ -42,27 +45,35 @@ _LEAST = 3  # models: two can only be in order or out of it
 
 
 @dataclass(frozen=True)
-class ModelSeeds:
-    """Models of one kind and training; they differ in their seeds."""
+class Bounded:
+    """A figure at the frames with its 95 % interval, each of shape (frame,)."""
 
-    model: str
-    name: str
-    engines: tuple[str, ...]
-    variant: str
+    value: Array
+    low: Array
+    high: Array
 
     @staticmethod
-    def of(model: TrainedModel) -> ModelSeeds:
-        """Those that a model is of."""
-        return ModelSeeds(model.model, model.training, model.engines, model.variant)
+    def of(figure: Callable[[Any], Array], mean: Any, drawn: Any) -> Bounded:
+        """Compute a figure from the mean errors, and its bounds from the resampled ones."""
+        with np.errstate(divide="ignore", invalid="ignore"):  # not a number where both are 0
+            return Bounded(figure(mean), *bounds_of(figure(drawn)))
 
-    @property
-    def domains(self) -> tuple[str, ...]:
-        """That it was trained on."""
-        return tuple(f"{engine}-{self.variant}" for engine in self.engines)
+    def text(self, place: int) -> str:
+        """Write value and interval at a frame."""
+        return f"{self.value[place]:.3g} [{self.low[place]:.3g}, {self.high[place]:.3g}]"
+
+    def verdict(self, place: int, less: str, more: str, same: str) -> str:
+        """Choose the words for a ratio that is below 1, above 1, or neither for certain."""
+        if self.high[place] < 1.0:
+            return less
+        return more if self.low[place] > 1.0 else same
 
 
 class Draws:
-    """Mean errors of trainings on domains, and resampled ones, all drawn together."""
+    """Mean errors of trainings on domains, and resampled ones, all drawn together.
+
+    A training stands for all its seeds.
+    """
 
     def __init__(self, evaluation: Evaluation, interval: str = INTERVALS[0]) -> None:
         self.evaluation, self._rows = evaluation, evaluation.rows(interval)
@@ -70,38 +81,42 @@ class Draws:
         self.mean = functools.cache(self._mean)
         self.drawn = functools.cache(self._drawn)
 
-    def _mean(self, training: ModelSeeds, test: str) -> Array:
+    def bounded(self, figure: Callable[[Look], Array]) -> Bounded:
+        """Compute a figure from errors of trainings on domains, and its interval."""
+        return Bounded.of(figure, self.mean, self.drawn)
+
+    def _mean(self, training: TrainedModel, test: str) -> Array:
         return np.asarray(self._errors(training, test).mean(axis=(0, 1)))
 
-    def _drawn(self, training: ModelSeeds, test: str) -> Array:
-        errors = self._errors(training, test)
-        seeds = [run.seed for run in self.evaluation.runs(training.model, training.name)]
-        return self._resampler.means(errors, f"{training.model} {seeds}")
+    def _drawn(self, training: TrainedModel, test: str) -> Array:
+        seeds = [run.seed for run in self.evaluation.runs(training)]
+        return self._resampler.means(self._errors(training, test), f"{training.model} {seeds}")
 
-    def _errors(self, training: ModelSeeds, test: str) -> Array:
-        return self.evaluation.errors(training.model, training.name, test)[:, self._rows]
+    def _errors(self, training: TrainedModel, test: str) -> Array:
+        return self.evaluation.errors(training, test)[:, self._rows]
 
 
-def trainings_of(evaluation: Evaluation, model: str) -> list[ModelSeeds]:
-    """Trainings of a model on all starts, in order.
+def trainings_of(evaluation: Evaluation, model: str) -> list[TrainedModel]:
+    """Give one run of each training of a model on all starts, in order.
 
     To leave one of two engines out is to train on the other.
     """
-    by_domains: dict[tuple[str, ...], ModelSeeds] = {}
-    entries = [entry for entry in evaluation.entries if entry.model == model and not entry.interval]
-    for training in map(ModelSeeds.of, entries):
-        if training.domains not in by_domains or training.name in training.domains:
-            by_domains[training.domains] = training
+    by_domains: dict[tuple[str, ...], TrainedModel] = {}
+    for run in evaluation.entries:
+        if run.model == model and not run.interval:
+            known = by_domains.setdefault(run.domains, run)
+            if known.training not in run.domains and run.training in run.domains:
+                by_domains[run.domains] = run
     return list(by_domains.values())
 
 
-def kind_of(training: ModelSeeds, test: str, every: Sequence[str]) -> str:
+def kind_of(training: TrainedModel, test: str, every: Sequence[str]) -> str:
     """Give what a training is to a test domain; "" where there is no shift between them.
 
-    Of several engines' trainings only engines that were left out are told, in either variant: what
-    other settings of a known engine do, single ones tell. `every` names all engine domains.
+    Several engines' trainings count on engines that were left out, in either variant: what other
+    settings of a known engine do, single ones show. `every` names all engine domains.
     """
-    if len(training.engines) == 1:
+    if training.single:
         return "" if test in training.domains else SINGLE
     own = {domain for domain in every if domain.endswith(f"-{training.variant}")}
     if own <= set(training.domains):
@@ -117,12 +132,11 @@ def gaps_of(evaluation: Evaluation, draws: Draws, noise: Array, chaos: Array) ->
     every = [domain.name for domain in evaluation.test.domains]
     for model in evaluation.models:
         trainings = trainings_of(evaluation, model)
-        targets = {t.domains[0]: t for t in trainings if len(t.engines) == 1}
-        for training in trainings:
-            for test in every:
-                kind = kind_of(training, test, every)
-                if kind and test in targets:
-                    yield _gap(draws, kind, training, targets[test], (noise, chaos))
+        targets = {training.domains[0]: training for training in trainings if training.single}
+        for training, test in itertools.product(trainings, every):
+            kind = kind_of(training, test, every)
+            if kind and test in targets:
+                yield _gap(draws, kind, training, targets[test], (noise, chaos))
 
 
 def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
@@ -139,43 +153,45 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
 
 
 def _gap(
-    draws: Draws, kind: str, training: ModelSeeds, target: ModelSeeds, floors: tuple[Array, Array]
+    draws: Draws,
+    kind: str,
+    training: TrainedModel,
+    target: TrainedModel,
+    floors: tuple[Array, Array],
 ) -> Gap:
-    test, evaluation = target.domains[0], draws.evaluation
-    here, there = draws.mean(training, test), draws.mean(target, test)
-    drawn = draws.drawn(training, test), draws.drawn(target, test)
+    test, runs = target.domains[0], draws.evaluation.runs
     own, floor = _own_and_floor(draws, training, test)
-    low, high = bounds_of(drawn[0] - drawn[1])
-    why = [why_unresolved(*each) for each in zip(own, floor, low, high, strict=True)]
-    with np.errstate(divide="ignore", invalid="ignore"):  # not a number where both are 0
-        ratio, (ratio_low, ratio_high) = here / there, bounds_of(drawn[0] / drawn[1])
+    ratio = draws.bounded(lambda look: look(training, test) / look(target, test))
+    difference = draws.bounded(lambda look: look(training, test) - look(target, test))
+    bounds = zip(own, floor, difference.low, difference.high, strict=True)
+    why = tuple(why_unresolved(*each) for each in bounds)
+    figures = {
+        "own": own,
+        "transferred": draws.mean(training, test),
+        "target": draws.mean(target, test),
+        "ratio": ratio.value,
+        "ratio_low": ratio.low,
+        "ratio_high": ratio.high,
+        "difference": difference.value,
+        "difference_low": difference.low,
+        "difference_high": difference.high,
+        "engine_floor": floor,
+        "noise_floor": floors[0],
+        "chaos_floor": floors[1],
+    }
     return Gap(
         model=training.model,
         kind=kind,
-        training=training.name,
+        training=training.training,
         test=test,
-        seeds=(
-            len(evaluation.runs(training.model, training.name)),
-            len(evaluation.runs(target.model, target.name)),
-        ),
-        own=values(own),
-        transferred=values(here),
-        target=values(there),
-        ratio=values(ratio),
-        ratio_low=values(ratio_low),
-        ratio_high=values(ratio_high),
-        difference=values(here - there),
-        difference_low=values(low),
-        difference_high=values(high),
-        engine_floor=values(floor),
-        noise_floor=values(floors[0]),
-        chaos_floor=values(floors[1]),
+        seeds=(len(runs(training)), len(runs(target))),
+        **{name: values(figure) for name, figure in figures.items()},
         resolved=tuple(not reason for reason in why),
-        why=tuple(why),
+        why=why,
     )
 
 
-def _own_and_floor(draws: Draws, training: ModelSeeds, test: str) -> tuple[Array, Array]:
+def _own_and_floor(draws: Draws, training: TrainedModel, test: str) -> tuple[Array, Array]:
     """R_ii and D_ij of the engine i of the training from which √R_ij ≤ √R_ii + √D_ij says most.
 
     Both are NaN where no other domain of the training is tested.
@@ -248,32 +264,27 @@ def ranks_alike(first: Mapping[str, float], second: Mapping[str, float]) -> floa
     return None if np.isnan(tau) else tau
 
 
-def paper_rows(scene: str) -> list[dict[str, str]]:
-    """Give the paper's printed values of a scene, as they stand in its tables."""
-    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
-    rows = csv.DictReader(text.splitlines())
-    values_of = [row for row in rows if row["kind"] == "value"]
-    return [row for row in values_of if row["scenario"].replace("-", "").lower() == scene]
-
-
 def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
-    """Give the same of all speeds together [m², if the paper's unit is the metre].
+    """Give the paper's printed errors of a scene at all speeds [m², if its unit is the metre].
 
     With `flagged` also those that a note says cannot be right as printed.
     """
-    rows = [r for r in paper_rows(scene) if not r["speed"] and (flagged or not r["note"])]
-    return {(row["model"].lower(), int(row["t"])): float(row["mean_si"]) for row in rows}
+    text = resources.files("mbds_xsim.learn.shift").joinpath("paper.csv").read_text("utf-8")
+    return {
+        (row["model"].lower(), int(row["t"])): float(row["mean_si"])
+        for row in csv.DictReader(text.splitlines())
+        if row["kind"] == "value" and row["scenario"].replace("-", "").lower() == scene
+        if not row["speed"] and (flagged or not row["note"])
+    }
 
 
 def _orders(evaluation: Evaluation, draws: Draws) -> dict[str, Errors]:
-    """Mean errors by domain."""
+    """Mean errors at home by domain."""
     orders: dict[str, Errors] = {}
     tested = {domain.name for domain in evaluation.test.domains}
     for training in (t for model in evaluation.models for t in trainings_of(evaluation, model)):
-        if len(training.engines) == 1 and training.domains[0] in tested:
-            means = draws.mean(training, training.domains[0]).tolist()
-            order = orders.setdefault(training.domains[0], {})
-            order.update(
-                {(training.model, f): x for f, x in zip(evaluation.frames, means, strict=True)}
-            )
+        home = training.domains[0]
+        if training.single and home in tested:
+            means = zip(evaluation.frames, draws.mean(training, home).tolist(), strict=True)
+            orders.setdefault(home, {}).update({(training.model, f): x for f, x in means})
     return orders
