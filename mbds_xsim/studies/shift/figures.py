@@ -13,12 +13,13 @@ from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
 from mbds_xsim.report.training_curves import looks
-from mbds_xsim.studies.shift.matrix import Matrix, at, matrix_of, trained_models
+from mbds_xsim.studies.shift.matrix import Matrix, at, maps_at, matrix_of, trained_models
 
 _CELL = (0.95, 0.34)  # width and height [in]
 _MARGIN = (2.4, 1.5)
 _LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
 _ABREAST = 2  # more would be too small to read on a page
+_FORMULAS = dict(zip(TRIVIAL, (":", "--", "-."), strict=True))  # their lines
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 
 
@@ -105,20 +106,20 @@ def draw_curves(axes: Any, shift: Shift, model: str, test: str) -> None:
         test: Name of the domain.
     """
     time = [shift.frame_s * (k + 1) for k in range(shift.horizon)]
-    variant = test.rpartition("-")[2]
     here = [c for c in shift.cells if (c.test, c.interval) == (test, INTERVALS[0])]
     cells = curves_of(shift, model, test)
-    names = {cell.training: cell.training.removesuffix(f"-{variant}") for cell in cells}
+    names = {cell.training: cell.training.rpartition("-")[0] for cell in cells}
     styles = looks(list(dict.fromkeys(names.values())))
+    labelled: set[str] = set()
     for cell in cells:
         colour, style = styles[names[cell.training]]
-        label = cell.training if cell is _first(cells, cell.training) else None
+        label = None if cell.training in labelled else cell.training
+        labelled.add(cell.training)
         width = 2.2 if cell.training == test else 1.0
         axes.plot(time, _line(cell.curve), ls=style, color=colour, lw=width, label=label)
-    for name, style in zip(TRIVIAL, (":", "--", "-."), strict=True):
-        for cell in (cell for cell in here if cell.model == name):
-            label = name.replace("_", " ")
-            axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
+    for cell in (cell for cell in here if cell.model in TRIVIAL):
+        label, style = cell.model.replace("_", " "), _FORMULAS[cell.model]
+        axes.plot(time, _line(cell.curve), style, color=themed.GREY, lw=1, label=label)
     _draw_floors(axes, shift, test, time)
     axes.set_yscale("log")
     axes.set_title(f"{model} on {test}", fontsize=9, loc="left")
@@ -143,21 +144,15 @@ def _draw_floors(axes: Any, shift: Shift, test: str, time: Sequence[float]) -> N
             )
 
 
-def _first(cells: Sequence[ErrorCell], training: str) -> ErrorCell:
-    return next(cell for cell in cells if cell.training == training)
-
-
 def _draw_block(figure: Any, shift: Shift, shape: tuple[int, int]) -> None:
-    frame = shift.at
-    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
-    maps = [matrix for matrix in every if matrix.has_figures]
+    maps = maps_at(shift, shift.at)
     charts = figure.subplots(*shape, squeeze=False).ravel()
     for axes, matrix in zip(charts, maps, strict=False):
         draw_matrix(axes, matrix, spread_of(maps))
         axes.set_title(matrix.model, fontsize=10, loc="left")
     for axes in charts[len(maps) :]:
         axes.set_axis_off()
-    title = f"{in_figure(shift.scene)}: mean squared position error at t = {frame} [m²]"
+    title = f"{in_figure(shift.scene)}: mean squared position error at t = {shift.at} [m²]"
     figure.suptitle(
         f"{title}; rows: trained on, columns: tested on", fontsize=11, x=0.01, ha="left"
     )

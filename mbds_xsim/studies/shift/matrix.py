@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mbds_xsim.learn.shift.models import TRIVIAL
@@ -19,12 +19,12 @@ class Matrix:
     model: str
     rows: tuple[str, ...]
     columns: tuple[str, ...]
-    values: tuple[tuple[float | None, ...], ...]
+    figures: Mapping[tuple[str, str], float | None]
 
     @property
-    def has_figures(self) -> bool:
-        """Whether there is anything to draw."""
-        return any(value is not None for row in self.values for value in row)
+    def values(self) -> list[list[float | None]]:
+        """Rows of figures; None where there is none."""
+        return [[self.entry(row, column) for column in self.columns] for row in self.rows]
 
     @property
     def homes(self) -> list[str]:
@@ -33,9 +33,7 @@ class Matrix:
 
     def entry(self, training: str, test: str) -> float | None:
         """Give a figure; None where there is none."""
-        if training not in self.rows:
-            return None
-        return self.values[self.rows.index(training)][self.columns.index(test)]
+        return self.figures.get((training, test))
 
     def at_home(self, training: str) -> float | None:
         """Give that of a training on its own domain."""
@@ -49,14 +47,19 @@ def trained_models(shift: Shift) -> list[str]:
 
 def matrix_of(shift: Shift, model: str, pick: Pick, interval: str = INTERVALS[0]) -> Matrix:
     """Give one figure of all trainings of a model on all domains."""
-    cells = [c for c in shift.cells if c.model == model and c.interval == interval]
-    rows = tuple(dict.fromkeys(cell.training for cell in cells))
+    cells: dict[tuple[str, str], list[float | None]] = {}
+    for cell in shift.cells:
+        if (cell.model, cell.interval) == (model, interval):
+            cells.setdefault((cell.training, cell.test), []).append(pick(cell))
+    rows = tuple(dict.fromkeys(training for training, _ in cells))
     columns = tuple(domain.name for domain in shift.domains)
-    found: dict[tuple[str, str], list[float | None]] = {}
-    for cell in cells:
-        found.setdefault((cell.training, cell.test), []).append(pick(cell))
-    values = tuple(tuple(mean(found.get((row, c), [])) for c in columns) for row in rows)
-    return Matrix(model, rows, columns, values)
+    return Matrix(model, rows, columns, {key: mean(each) for key, each in cells.items()})
+
+
+def maps_at(shift: Shift, frame: int) -> list[Matrix]:
+    """Errors at a frame of each trained model that there are any of."""
+    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
+    return [matrix for matrix in every if any(x is not None for x in matrix.figures.values())]
 
 
 def best_formula(shift: Shift, pick: Pick, interval: str = INTERVALS[0]) -> dict[str, float]:

@@ -21,7 +21,7 @@ from mbds_xsim.report.blocks import (
     Text,
 )
 from mbds_xsim.studies.shift.figures import curves_of, draw_curves, draw_matrix, map_size, spread_of
-from mbds_xsim.studies.shift.matrix import at, matrix_of, trained_models
+from mbds_xsim.studies.shift.matrix import maps_at, trained_models
 from mbds_xsim.studies.shift.motion import draw_samples, name_of, pack, picture_size, styles_of
 from mbds_xsim.studies.shift.tables import tables
 
@@ -137,8 +137,7 @@ def _rollouts(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Block
 
 def _maps(shift: Shift, frame: int) -> Figures:
     """A heat map a model, on one scale of colours."""
-    every = [matrix_of(shift, model, at(shift, frame)) for model in trained_models(shift)]
-    matrices = [matrix for matrix in every if matrix.has_figures]
+    matrices = maps_at(shift, frame)
     spread = spread_of(matrices)
     drawn = []
     for matrix in matrices:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.models import TRIVIAL
-from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Gap, ModelFacts, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
 from mbds_xsim.studies.shift.matrix import (
-    Matrix,
     Pick,
     at,
     best_formula,
@@ -30,12 +30,10 @@ def tables(shift: Shift) -> Iterator[Table]:
 
 
 def _tables(shift: Shift) -> Iterator[Table]:
-    frame = shift.at
+    frame, models = shift.at, trained_models(shift)
     place = shift.frames.index(frame)
-    for model in trained_models(shift):
-        yield _errors(shift, model, frame)
-    for model in trained_models(shift):
-        yield _one_step(shift, model)
+    yield from (_errors(shift, model, place) for model in models)
+    yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
     yield _floors(shift)
@@ -49,91 +47,63 @@ def _tables(shift: Shift) -> Iterator[Table]:
         yield _paper(shift)
 
 
-def _table(
-    title: str, note: str, heading: tuple[str, ...], rows: tuple[tuple[str, ...], ...]
-) -> Table:
+def _table(title: str, note: str, heading: Sequence[str], rows: Iterable[tuple[str, ...]]) -> Table:
     columns = [Column(text, words=not place) for place, text in enumerate(heading)]
-    return table_of(columns, rows, title=title, note=note)
+    return table_of(columns, tuple(rows), title=title, note=note)
 
 
-def _errors(shift: Shift, model: str, frame: int) -> Table:
-    pick = at(shift, frame)
-    rows = [*_rows(matrix_of(shift, model, pick)), *_comparison(shift, pick)]
-    rows += [_floor_row(shift, kind, frame) for kind in ("noise", "chaos")]
+def _errors(shift: Shift, model: str, place: int) -> Table:
+    frame, lost = shift.frames[place], Counter[tuple[str, str, str]]()
+    headings = []
+    for domain in shift.domains:
+        cells = [c for c in shift.cells if (c.test, c.interval) == (domain.name, INTERVALS[0])]
+        known, whole = cells[0].known[place], len(shift.index)
+        words = "" if known == whole else f" ({known} of {whole} known)"
+        headings.append(f"{domain.name}{words}")
+        for cell in cells:
+            if cell.model in (model, RESTART):
+                lost[cell.model, cell.training, cell.test] += cell.diverged[place]
+    rows = list(_rows(shift, at(shift, frame), (model, ENGINE, RESTART, *TRIVIAL), lost))
+    for kind in ("noise", "chaos"):  # of the reference: the same for all domains
+        found = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
+        text = number(found[0].mse[place]) if found else NONE
+        rows.append((f"{kind} floor", *(text for _ in headings)))
     return _table(
         f"{model}: position error at t = {frame}",
         "Mean squared distance [m²], mean over seeds; predictions that were lost or had been off "
         f"by over {shift.exploded:g} lengths of the scene count as {shift.exploded:g} lengths, "
         "in brackets how many of all seeds. Rows are trainings, columns test domains",
-        ("trained on", *_headings(shift, shift.frames.index(frame))),
-        tuple(_with_lost(shift, model, rows, shift.frames.index(frame))),
+        ("trained on", *headings),
+        rows,
     )
 
 
-def _with_lost(
-    shift: Shift, model: str, rows: Sequence[tuple[str, ...]], place: int
-) -> Iterator[tuple[str, ...]]:
-    """Add the number of diverged predictions to the figures of trainings and engines."""
-    lost: Counter[tuple[str, str]] = Counter()
-    for cell in shift.cells:
-        if cell.model in (model, RESTART) and cell.interval == INTERVALS[0]:
-            label = cell.training if cell.model == model else f"{RESTART} {cell.training}"
-            lost[label, cell.test] += cell.diverged[place]
-    names = [domain.name for domain in shift.domains]
-    for label, *texts in rows:
-        counts = [lost[label, name] for name in names]
-        marked = [f"{t} ({n})" if n else t for t, n in zip(texts, counts, strict=True)]
-        yield (label, *marked)
-
-
-def _headings(shift: Shift, place: int) -> Iterator[str]:
-    """Names of the domains, with the number of trajectories where not all are known."""
-    for domain in shift.domains:
-        known = next(
-            c.known[place] for c in shift.cells if (c.test, c.interval) == (domain.name, "all")
-        )
-        whole = len(shift.index)
-        yield domain.name if known == whole else f"{domain.name} ({known} of {whole} known)"
-
-
 def _one_step(shift: Shift, model: str) -> Table:
-    def pick(cell: ErrorCell) -> float | None:
-        return cell.one_step
-
-    rows = list(_rows(matrix_of(shift, model, pick)))
-    for row in _rows(matrix_of(shift, RESTART, pick)):
-        rows.append((f"{RESTART} {row[0]}", *row[1:]))
-    for name in TRIVIAL:
-        rows += _rows(matrix_of(shift, name, pick), name)
     return _table(
         f"{model}: teacher-forced error",
         f"Squared distance [m²] of predictions by one frame from true windows, every "
         f"{shift.stride} frames: not chaotic. Restarted engines: of the first window only",
         ("trained on", *(domain.name for domain in shift.domains)),
-        tuple(rows),
+        _rows(shift, lambda cell: cell.one_step, (model, RESTART, *TRIVIAL)),
     )
 
 
-def _comparison(shift: Shift, pick: Pick) -> Iterator[tuple[str, ...]]:
-    """Engines as models, and trivial models."""
-    for kind in (ENGINE, RESTART):
-        for row in _rows(matrix_of(shift, kind, pick)):
-            yield (f"{kind} {row[0]}", *row[1:])
-    for name in TRIVIAL:
-        yield from _rows(matrix_of(shift, name, pick), name)
-
-
-def _rows(matrix: Matrix, label: str = "") -> Iterator[tuple[str, ...]]:
-    for name, values in zip(matrix.rows, matrix.values, strict=True):
-        yield (label.replace("_", " ") or name, *map(number, values))
-
-
-def _floor_row(shift: Shift, kind: str, frame: int) -> tuple[str, ...]:
-    """A floor of the reference: the same for all domains."""
-    place = shift.frames.index(frame)
-    found = [f for f in shift.floors if f.kind == kind and f.interval == INTERVALS[0]]
-    text = number(found[0].mse[place]) if found else NONE
-    return (f"{kind} floor", *(text for _ in shift.domains))
+def _rows(
+    shift: Shift,
+    pick: Pick,
+    models: Sequence[str],
+    lost: Mapping[tuple[str, str, str], int] = MappingProxyType({}),
+) -> Iterator[tuple[str, ...]]:
+    """Figures of all trainings of models, engines and formulas, with the number of lost ones."""
+    for model in models:
+        matrix = matrix_of(shift, model, pick)
+        for training, values in zip(matrix.rows, matrix.values, strict=True):
+            counts = [lost.get((model, training, name), 0) for name in matrix.columns]
+            texts = [
+                number(x) + (f" ({n})" if n else "") for x, n in zip(values, counts, strict=True)
+            ]
+            label = f"{model} {training}" if model in (ENGINE, RESTART) else training
+            yield (model.replace("_", " ") if model in TRIVIAL else label, *texts)
 
 
 def _transfer(shift: Shift, frame: int) -> Table:
@@ -165,7 +135,7 @@ def _transfer(shift: Shift, frame: int) -> Table:
         "worst. In: the other engines' trainings here. Spread: standard deviation over seeds; the "
         "intervals below have it in them, beside that over trajectories",
         ("", "at home", "spread", "out", "worst", "in"),
-        tuple(rows),
+        rows,
     )
 
 
@@ -178,10 +148,8 @@ def _over_seeds(shift: Shift, model: str, name: str, pick: Pick) -> float | None
 
 
 def _gaps(shift: Shift, place: int) -> Table:
-    frame = shift.frames[place]
-    rows = [_gap_row(gap, place) for gap in shift.gaps]
     return _table(
-        f"Gaps to the target-trained model at t = {frame}",
+        f"Gaps to the target-trained model at t = {shift.frames[place]}",
         "Errors [m²] are means over trajectories and seeds, lost predictions counting as exploded; "
         "ratio and its 95 % interval by paired bootstrap over trajectories and seeds. A shift is "
         "resolved where the model's own error is below the engine floor and the interval of the "
@@ -190,32 +158,32 @@ def _gaps(shift: Shift, place: int) -> Table:
             "model, trained on → tested on", "kind", "own error", "error", "target-trained",
             "ratio", "95 %", "engine floor", "noise floor", "chaos floor", "shift",
         ),
-        tuple(rows),
+        (_gap_row(gap, place) for gap in shift.gaps),
     )  # fmt: skip
 
 
 def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
-    interval = f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}"
     figures = (gap.own, gap.transferred, gap.target, gap.ratio)
     floors = (gap.engine_floor, gap.noise_floor, gap.chaos_floor)
     return (
         f"{gap.model}, {gap.training} → {gap.test}",
         gap.kind,
         *(number(figure[place]) for figure in figures),
-        interval,
+        f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}",
         *(number(floor[place]) for floor in floors),
         "resolved" if gap.resolved[place] else f"not resolvable: {gap.why[place]}",
     )
 
 
 def _floors(shift: Shift) -> Table:
-    rows = [
-        (_floor_name(f.kind, f.first, f.test), *map(number, f.mse))
-        for f in shift.floors
-        if f.interval == INTERVALS[0]
-        # A distance is told once: it is the same both ways.
-        and (f.kind != ENGINE or f.test == REFERENCE or f.first < f.test)
-    ]
+    rows = []
+    for floor in shift.floors:
+        first, test = floor.first, floor.test
+        names = {ENGINE: f"{first} and {test}", RESTART: f"{first} gone on from {test}"}
+        # A distance is the same both ways, and stands once.
+        twice = floor.kind == ENGINE and test != REFERENCE and first > test
+        if floor.interval == INTERVALS[0] and not twice:
+            rows.append((names.get(floor.kind, floor.kind), *map(number, floor.mse)))
     return _table(
         "Floors",
         "Mean squared distance [m²] of the published motions of two domains, from identical "
@@ -224,13 +192,8 @@ def _floors(shift: Shift) -> Table:
         "two motions whose last known frame is 0.1 mm apart (chaos, by linear growth). No error "
         "below them says anything of a model",
         ("", *(f"t = {frame}" for frame in shift.frames)),
-        tuple(rows),
+        rows,
     )
-
-
-def _floor_name(kind: str, first: str, test: str) -> str:
-    names = {ENGINE: f"{first} and {test}", RESTART: f"{first} gone on from {test}"}
-    return names.get(kind, kind)
 
 
 def _across_intervals(shift: Shift, frame: int) -> Table:
@@ -239,15 +202,16 @@ def _across_intervals(shift: Shift, frame: int) -> Table:
     rows = []
     for model in trained_models(shift):
         tests = {name: matrix_of(shift, model, pick, name) for name in INTERVALS[1:]}
-        for facts in _with_intervals(shift, model):
+        own = [facts for facts in shift.models if facts.model == model and facts.interval]
+        for facts in {each.training: each for each in own}.values():  # whatever their seeds
             home = f"{facts.engines[0]}-{facts.training.rpartition('-')[2]}"
             errors = [matrix.entry(facts.training, home) for matrix in tests.values()]
-            own = [
+            there = [
                 matrix.entry(facts.training.replace(f"-{facts.interval}-", f"-{name}-"), home)
                 for name, matrix in tests.items()
             ]
-            parts = [_over(e, o) for e, o in zip(errors, own, strict=True)]
-            rows.append((f"{model}, {facts.training}", *map(number, [*errors, *parts])))
+            figures = [*errors, *map(_over, errors, there)]
+            rows.append((f"{model}, {facts.training}", *map(number, figures)))
     return _table(
         f"The covariate axis: trained on one interval, tested on all, t = {frame}",
         "Mean squared distance [m²] on the training's own engine, of models that were trained on "
@@ -255,34 +219,25 @@ def _across_intervals(shift: Shift, frame: int) -> Table:
         "the training on the interval tested: how large a change of speed is, to hold a change of "
         "engine against",
         ("", *INTERVALS[1:], *(f"{name}, ratio" for name in INTERVALS[1:])),
-        tuple(rows),
+        rows,
     )
-
-
-def _with_intervals(shift: Shift, model: str) -> Iterator[ModelFacts]:
-    """Of each training on an interval one, whatever its seed."""
-    found = [facts for facts in shift.models if facts.model == model and facts.interval]
-    yield from {facts.training: facts for facts in found}.values()
 
 
 def _by_interval(shift: Shift, frame: int) -> Table:
     """Each training at home, by interval: no change of engine."""
-    pick = at(shift, frame)
-    formulas = [best_formula(shift, pick, name) for name in INTERVALS[1:]]
+    pick, names = at(shift, frame), INTERVALS[1:]
+    formulas = [best_formula(shift, pick, name) for name in names]
     rows = []
-    for model in trained_models(shift):
-        by_interval = [matrix_of(shift, model, pick, name) for name in INTERVALS[1:]]
-        for training in matrix_of(shift, model, pick).homes:
-            errors = [matrix.at_home(training) for matrix in by_interval]
-            parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
-            rows.append((f"{model}, {training}", *map(number, [*errors, *parts])))
+    for label, training, errors in _at_home(shift, [(pick, name) for name in names]):
+        parts = [_over(e, f.get(training)) for e, f in zip(errors, formulas, strict=True)]
+        rows.append((label, *map(number, [*errors, *parts])))
     return _table(
         f"Error at home by interval of starts, t = {frame}",
         "Mean squared distance [m²] on the training's own engine: how much the interval of starts "
         "and inputs matters, without any change of engine; and as a part of the least that hold, "
         "constant velocity and constant acceleration reach there",
-        ("", *INTERVALS[1:], *(f"{name}, part" for name in INTERVALS[1:])),
-        tuple(rows),
+        ("", *names, *(f"{name}, part" for name in names)),
+        rows,
     )
 
 
@@ -292,18 +247,13 @@ def _over(error: float | None, other: float | None) -> float | None:
 
 def _quality(shift: Shift, place: int) -> Table:
     """Other figures of each training at home."""
-    rows = []
-    for model in trained_models(shift):
-        picks: tuple[Pick, ...] = (
-            lambda cell: cell.valid_s,
-            lambda cell: cell.energy[place],
-            lambda cell: cell.gap[place],
-            lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
-        )
-        found = [matrix_of(shift, model, pick) for pick in picks]
-        for training in found[0].homes:
-            texts = [number(matrix.at_home(training)) for matrix in found]
-            rows.append((f"{model}, {training}", *texts))
+    picks: tuple[Pick, ...] = (
+        lambda cell: cell.valid_s,
+        lambda cell: cell.energy[place],
+        lambda cell: cell.gap[place],
+        lambda cell: cell.diverged[-1] / max(cell.known[-1], 1),
+    )
+    homes = _at_home(shift, [(pick, INTERVALS[0]) for pick in picks])
     return _table(
         "What else rollouts keep, each training at home",
         f"Valid prediction time: until the error first exceeds {shift.lost:g} of the scene's "
@@ -311,8 +261,18 @@ def _quality(shift: Shift, place: int) -> Table:
         f"Energy error and constraint gap: medians at t = {shift.frames[place]}. Diverged: share "
         "of trajectories over the whole horizon",
         ("", "valid [s]", "energy error", "constraint gap [m]", "diverged"),
-        tuple(rows),
+        ((label, *map(number, figures)) for label, _, figures in homes),
     )
+
+
+def _at_home(
+    shift: Shift, picks: Sequence[tuple[Pick, str]]
+) -> Iterator[tuple[str, str, list[float | None]]]:
+    """Label, training and figures, each over an interval, of all trainings on their own domain."""
+    for model in trained_models(shift):
+        found = [matrix_of(shift, model, pick, interval) for pick, interval in picks]
+        for training in matrix_of(shift, model, picks[0][0]).homes:
+            yield f"{model}, {training}", training, [each.at_home(training) for each in found]
 
 
 def _agreements(shift: Shift) -> Table:
@@ -327,7 +287,7 @@ def _agreements(shift: Shift) -> Table:
         "Kendall's τ-b of the orders that two domains give the models, each trained where it is "
         "tested: 1 the same, −1 reversed; from three models on",
         ("", *(f"t = {frame}" for frame in shift.frames)),
-        tuple(rows),
+        rows,
     )
 
 
@@ -341,8 +301,11 @@ def _paper(shift: Shift) -> Table:
         texts = [number(paper.get((model, f))) for f in frames]
         rows.append((f"{model}, {PAPER}", *map(str.__add__, texts, marks)))
     for model in trained_models(shift):
-        homes = {f: _home_mean(shift, model, f) for f in frames if f in shift.frames}
-        rows.append((f"{model}, here", *(number(homes.get(frame)) for frame in frames)))
+        homes = dict.fromkeys(frames, NONE)
+        for frame in set(frames) & set(shift.frames):
+            matrix = matrix_of(shift, model, at(shift, frame))
+            homes[frame] = number(mean([matrix.at_home(row) for row in matrix.homes]))
+        rows.append((f"{model}, here", *homes.values()))
     return _table(
         "The paper's figures beside these",
         "Not comparable in absolute value: the paper's unit, averaging, masses, noise and test "
@@ -352,11 +315,5 @@ def _paper(shift: Shift) -> Table:
         "printed (*: less than at an earlier t, or copied). Here: mean over single-engine "
         "trainings at home [m²]",
         ("", *(f"t = {frame}" for frame in frames)),
-        tuple(rows),
+        rows,
     )
-
-
-def _home_mean(shift: Shift, model: str, frame: int) -> float | None:
-    matrix = matrix_of(shift, model, at(shift, frame))
-    homes = [matrix.at_home(row) for row in matrix.homes]
-    return mean(homes)
