@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -20,8 +21,34 @@ DIMENSION = 3
 """Of all positions here: what a data file leaves out of a plane or line scene is put back."""
 
 
+class Bundle:
+    """A frozen dataclass whose tensors, and those of the bundles in it, are changed together."""
+
+    def mapped(self, change: Callable[[Tensor], Tensor], within: type[Bundle]) -> Self:
+        """Do the same to all tensors, also to those of bundles of a type."""
+        changed: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                changed[name] = change(value)
+            elif isinstance(value, within):
+                changed[name] = value.mapped(change, within)
+        return dataclasses.replace(self, **changed)  # type: ignore[type-var]
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move all tensors to a device."""
+        return self.mapped(lambda values: values.to(device), Bundle)
+
+
+class Rows(Bundle):
+    """A bundle of which every tensor has a row for each member of a batch."""
+
+    def __getitem__(self, key: Any) -> Self:
+        """Take a part of all rows, as of an array."""
+        return self.mapped(lambda values: values[key], Rows)
+
+
 @dataclass(frozen=True, eq=False)
-class Graph:
+class Graph(Bundle):
     """Nodes and edges of a scene.
 
     A node is a particle (in a body without particles, one of its six stand-ins), or behind them a
@@ -61,7 +88,11 @@ class Graph:
     def of(scene: Scene) -> Graph:
         """Build the graph of a scene; it may have no edges and no anchors."""
         points = Points.of(scene)
-        edges = _undirected(scene, len(points.body))
+        edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
+        edges[edges >= scene.particle_count] += len(points.body) - scene.particle_count
+        edges = np.unique(np.sort(edges, axis=1), axis=0)  # each once; anchors after all points
+        anchors = np.array(scene.anchors, dtype=np.float64).reshape(-1, DIMENSION)
+        reference = np.concatenate([points.mechanism.com[points.body] + points.offset, anchors])
         body = np.concatenate([points.body, np.full(len(scene.anchors), -1)])
         senders, receivers = np.concatenate([edges, edges[:, ::-1]]).T
         moving = np.isin(np.arange(DIMENSION), points.axes)
@@ -76,7 +107,7 @@ class Graph:
             receivers=torch.from_numpy(receivers.copy()),
             inner=torch.from_numpy((body[senders] == body[receivers]) & (body[senders] >= 0)),
             mass=torch.from_numpy(_masses(points, len(scene.anchors))),
-            reference=torch.from_numpy(_reference(points)),
+            reference=torch.from_numpy(reference),
             gravity=torch.tensor(scene.gravity, dtype=torch.float64),
             moving=torch.from_numpy(moving),
             ground=scene.ground is not None,
@@ -107,15 +138,6 @@ class Graph:
         """The scene's arrays and spanning tree."""
         return Mechanism.of(self.scene)
 
-    def to(self, device: torch.device | str) -> Graph:
-        """Move all tensors to a device."""
-        tensors: dict[str, Any] = {
-            field.name: value.to(device)
-            for field in dataclasses.fields(self)
-            if isinstance(value := getattr(self, field.name), Tensor)
-        }
-        return dataclasses.replace(self, **tensors)
-
     def with_anchors(self, particles: Tensor) -> Tensor:
         """Append the anchors to particle positions (…, particle, 3): all nodes, (…, node, 3)."""
         anchors = self.anchor_positions.to(particles)
@@ -135,20 +157,8 @@ class Graph:
         return whole
 
 
-def _undirected(scene: Scene, point_count: int) -> NDArray[np.int64]:
-    """Edges once each, shape (edge, 2); anchors are numbered after all points."""
-    edges = np.array(scene.edges, dtype=np.int64).reshape(-1, 2)
-    edges[edges >= scene.particle_count] += point_count - scene.particle_count
-    return np.unique(np.sort(edges, axis=1), axis=0)
-
-
 def _masses(points: Points, anchor_count: int) -> NDArray[np.float64]:
     """Of the particles, of stand-ins an equal share of their body's, then 0 for the anchors."""
     own = [particle.mass for body in points.mechanism.scene.bodies for particle in body.particles]
     share = points.mechanism.mass / np.bincount(points.body)
     return np.concatenate([own, share[points.body[len(own) :]], np.zeros(anchor_count)])
-
-
-def _reference(points: Points) -> NDArray[np.float64]:
-    anchors = np.array(points.mechanism.scene.anchors, dtype=np.float64).reshape(-1, DIMENSION)
-    return np.concatenate([points.mechanism.com[points.body] + points.offset, anchors])

@@ -19,7 +19,7 @@ import torch
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, Rows
 from mbds_xsim.learn.model import LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
@@ -189,7 +189,7 @@ def _files(place: Path) -> list[Path]:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Known(Rows):
     """What a model is given of motions: their first frames, and the inputs of those to come."""
 
     start: Start
@@ -197,13 +197,11 @@ class Known:
 
     def repeated(self, rows: int) -> Known:
         """Make a batch of so many out of few, with repetition."""
-        chosen = torch.arange(rows) % len(self.start)
-        return Known(self.start[chosen], self.inputs[chosen])
+        return self[torch.arange(rows) % len(self.start)]
 
     def truncated(self, frames: int) -> Known:
         """Keep the inputs of the first frames to come."""
-        force, torque = self.inputs.force[:, :frames], self.inputs.torque[:, :frames]
-        return Known(self.start, KnownInputs(force, torque))
+        return Known(self.start, self.inputs[:, :frames])
 
 
 def known_start(model: LearnedModel, truth: Trajectory, inputs: Batch) -> Known:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.graph import Graph, Rows
 
 HISTORY = 6
 """Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
@@ -30,7 +29,7 @@ def names_read(*, bodies: bool) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownInputs:
+class KnownInputs(Rows):
     """What acts over a frame and is known: never the noise."""
 
     force: Tensor
@@ -42,13 +41,9 @@ class KnownInputs:
         """Take one frame of inputs of shape (batch, frame, …)."""
         return self[:, frame]
 
-    def __getitem__(self, key: Any) -> KnownInputs:
-        """Take a part, as of an array."""
-        return KnownInputs(self.force[key], self.torque[key])
-
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class Start(Rows):
     """What is known of a motion when its prediction starts."""
 
     history: Tensor
@@ -62,14 +57,9 @@ class Start:
     def __len__(self) -> int:
         return len(self.history)
 
-    def __getitem__(self, rows: slice | Tensor) -> Start:
-        """Take some rows of a batch."""
-        body = None if self.body is None else self.body[rows]
-        return Start(self.history[rows], self.velocity[rows], body)
-
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class Sample(Rows):
     """Starts, and what followed."""
 
     start: Start
@@ -85,7 +75,7 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Motions:
+class Motions(Rows):
     """Trajectories of one part of a data set, on one device."""
 
     graph: Graph
@@ -158,9 +148,8 @@ class Motions:
             msg = "motions of different scenes or parts cannot be joined; load them apart"
             raise InputError(msg)
         bodies = [part.body for part in parts if part.body is not None]
-        return Motions(
-            graph=first.graph,
-            split=first.split,
+        return replace(
+            first,
             index=np.concatenate([part.index for part in parts]),
             position=torch.cat([part.position for part in parts]),
             velocity=torch.cat([part.velocity for part in parts]),
@@ -171,28 +160,13 @@ class Motions:
             body=torch.cat(bodies) if len(bodies) == len(parts) else None,
         )
 
-    def _changed(self, change: Callable[[Tensor], Tensor], **others: Any) -> Motions:
-        """Do the same to all tensors."""
-        return replace(
-            self,
-            position=change(self.position),
-            velocity=change(self.velocity),
-            inputs=KnownInputs(change(self.inputs.force), change(self.inputs.torque)),
-            body=None if self.body is None else change(self.body),
-            **others,
-        )
-
-    def to(self, device: torch.device | str) -> Motions:
-        """Move everything to a device."""
-        return self._changed(lambda values: values.to(device), graph=self.graph.to(device))
-
     def __len__(self) -> int:
         return len(self.position)
 
     def __getitem__(self, rows: slice | Tensor) -> Motions:
         """Take some of the trajectories."""
         index = self.index[torch.arange(len(self))[rows].numpy()]
-        return self._changed(lambda values: values[rows], index=index)
+        return replace(super().__getitem__(rows), index=index)
 
     @property
     def frame_count(self) -> int:
