@@ -55,7 +55,7 @@ def from_places(model: EnergyModel, motions: Motions) -> Tensor:
     parts = [weight * place for weight, place in zip(BACKWARD, each, strict=True)]
     moving = torch.stack(parts).sum(0) / motions.graph.frame_s
     q, v = model.mechanics.project(each[-1], moving)
-    return torch.stack([q, model.conjugate(v)], dim=1)
+    return torch.stack([q, model.dynamics.conjugate(v)], dim=1)
 
 
 def errors(model: EnergyModel, motions: Motions, state: Tensor | None = None) -> tuple[str, ...]:

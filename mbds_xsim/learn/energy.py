@@ -40,11 +40,6 @@ class Kinetic:
     second: Tensor
     """f″ [kg·s²/m²], of the same shape."""
 
-    @property
-    def total(self) -> Tensor:
-        """T [J], shape (batch,)."""
-        return self.value.sum(-1)
-
 
 class NodeEnergy(Protocol):
     """What a Lagrangian or Hamiltonian is made of."""

@@ -75,6 +75,14 @@ class NodeDynamics(nn.Module, ABC):
         return load if self.drag is None else load + self.drag(v)
 
     @abstractmethod
+    def conjugate(self, v: Tensor) -> Tensor:
+        """What a state has for velocities v of the nodes [m/s], shape (batch, node, 3)."""
+
+    @abstractmethod
+    def velocity(self, x: Tensor) -> Tensor:
+        """Undo `conjugate`."""
+
+    @abstractmethod
     def derivative(
         self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
     ) -> tuple[Tensor, Tensor]:
@@ -86,6 +94,12 @@ class NodeDynamics(nn.Module, ABC):
 
 class Lagrangian(NodeDynamics):
     """Of nodes and velocities."""
+
+    def conjugate(self, v: Tensor) -> Tensor:
+        return v
+
+    def velocity(self, x: Tensor) -> Tensor:
+        return x
 
     def derivative(
         self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
@@ -100,25 +114,22 @@ class Lagrangian(NodeDynamics):
         bias, redundant = self.mechanics.bias(v), self.mechanics.redundant
         return constrained(mass, load.flatten(1), jacobian, bias, redundant).view_as(q)
 
-    def total_energy(self, q: Tensor, v: Tensor) -> Tensor:
-        """q̇ · ∂L/∂q̇ − L [J], shape (batch,)."""
-        kinetic = self.energy.kinetic(v)
-        action = (v * momentum(self.mechanics, kinetic, v)).sum((-1, -2))
-        return action - kinetic.total + self.energy.potential(q)
-
 
 class Hamiltonian(NodeDynamics):
     """Of nodes and momenta."""
 
-    def momentum(self, v: Tensor) -> Tensor:
-        """Momenta p = M v [kg·m/s] of velocities (batch, node, 3)."""
+    def conjugate(self, v: Tensor) -> Tensor:
         return self.mechanics.mass @ v
+
+    def velocity(self, x: Tensor) -> Tensor:
+        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
+        return self.mechanics.mass_inverse @ x
 
     def derivative(
         self, q: Tensor, x: Tensor, force: Tensor, torque: Tensor
     ) -> tuple[Tensor, Tensor]:
         mechanics = self.mechanics
-        u = mechanics.mass_inverse @ x
+        u = self.velocity(x)
         jacobian, rate = mechanics.jacobian(q), mechanics.jacobian_rate(u)
         solver = mechanics.factored(jacobian)
         slope = momentum(mechanics, self.energy.kinetic(u), u)
@@ -128,15 +139,6 @@ class Hamiltonian(NodeDynamics):
         p_rate = self.load(q, q_rate, force, torque) - rate.back(second)
         first = solver(rate.along(q_rate) + jacobian.along(mechanics.mass_inverse @ p_rate))
         return q_rate, p_rate - jacobian.back(first)
-
-    def acceleration(self, q: Tensor, v: Tensor, force: Tensor, torque: Tensor) -> Tensor:
-        """M⁻¹ ṗ at p = M v [m/s²]: q̈ where H is the true one; shape (batch, node, 3)."""
-        _, p_rate = self.derivative(q, self.momentum(v), force, torque)
-        return self.mechanics.mass_inverse @ p_rate
-
-    def total_energy(self, q: Tensor, p: Tensor) -> Tensor:
-        """H [J], shape (batch,)."""
-        return self.energy.kinetic(self.mechanics.mass_inverse @ p).total + self.energy.potential(q)
 
 
 class EnergyModel(FlowModel):
@@ -198,22 +200,15 @@ class EnergyModel(FlowModel):
         arm = _rotate(orientation[:, self.carrier], self.carried)
         moving = velocity[:, self.carrier] + torch.linalg.cross(spin[:, self.carrier], arm)
         q, v = self.mechanics.project(position[:, self.carrier] + arm, moving)
-        return torch.stack([q, self.conjugate(v)], dim=1)
+        return torch.stack([q, self.dynamics.conjugate(v)], dim=1)
 
     def positions(self, state: Tensor) -> Tensor:
         return self.particle_map @ self.mechanics.all_nodes(state[:, 0])
 
     def velocities(self, state: Tensor) -> Tensor:
         """Velocities of the particles [m/s], shape (batch, particle, 3)."""
-        return self.particle_map[:, : self.mechanics.free] @ self.moving(state)
-
-    def conjugate(self, v: Tensor) -> Tensor:
-        """What the state has for velocities of the nodes, shape (batch, node, 3)."""
-        return v
-
-    def moving(self, state: Tensor) -> Tensor:
-        """Velocities of the nodes [m/s], shape (batch, node, 3)."""
-        return state[:, 1]
+        moving = self.dynamics.velocity(state[:, 1])
+        return self.particle_map[:, : self.mechanics.free] @ moving
 
     def derivative(self, state: Tensor, inputs: KnownInputs) -> Tensor:
         q, x = state.unbind(1)
@@ -254,13 +249,6 @@ class HGNN(EnergyModel):
     """A learned Hamiltonian on a scene's constraints."""
 
     kind: ClassVar[type[NodeDynamics]] = Hamiltonian
-
-    def conjugate(self, v: Tensor) -> Tensor:
-        return self.mechanics.mass @ v
-
-    def moving(self, state: Tensor) -> Tensor:
-        """Give u = M⁻¹ p; the learned ∂H/∂p tends to it as training goes on."""
-        return self.mechanics.mass_inverse @ state[:, 1]
 
 
 def _rotate(q: Tensor, v: Tensor) -> Tensor:

@@ -217,11 +217,6 @@ class Mechanics(nn.Module):
             load = load + self._damping(q, v)
         return load[:, : self.free]
 
-    def acceleration(self, q: Tensor, v: Tensor, load: Tensor) -> Tensor:
-        """True accelerations of the nodes under forces on them [m/s²], shape (batch, node, 3)."""
-        jacobian, free = self.jacobian(q), self.mass_inverse @ load
-        return free - self._least(jacobian, jacobian.along(free) + self.bias(v))
-
     def project(self, q: Tensor, v: Tensor, passes: int = 2) -> tuple[Tensor, Tensor]:
         """Put states onto the constraints by least mass-weighted changes (Newton's method)."""
         for _ in range(passes):

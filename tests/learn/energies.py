@@ -7,7 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic
+from mbds_xsim.learn.energy import EnergyNetwork, EnergyShape, Kinetic, momentum
+from mbds_xsim.learn.energy_models import Hamiltonian, NodeDynamics
 from mbds_xsim.learn.mechanics import Mechanics
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
@@ -56,6 +57,21 @@ def drawn_states(mechanics: Mechanics, count: int = 6) -> tuple[Tensor, Tensor]:
         torch.as_tensor(points.place(batch.position, native)),
         torch.as_tensor(points.move(native, batch.velocity, batch.angular_velocity)),
     )
+
+
+def total_energy(dynamics: NodeDynamics, q: Tensor, x: Tensor) -> Tensor:
+    """Of a Lagrangian q̇ · ∂L/∂q̇ − L, or H [J], shape (batch,)."""
+    v = dynamics.velocity(x)
+    kinetic, potential = dynamics.energy.kinetic(v), dynamics.energy.potential(q)
+    if isinstance(dynamics, Hamiltonian):
+        return kinetic.value.sum(-1) + potential
+    action = (v * momentum(dynamics.mechanics, kinetic, v)).sum((-1, -2))
+    return action - kinetic.value.sum(-1) + potential
+
+
+def acceleration(dynamics: NodeDynamics, q: Tensor, v: Tensor, *inputs: Tensor) -> Tensor:
+    """Accelerations of the nodes [m/s²]; of a Hamiltonian M⁻¹ ṗ at p = M v: q̈ where H is true."""
+    return dynamics.velocity(dynamics.derivative(q, dynamics.conjugate(v), *inputs)[1])
 
 
 def no_inputs(mechanics: Mechanics, count: int) -> tuple[Tensor, Tensor]:

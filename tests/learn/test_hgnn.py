@@ -20,7 +20,7 @@ def test_rates_keep_the_constraints(name: str) -> None:
     torch.manual_seed(4)
     force, torque = no_inputs(mechanics, len(q))
     push = torch.randn_like(force)
-    q_rate, p_rate = model.derivative(q, model.momentum(v), push, torque)
+    q_rate, p_rate = model.derivative(q, model.conjugate(v), push, torque)
     jacobian = mechanics.jacobian(q)
     assert jacobian.along(q_rate).abs().max() < 1e-10
     bend = mechanics.jacobian_rate(q_rate).along(v)
