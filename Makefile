@@ -138,7 +138,7 @@ drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) -
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
 	--png $(REPORTS)/shift/$(3)-curves.png
-told = $(call files,$(1)) --png $(REPORTS)/$(1).png --rollouts $(REPORTS)/$(1)-rollouts.png
+told = --json $(REPORTS)/$(1).json.gz --markdown $(REPORTS)/$(1).md --png $(REPORTS)/$(1).png --rollouts $(REPORTS)/$(1)-rollouts.png
 shifted = $(BIN)/mbds-xsim shift $(MODELS) $(STUDY) --scene $(2) $(call told,shift/$(1))
 shift-targets = $(addprefix shift-,$(SHIFTED))
 .PHONY: $(shift-targets)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.write import read_result, write_whole
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
@@ -33,18 +33,22 @@ TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"}
 
 def main(folder: Path) -> None:
     for stored in stored_results(folder):
-        picture = stored.with_suffix(".png")
-        if picture.is_file():
+        if (picture := picture_of(stored)).is_file():
             write_whole(picture, drawn(stored))
 
 
 def stored_results(folder: Path) -> Iterator[Path]:
     """Give what charts and maps are drawn from."""
     for kind in ("tradeoff", "models", "shift", "lite", "stability"):
-        found = sorted((folder / kind).glob("*.json"))
+        found = sorted((folder / kind).glob("*.json*"))
         yield from found
         tables = (folder / kind).glob("*.csv")
         yield from sorted(table for table in tables if table.with_suffix(".json") not in found)
+
+
+def picture_of(stored: Path) -> Path:
+    """Name the picture that stands beside a stored result."""
+    return stored.with_name(stored.name.partition(".")[0] + ".png")
 
 
 def drawn(stored: Path) -> bytes:
@@ -52,7 +56,7 @@ def drawn(stored: Path) -> bytes:
     if stored.suffix == ".csv":
         return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
     kind: Callable[[bytes], bytes] = _shift if stored.parent.name in ("shift", "lite") else _charts
-    return kind(stored.read_bytes())
+    return kind(read_result(stored))
 
 
 def _charts(stored: bytes) -> bytes:

@@ -31,7 +31,7 @@ _WRITES = re.compile(r" (?:--(?:json|csv|png|rollouts|markdown)|>) \S+")
 _SENTENCE = re.compile(r".+?\.(?=\s|$)")
 _SHORT = 260  # characters
 _NO_PROSE = ("#", "|", "-", "<", "!")
-_DATA = (".png", ".csv", ".json")
+_DATA = (".png", ".csv", ".json", ".json.gz")
 
 _HEAD = """\
 # Reports
@@ -63,7 +63,7 @@ def row(page: Path, folder: Path) -> list[str]:
     return [
         link("in short" if page.stem == "README" else page.stem, page, folder),
         lead(text).replace("|", "\\|"),
-        ", ".join(link(file.suffix[1:], file, folder) for file in beside(page)),
+        ", ".join(link(file.suffixes[0][1:], file, folder) for file in beside(page)),
         f"`{_WRITES.sub('', found[1])}`" if found else "",
     ]
 

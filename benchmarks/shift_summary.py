@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_table
+from mbds_xsim.base.write import read_result
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
@@ -57,8 +58,9 @@ _HEADINGS = (
 
 def main(folder: Path) -> None:
     """Print the page."""
-    files = sorted(folder.glob("*.json"))
-    studies = {file.stem: msgspec.json.decode(file.read_bytes(), type=Shift) for file in files}
+    files = sorted(folder.glob("*.json.gz"))
+    results = {file.name.removesuffix(".json.gz"): read_result(file) for file in files}
+    studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
     print(_HEAD)
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]
     print_table(_HEADINGS, [*rows, *_over_scenes(studies.values())])

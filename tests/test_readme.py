@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from benchmarks.page_picture import settings_line
-from benchmarks.pictures import stored_results, sweep_of
+from benchmarks.pictures import picture_of, stored_results, sweep_of
+from mbds_xsim.base.write import read_result
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
@@ -88,7 +89,7 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
     stale = [
         str(result)
         for result in stored
-        if _told(result.with_suffix(".png")) != checksum(result.read_bytes())
+        if _told(picture_of(result)) != checksum(read_result(result))
     ]
 
     assert len(stored) > 30
@@ -97,7 +98,7 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
 
 def test_the_pictures_of_pages_show_what_is_stored() -> None:
     """But for pictures of trainings and rollouts, and those of contact, which are not stored."""
-    kept = {result.with_suffix(".png") for result in stored_results(_ROOT / "reports")}
+    kept = {picture_of(result) for result in stored_results(_ROOT / "reports")}
     pages = [_ROOT / "README.md", *(_ROOT / "docs").glob("*.md")]
     shown = {
         (page.parent / picture).resolve()

@@ -1,9 +1,11 @@
-"""Write a file whole or not at all."""
+"""Write a file whole or not at all; results may be packed, and are read back as they were."""
 
 from __future__ import annotations
 
+import gzip
 import os
 import tempfile
+import zlib
 from pathlib import Path
 
 from mbds_xsim.base.errors import InputError
@@ -12,11 +14,14 @@ from mbds_xsim.base.errors import InputError
 def write_whole(path: Path, content: bytes) -> None:
     """Write under a temporary name in the same folder, then rename; make the folder if needed.
 
-    A link keeps pointing where it did, and a device or pipe is written to in place.
+    A link keeps pointing where it did, and a device or pipe is written to in place. What is named
+    `.gz` is packed, to the same bytes each time.
 
     Raises:
         InputError: The folder cannot be written to or the disk is full; nothing is left behind.
     """
+    if path.suffix == ".gz":
+        content = gzip.compress(content, mtime=0)
     try:
         if _is_stream(path):
             path.write_bytes(content)
@@ -25,6 +30,19 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         msg = f"cannot write {path}: {error.strerror or error}"
         raise InputError(msg) from error
+
+
+def read_result(path: Path, most: int = -1) -> bytes:
+    """Read a result, unpacked where it is named `.gz`; no more than `most` bytes of it.
+
+    Raises:
+        OSError: It cannot be read, or is named `.gz` and is no such file.
+    """
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        try:
+            return file.read(most)
+        except (EOFError, zlib.error) as error:
+            raise gzip.BadGzipFile(f"was cut short or damaged: {error}") from error
 
 
 def check_writable(path: Path, option: str) -> None:

@@ -1,0 +1,34 @@
+"""Files are written whole, packed where their name says so, and read back as they were."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import read_result, write_whole
+from mbds_xsim.studies.diff.read import read_views
+
+
+def test_a_packed_result_is_read_back_and_has_the_same_bytes_each_time(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.json.gz", tmp_path / "b.json.gz"]
+    for path in paths:
+        write_whole(path, b'{"figure": 1}')
+
+    assert gzip.decompress(paths[0].read_bytes()) == b'{"figure": 1}'
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert read_result(paths[0]) == b'{"figure": 1}'
+
+
+@pytest.mark.parametrize("damage", [lambda c: c[:-9], lambda _: b"plain", lambda c: c[:20] + b"x"])
+def test_a_damaged_packed_result_is_refused_in_one_line(
+    damage: Callable[[bytes], bytes], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.json.gz"
+    path.write_bytes(damage(gzip.compress(b'{"schema": "mbds-xsim/validation/1"}' * 99)))
+
+    with pytest.raises(InputError, match=r"^cannot read .*a\.json\.gz: "):
+        read_views(path)
