@@ -16,8 +16,8 @@ import msgspec
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.report import quantity
 from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
-from mbds_xsim.studies.tradeoff.sweep import NATIVE
 from mbds_xsim.studies.tradeoff.words import BUSY
 
 BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"

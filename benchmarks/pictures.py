@@ -20,7 +20,7 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
 from mbds_xsim.studies.stability import present as stability
-from mbds_xsim.studies.stability.rows import SCHEMA, Cell, Panel, Sweep
+from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Sweep
 from mbds_xsim.studies.stability.studies import study_named
 from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff import present as tradeoff
@@ -95,13 +95,13 @@ def sweep_of(table: str) -> Sweep:
     )
 
 
-def _panels(cells: list[Cell]) -> list[Panel]:
+def _panels(cells: list[MapCell]) -> list[Panel]:
     """Part the cells into panels: each begins at the first value.
 
     A cell that is alike at matched and at native settings was run once and has the profile that
     it was run for, in both panels. Native is the later one.
     """
-    parts: list[list[tuple[Cell, ...]]] = []
+    parts: list[list[tuple[MapCell, ...]]] = []
     for value, row in itertools.groupby(cells, key=lambda cell: cell.value):
         if value == cells[0].value:
             parts.append([])
@@ -124,7 +124,7 @@ def _panels(cells: list[Cell]) -> list[Panel]:
     ]
 
 
-def _cell(row: dict[str, str]) -> Cell:
+def _cell(row: dict[str, str]) -> MapCell:
     named = any(isinstance(value, str) for value in study_named(row["study"]).values)
     figures = {
         key: float(text) if text else None
@@ -134,7 +134,7 @@ def _cell(row: dict[str, str]) -> Cell:
     whole = {key: row[key] for key in TEXTS} | figures
     value = row["value"] if named else float(row["value"])
     options = json.loads(row["options"])
-    return msgspec.convert({**whole, "key": "", "value": value, "options": options}, Cell)
+    return msgspec.convert({**whole, "key": "", "value": value, "options": options}, MapCell)
 
 
 if __name__ == "__main__":

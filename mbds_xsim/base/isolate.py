@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from mbds_xsim.base.interruption import held_back
 from mbds_xsim.base.spent import Spent, memory_bytes
@@ -52,6 +52,11 @@ class Crash:
     """The task was refused by an `InputError`, whose text is the reason."""
     timed_out: bool = field(default=False, compare=False)
     """The task was ended at its time limit."""
+
+    @property
+    def kind(self) -> Literal["refused", "timed out", "crashed"]:
+        """How it ended."""
+        return "refused" if self.refused else "timed out" if self.timed_out else "crashed"
 
 
 def begin(path: Path | None = None) -> None:

@@ -24,7 +24,8 @@ from mbds_xsim.commands.shared import (
 )
 
 if TYPE_CHECKING:
-    from mbds_xsim.studies.stability.contenders import Contender
+    from mbds_xsim.simulate.adapter import Profile
+    from mbds_xsim.simulate.simulator import Simulator
     from mbds_xsim.studies.stability.definition import Study, Value
     from mbds_xsim.studies.stability.rows import Sweep
 
@@ -84,14 +85,12 @@ def stability(
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.bar import StudyBar
-    from mbds_xsim.report.files import rows_csv, write_if
+    from mbds_xsim.report.files import results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.stability.contenders import Plan, profiles_of
     from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
-    from mbds_xsim.studies.stability.rows import to_json
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
-    from mbds_xsim.studies.stability.survey import survey
+    from mbds_xsim.studies.stability.survey import Plan, survey
 
     console = console_for(json)
     if listed:
@@ -108,7 +107,7 @@ def stability(
             faulty=choice.faulty,
             others=others,
             methods=_words(methods),
-            profiles=profiles_of(settings),
+            profiles=_profiles(settings),
             values=_values(study, value, quick=quick),
             counts=_counts(step, quick=quick),
             limit=limit,
@@ -130,7 +129,7 @@ def stability(
             reports, "Where methods fail", console,
             html=files["html"], markdown=files["markdown"], opened=opened and last, quiet=not last,
         )  # fmt: skip
-        write_json(to_json(sweeps), files["json"])
+        write_json(results_json(sweeps), files["json"])
 
     asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
     sweeps = []
@@ -147,13 +146,28 @@ def stability(
     write(sweeps, asked)
 
 
-def _models(places: list[Path] | None) -> tuple[Contender, ...]:
+def _models(places: list[Path] | None) -> tuple[Simulator, ...]:
     if not places:
         return ()
     check_torch("stability --models")
-    from mbds_xsim.studies.stability.learned import models_in
+    from mbds_xsim.learn.simulator import simulators_in
 
-    return models_in(places)
+    return simulators_in(places)
+
+
+def _profiles(words: str) -> tuple[Profile, ...]:
+    """Read the profiles from a user's words, each once."""
+    from mbds_xsim.base.errors import InputError
+    from mbds_xsim.simulate.catalogue import as_profile
+    from mbds_xsim.simulate.choice import is_file
+
+    if paths := [word for word in words.split(",") if is_file(word)]:
+        msg = (
+            f"--settings {paths[0]}: a file has the settings of one scene, and a map makes scenes "
+            "and steps of its own; allowed are matched, native, or both"
+        )
+        raise InputError(msg)
+    return tuple(dict.fromkeys(as_profile(word.strip()) for word in words.split(",")))
 
 
 def _words(text: str | None) -> tuple[str, ...]:

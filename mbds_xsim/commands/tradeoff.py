@@ -30,7 +30,7 @@ from mbds_xsim.commands.shared import (
 if TYPE_CHECKING:
     from mbds_xsim.learn.trained import TrainedModel
     from mbds_xsim.scene.scene import Scene
-    from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
+    from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 
 
 @command(
@@ -79,11 +79,10 @@ def tradeoff(
     """Chart speed against accuracy: every engine, method and step, and their options."""
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.bar import StudyBar
-    from mbds_xsim.report.files import link, rows_csv, write_if
+    from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.tradeoff.present import present, to_png
-    from mbds_xsim.studies.tradeoff.rows import to_json
 
     console = console_for(json)
     choice = Choice.parse(engines=engines)
@@ -123,7 +122,7 @@ def tradeoff(
         studies.append(study)
         rows += found
         print_report(present(study), console)
-    stored = to_json(studies)
+    stored = results_json(studies)
     write_if(csv, lambda: rows_csv(rows))
     write_if(png, lambda: to_png(studies, stored))
     reports = [
@@ -133,7 +132,7 @@ def tradeoff(
     write_json(stored, json)
 
 
-def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, list[Row]]:
+def _engines(onto: Path | None, scene: Scene, **how: Any) -> tuple[Tradeoff, list[Measurement]]:
     """Read the engines' part of a study, without its rows, or measure it."""
     from mbds_xsim.studies.tradeoff.rows import read_tradeoff
     from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows

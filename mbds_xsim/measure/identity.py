@@ -6,6 +6,7 @@ import functools
 import hashlib
 import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -16,31 +17,30 @@ from mbds_xsim.reference.cache import key_of
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.simulator import Simulator
 
 
-def row_key(scene: Scene, start: Batch, engine: str, settings: Settings) -> str:
+def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str:
     """Name a row by its content.
 
-    It covers the physics, the start and its inputs, the budgets, the settings, the versions of
-    engine, adapter, checks and numpy, and the machine.
+    It covers the physics, the start and its inputs, the budgets, the simulator at a number of
+    steps a frame, the versions of all that runs and judges it, and the machine.
     """
-    adapter = registry.load_adapter(engine)
-    steps = settings.substeps(scene.clock.frame)
     what = [
         key_of("tradeoff", scene, start, 0, 0.0),
         scene.budget,
-        engine,
-        settings.method,
-        steps,
-        sorted(settings.options.items()),
-        adapter.version(),
-        adapter.revision,
+        *simulator.decisive(scene, count),
         CHECKS,
         registry.package_version("numpy"),
         machine(),
     ]
     return hashlib.sha256(msgspec.json.encode(what, enc_hook=float)).hexdigest()
+
+
+def versions_of(packages: Mapping[str, str]) -> dict[str, str]:
+    """List the versions behind a result: of this toolkit, and of the packages that ran."""
+    own = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
+    return own | {"python": platform.python_version()} | dict(packages)
 
 
 @functools.cache

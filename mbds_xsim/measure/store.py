@@ -6,24 +6,27 @@ that was cut off or changed, or that another version wrote, is passed over.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference.cache import directory
-from mbds_xsim.studies.tradeoff.rows import Row
 
 
-class _Keyed(Protocol):
-    @property
-    def key(self) -> str: ...
+class Keyed(msgspec.Struct, frozen=True, kw_only=True):
+    """A row that can be kept."""
+
+    key: str
+    """Hash of all that decides the figures."""
 
 
-R = TypeVar("R", bound=_Keyed)
+R = TypeVar("R", bound=Keyed)
 
 
 class Store(Generic[R]):
@@ -33,11 +36,11 @@ class Store(Generic[R]):
         self.path = path
         self.rows: dict[str, R] = {row.key: row for row in _read(path, kind)}
 
-    @staticmethod
-    def of(scene: str) -> Store[Row]:
-        """Open the store of a scene's trade-off rows in the user's cache directory."""
-        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in scene)
-        return Store(directory() / "tradeoff" / f"{safe}.jsonl", Row)
+    @classmethod
+    def of(cls, study: str, subject: str, kind: type[R]) -> Store[R]:
+        """Open the store of a study's rows about a subject in the user's cache directory."""
+        safe = "".join(c if c.isalnum() or c in "-_." else "_" for c in subject)
+        return cls(directory() / study / f"{safe}.jsonl", kind)
 
     def add(self, row: R) -> None:
         """Keep a row.
@@ -61,19 +64,12 @@ class Store(Generic[R]):
             raise InputError(msg) from error
 
 
-def _read(path: Path, kind: type[R]) -> list[R]:
-    if not path.is_file():
-        return []
-    rows = []
-    for line in path.read_bytes().splitlines():
+def _read(path: Path, kind: type[R]) -> Iterator[R]:
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
         checksum, _, text = line.partition(b" ")
-        if checksum != _sum(text):
-            continue
-        try:
-            rows.append(msgspec.json.decode(text, type=kind))
-        except (msgspec.DecodeError, msgspec.ValidationError):
-            continue
-    return rows
+        if checksum == _sum(text):
+            with contextlib.suppress(msgspec.DecodeError):
+                yield msgspec.json.decode(text, type=kind)
 
 
 def _sum(text: bytes) -> bytes:

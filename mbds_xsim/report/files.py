@@ -45,6 +45,12 @@ def link(picture: Path | None, page: Path | None) -> str:
     return Path(os.path.relpath(picture, page.parent)).as_posix()
 
 
+def results_json(results: Sequence[msgspec.Struct]) -> bytes:
+    """Write one result as an object, several as a list; NaN and infinities become null."""
+    what = results[0] if len(results) == 1 else results
+    return msgspec.json.format(msgspec.json.encode(what), indent=2)
+
+
 def rows_csv(rows: Iterable[msgspec.Struct], *more: str) -> bytes:
     """Give a header and a line a row; numbers of a tuple are separated by blanks.
 

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
 from mbds_xsim.studies.match import search as match
 from mbds_xsim.studies.stability import rows as stability_rows
@@ -86,7 +87,7 @@ def _tradeoff() -> Json:
         kept=0,
         wall_s=1.0,
     )
-    return json.loads(rows.to_json([study]))
+    return json.loads(results_json([study]))
 
 
 def _match() -> Json:
@@ -127,7 +128,7 @@ def _match() -> Json:
 
 
 def _stability() -> Json:
-    cell = stability_rows.Cell(
+    cell = stability_rows.MapCell(
         key="k",
         study="spin",
         value=10.0,
@@ -175,7 +176,7 @@ def _stability() -> Json:
         kept=0,
         wall_s=1.0,
     )
-    return json.loads(stability_rows.to_json([sweep]))
+    return json.loads(results_json([sweep]))
 
 
 _RESULTS = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -17,10 +18,12 @@ from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.cli import main
 from mbds_xsim.commands import app
+from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
+from mbds_xsim.learn.simulator import LearnedSimulator, signs_of, simulators_in
 from mbds_xsim.learn.trained import particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
 from mbds_xsim.report.markdown import to_markdown
@@ -29,19 +32,13 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.stability import learned, words
-from mbds_xsim.studies.stability.contenders import Plan
+from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.definition import Study
-from mbds_xsim.studies.stability.learned import (
-    LearnedContender,
-    judge_particles,
-    models_in,
-    run_model,
-)
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.rows import Outcome, Sweep
 from mbds_xsim.studies.stability.studies import STUDIES
-from mbds_xsim.studies.stability.survey import survey
+from mbds_xsim.studies.stability.survey import Plan, simulators_of, survey
+from mbds_xsim.studies.stability.verdict import judge, run_cell
 from tests.learn.models import untrained
 
 Array = np.ndarray
@@ -76,6 +73,10 @@ def _motion(scene: Scene, batch: Batch, motion: Trajectory) -> ParticleMotion:
 
 def _spoilt(motion: ParticleMotion, change: Callable[[Array], Array]) -> ParticleMotion:
     return dataclasses.replace(motion, position=change(motion.position.copy()))
+
+
+def judge_particles(motion: ParticleMotion, truth: ParticleMotion) -> SimpleNamespace:
+    return SimpleNamespace(**judge(signs_of(motion, truth)))
 
 
 @pytest.fixture(scope="module")
@@ -209,13 +210,13 @@ def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
     model.__class__ = _Perfect
     assert isinstance(model, _Perfect)
     model.truth = torch.from_numpy(_motion(scene, batch, truth).position)[None]
-    monkeypatch.setattr(learned, "read_model", lambda *_: (model, {}))
+    monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
 
-    judged = run_model(Path("any.pt"), scene, batch, truth)
+    found = run_cell(simulators_in([folder])[0], scene, batch, 1, truth)
 
-    assert judged.verdict.outcome == "stable"
-    assert judged.verdict.error == pytest.approx(0.0, abs=1e-4)
-    assert judged.wall_s > 0.0
+    assert found["outcome"] == "stable"
+    assert found["error"] == pytest.approx(0.0, abs=1e-4)
+    assert found["wall_s"] > 0.0
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +224,7 @@ def sweep(folder: Path) -> Sweep:
     """A model beside an engine's method."""
     plan = Plan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
-        workers=0, others=models_in([folder]),
+        workers=0, others=simulators_in([folder]),
     )  # fmt: skip
     return survey(plan)
 
@@ -248,10 +249,10 @@ def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Sweep, folder
 def test_what_was_predicted_is_kept_until_the_model_is_another(
     sweep: Sweep, folder: Path, tmp_path: Path
 ) -> None:
-    plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=models_in([folder]))
+    plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=simulators_in([folder]))
     again = survey(plan)
     path = untrained(tmp_path, "1pendulum")
-    other = survey(dataclasses.replace(plan, others=models_in([path])))
+    other = survey(dataclasses.replace(plan, others=simulators_in([path])))
 
     assert (again.measured, again.kept) == (0, 2)
     assert [row[0].outcome for row in again.panels[0].cells] == [
@@ -306,20 +307,21 @@ def test_without_models_nothing_is_said_of_them() -> None:
 
 def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> None:
     ball = STUDIES["throw"]  # a ground and no anchor: other features at a node
-    (model,) = models_in([folder])
+    (model,) = simulators_in([folder])
 
-    assert "its parameters do not fit ballscroll" in model.refusal(ball, ball.scene(5.0))
+    assert "its parameters do not fit ballscroll" in model.refusal(ball.scene(5.0))
     with pytest.raises(InputError, match="nothing to run in throw"):
         survey(Plan(ball, values=(5.0,), workers=0, others=(model,)))
 
 
 def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> None:
-    (model,) = models_in([folder])
+    (model,) = simulators_in([folder])
     scene, batch, _ = _solved(STUDIES["swing"], 0.0)
 
-    assert "no reference" in model.refusal(STUDIES["wheels"], scene)
+    with pytest.raises(InputError, match=r"nothing to run in wheels: .* no reference"):
+        simulators_of(Plan(STUDIES["wheels"], values=(10.0,), others=(model,)))
     with pytest.raises(InputError, match="no reference"):
-        run_model(model.trained.file, scene, batch, None)
+        run_cell(model, scene, batch, 1, None)
 
 
 def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
@@ -328,8 +330,9 @@ def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
         found, trained_on=msgspec.structs.replace(found.scene, clock=Clock(0.1, 40))
     )
 
-    assert LearnedContender(found).clock(STUDIES["swing"]) == CLOCK
-    assert LearnedContender(slow).clock(STUDIES["swing"]) == Clock(0.1, 10)
+    usual = STUDIES["swing"].clock
+    assert LearnedSimulator(found, "").clock(usual) == CLOCK
+    assert LearnedSimulator(slow, "").clock(usual) == Clock(0.1, 10)
 
 
 @pytest.mark.parametrize(
@@ -356,13 +359,13 @@ def test_what_is_no_model_is_one_clear_line(
     error = capsys.readouterr().err.strip()
     assert len(error.splitlines()) == 1
     with pytest.raises(InputError, match=told):
-        models_in([tmp_path / place])
+        simulators_in([tmp_path / place])
 
 
 def test_results_name_files_as_the_user_did(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
 
-    (model,) = models_in([Path("2pendulum")])
+    (model,) = simulators_in([Path("2pendulum")])
 
     assert model.source == "2pendulum/native/gns/mujoco-s0.pt"
     assert model.trained.file.is_absolute()

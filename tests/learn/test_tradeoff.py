@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,21 +13,28 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.cli import main
+from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.simulator import LearnedSimulator
 from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
-from mbds_xsim.report.files import rows_csv
+from mbds_xsim.report.files import results_json, rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
+from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.tradeoff import learned as measuring
-from mbds_xsim.studies.tradeoff.learned import AT_ONCE, ModelStarts, with_models
+from mbds_xsim.studies.tradeoff import bench as measuring
+from mbds_xsim.studies.tradeoff import learned
+from mbds_xsim.studies.tradeoff.bench import measure
+from mbds_xsim.studies.tradeoff.learned import AT_ONCE, with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
-from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff, read_tradeoff, to_json
+from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, read_tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
+from mbds_xsim.studies.tradeoff.truths import references
 from tests.learn.models import untrained
 
 FRAMES = 60
@@ -68,7 +74,7 @@ def engines(scene: Scene) -> Tradeoff:
 
 
 @pytest.fixture(scope="module")
-def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[Row]]:
+def both(engines: Tradeoff, scene: Scene, folder: Path) -> tuple[Tradeoff, list[Measurement]]:
     """The engine and the models."""
     return with_models(engines, scene, trained_in([folder]), workers=0)
 
@@ -90,7 +96,7 @@ class _Perfect(GNS):
 
 
 def test_engines_stay_as_they_were_and_models_of_other_scenes_are_left_out(
-    engines: Tradeoff, both: tuple[Tradeoff, list[Row]]
+    engines: Tradeoff, both: tuple[Tradeoff, list[Measurement]]
 ) -> None:
     study, rows = both
 
@@ -104,7 +110,7 @@ def test_engines_stay_as_they_were_and_models_of_other_scenes_are_left_out(
 
 
 def test_a_point_has_cost_errors_and_what_training_took(
-    both: tuple[Tradeoff, list[Row]],
+    both: tuple[Tradeoff, list[Measurement]],
 ) -> None:
     for model in both[0].models:
         alone, batched = model.alone, model.batched
@@ -121,48 +127,54 @@ def test_a_point_has_cost_errors_and_what_training_took(
         assert (model.known_frames, model.at_once) == (HISTORY, AT_ONCE)
 
 
+@pytest.fixture(scope="module")
+def starts(engines: Tradeoff, scene: Scene) -> tuple[Batch, Batch]:
+    """The study's starts, and the same without random forces."""
+    drawn = [
+        draw_batch(scene, engines.trajectories, seed=engines.seed, noise=noise)
+        for noise in (True, False)
+    ]
+    return drawn[0], drawn[1]
+
+
+@pytest.mark.parametrize("together", [1, AT_ONCE])
 def test_a_model_that_knows_the_motion_has_no_error(
-    engines: Tradeoff, scene: Scene, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trial = ModelStarts.of(engines, scene, cache=True, workers=0)
-    truth = trial.truths[0].trajectory
-    one = dataclasses.replace(trial, starts=trial.starts[[0]], quiet=trial.quiet[[0]],
-                              truths=trial.truths[:1])  # fmt: skip
+    together: int, starts: tuple[Batch, Batch], scene: Scene, folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    drawn, quiet = starts
+    (truth, _) = references(scene, drawn, cache=True, workers=0)
     trained = trained_in([folder / "1pendulum"])[0]
     model, _ = read_model(trained.file, scene)
     model.__class__ = _Perfect
     assert isinstance(model, _Perfect)
-    model.truth = torch.from_numpy(particle_motion(model.graph, one.starts, truth).position)[None]
-    monkeypatch.setattr(measuring, "read_model", lambda *_: (model, {}))
-    expected = measuring._expected(trained, one)
+    due = particle_motion(model.graph, drawn[[0]], truth.trajectory)
+    model.truth = torch.from_numpy(due.position)[None]
+    monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
+    simulator = LearnedSimulator(trained, "by heart", "", together, quiet)
 
-    alone, batched = measuring.measure_model(trained, one, expected)
+    found = measure(simulator, scene, drawn[[0]], 1, truth)
 
-    for row in (alone, batched):
-        assert row.kind == "done"
-        assert row.error_m is not None
-        assert row.error_m < 1e-4
-        assert row.error_weighted_m is not None
-        assert row.error_weighted_m < 1e-4
-        assert row.energy is not None
-        # What random forces did is no merit of a model that happens to follow.
-        assert row.energy < 0.05
-    assert [row.key for row in (alone, batched)] == [row.key for row in expected]
+    assert "kind" not in found
+    assert found["error_m"] < 1e-4
+    assert found["error_weighted_m"] < 1e-4
+    # What random forces did is no merit of a model that happens to follow.
+    assert found["energy"] < 0.05
 
 
 def test_a_model_is_given_the_first_frames_and_no_random_forces(
-    engines: Tradeoff, scene: Scene, folder: Path
+    starts: tuple[Batch, Batch], scene: Scene, folder: Path
 ) -> None:
-    trial = ModelStarts.of(engines, scene, cache=True, workers=0)
+    drawn, quiet = starts
     model, _ = read_model(trained_in([folder / "1pendulum"])[0].file, scene)
-    truth = trial.truths[0].trajectory
+    truth = references(scene, drawn, cache=True, workers=0)[0].trajectory
 
-    known = known_start(model, truth, trial.quiet[[0]])
+    known = known_start(model, truth, quiet[[0]])
 
-    assert trial.starts.force.any()
+    assert drawn.force.any()
     assert not known.inputs.force.any()
     assert known.inputs.force.shape[1] == FRAMES - HISTORY + 1
-    due = particle_motion(model.graph, trial.starts[[0]], truth).position[None]
+    due = particle_motion(model.graph, drawn[[0]], truth).position[None]
     assert known.start.history.numpy() == pytest.approx(due[:, :HISTORY], abs=1e-6)
     speed = (due[:, HISTORY] - due[:, HISTORY - 2]) / (2 * scene.clock.frame)
     assert known.start.velocity.numpy() == pytest.approx(speed, abs=0.01)
@@ -184,7 +196,7 @@ def test_a_lost_prediction_is_a_failed_point(
         rolled[:, 10:] = torch.nan
         return rolled
 
-    monkeypatch.setattr(measuring, "carry_on", lost)
+    monkeypatch.setattr(simulating, "carry_on", lost)
     study, _ = with_models(engines, scene, trained_in([folder / "1pendulum"])[:1], workers=0)
 
     (model,) = study.models
@@ -196,15 +208,15 @@ def test_a_lost_prediction_is_a_failed_point(
 
 
 def test_what_is_measured_is_kept(
-    engines: Tradeoff, both: tuple[Tradeoff, list[Row]], scene: Scene, folder: Path,
+    engines: Tradeoff, both: tuple[Tradeoff, list[Measurement]], scene: Scene, folder: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     fresh, _ = with_models(engines, scene, trained_in([folder]), workers=0, fresh=True)
 
-    def refused(*anything: object) -> list[Row]:
+    def refused(*anything: object) -> dict[str, object]:
         raise AssertionError(anything)
 
-    monkeypatch.setattr(measuring, "measure_model", refused)
+    monkeypatch.setattr(measuring, "measure", refused)
     again, _ = with_models(engines, scene, trained_in([folder]), workers=0)
 
     assert again.models == fresh.models
@@ -212,9 +224,11 @@ def test_what_is_measured_is_kept(
     assert errors[0] == errors[1]
 
 
-def test_all_files_have_the_models(both: tuple[Tradeoff, list[Row]], tmp_path: Path) -> None:
+def test_all_files_have_the_models(
+    both: tuple[Tradeoff, list[Measurement]], tmp_path: Path
+) -> None:
     study, rows = both
-    (tmp_path / "study.json").write_bytes(to_json([study]))
+    (tmp_path / "study.json").write_bytes(results_json([study]))
     table = list(csv.DictReader(rows_csv(rows).decode().splitlines()))
     page, words = to_html([present(study)], ""), to_markdown([present(study)])
 
@@ -240,14 +254,17 @@ def test_a_study_of_another_scene_or_no_model_of_it_is_refused(
         with_models(engines, scene, trained_in([folder / "2pendulum"]), workers=0)
 
 
-def test_where_the_reference_ends_at_once_nothing_can_be_given(engines: Tradeoff) -> None:
+def test_where_the_reference_ends_at_once_nothing_can_be_given(
+    engines: Tradeoff, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     car = registry.load_scene("particlecar")
     from mbds_xsim.scene.fingerprint import fingerprint
 
     study = msgspec.structs.replace(engines, fingerprint=fingerprint(car), trajectories=(1,))
+    monkeypatch.setattr(learned, "models_of", lambda _, models: (models, {}))
 
     with pytest.raises(InputError, match="the reference ends within the 6 frames"):
-        ModelStarts.of(study, car, cache=True, workers=0)
+        with_models(study, car, trained_in([folder]), workers=0)
 
 
 def test_the_command_puts_models_onto_a_stored_study(
@@ -258,7 +275,7 @@ def test_the_command_puts_models_onto_a_stored_study(
 
     path, stored, out = (tmp_path / name for name in ("scene.toml", "study.json", "both.json"))
     path.write_text(write_scene(scene))
-    stored.write_bytes(to_json([engines]))
+    stored.write_bytes(results_json([engines]))
     words = ["tradeoff", str(path), "--models", str(folder / "1pendulum"), "--onto", str(stored),
              "--json", str(out), "--workers", "1"]  # fmt: skip
     monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])

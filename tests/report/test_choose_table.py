@@ -9,7 +9,8 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.choose_table import choose_table
-from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff, to_json
+from mbds_xsim.report.files import results_json
+from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff
 
 _ROOT = Path(__file__).parents[2]
 
@@ -142,7 +143,7 @@ def test_scenes_without_a_truth_are_not_said_to_be_judged() -> None:
 
 
 def test_the_script_puts_it_between_its_marks(tmp_path: Path) -> None:
-    (tmp_path / "pair.json").write_bytes(to_json([_STUDY]))
+    (tmp_path / "pair.json").write_bytes(results_json([_STUDY]))
     page = tmp_path / "page.md"
     page.write_text("a\n<!-- choose-table: begin -->\nold\n<!-- choose-table: end -->\nb\n")
 

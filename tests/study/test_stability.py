@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,16 +14,16 @@ import pytest
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.stability import verdict as cells
-from mbds_xsim.studies.stability.contenders import Plan
+from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.definition import FRAME, Study
-from mbds_xsim.studies.stability.rows import Cell, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Sweep
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
-from mbds_xsim.studies.stability.survey import survey
-from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, who_told
+from mbds_xsim.studies.stability.survey import Plan, survey
+from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
 from tests.plugins import installed
 
 
@@ -41,7 +42,7 @@ def _sweep(study: Study, engine: str, method: str, **how: Any) -> Sweep:
     return survey(dataclasses.replace(plan, **how))
 
 
-def _cell(engine: str, method: str, stiffness: float, count: int) -> Cell:
+def _cell(engine: str, method: str, stiffness: float, count: int) -> MapCell:
     (cell,) = _sweep(_BLIND, engine, method, values=(stiffness,), counts=(count,)).cells
     return cell
 
@@ -126,7 +127,8 @@ class _Known:
         study = STUDIES["swing"]
         motion = dataclasses.replace(self.truth, **spoilt)
         method = registry.load_adapter("mujoco").methods["RK4"]
-        return judge(self.scene, study.batch(self.scene), motion, self.truth, method, FRAME)
+        record = Record(self.scene, study.batch(self.scene), motion, method, FRAME)
+        return SimpleNamespace(**judge(signs_of(record, self.truth), motion.failures[0]))
 
 
 @pytest.fixture
@@ -224,10 +226,10 @@ def test_an_interrupted_study_goes_on_where_it_stopped(monkeypatch: pytest.Monke
         if len(calls) == 3:
             calls.append(None)
             raise KeyboardInterrupt
-        calls.append(arguments[2:4])
+        calls.append(arguments[3])
         return run_cell(*arguments)
 
-    monkeypatch.setattr(cells, "run_cell", counted)
+    monkeypatch.setattr(surveys, "run_cell", counted)
     how: dict[str, Any] = {"values": (1e2, 1e3), "counts": (5, 10, 20)}
     with pytest.raises(KeyboardInterrupt):
         _sweep(_BLIND, "mujoco", "RK4", **how)

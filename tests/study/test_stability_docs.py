@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.studies import study_named
-from mbds_xsim.studies.stability.survey import survey
+from mbds_xsim.studies.stability.survey import Plan, survey
 
 _PAGE = Path(__file__).parents[2] / "docs" / "failure-modes.md"
 _TOLD = re.compile(

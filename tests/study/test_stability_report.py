@@ -17,17 +17,16 @@ import pytest
 
 from mbds_xsim import cli
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure import runner
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
-from mbds_xsim.studies.stability import runs as measuring
 from mbds_xsim.studies.stability import survey as surveys
-from mbds_xsim.studies.stability.contenders import Plan
 from mbds_xsim.studies.stability.figures import LOOKS
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.rows import FAILED, Sweep
 from mbds_xsim.studies.stability.studies import STUDIES
-from mbds_xsim.studies.stability.survey import survey
+from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.words import breaking, command_of, conclusion, limit, told
 
 _COUNTS = (2, 10, 50)
@@ -155,7 +154,7 @@ def run(
             options.get("finished", lambda *_: None)(place, answers[-1])
         return answers
 
-    for module in (surveys, measuring):
+    for module in (surveys, runner):
         monkeypatch.setattr(module, "run_tasks", here)
 
     def call(*words: str) -> tuple[int, str, str]:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import msgspec
 import pytest
 
-from mbds_xsim.measure.store import Store
+from mbds_xsim.measure.store import Keyed, Store
 
 
-class _Row(msgspec.Struct):
-    key: str
+class _Row(Keyed, frozen=True, kw_only=True):
     error: float
 
 
@@ -21,8 +19,8 @@ class _Row(msgspec.Struct):
 def test_a_row_that_was_changed_is_passed_over(old: bytes, new: bytes, tmp_path: Path) -> None:
     path = tmp_path / "rows.jsonl"
     store = Store(path, _Row)
-    store.add(_Row("one", 0.25))
-    store.add(_Row("last", 1.0))
+    store.add(_Row(key="one", error=0.25))
+    store.add(_Row(key="last", error=1.0))
     whole = path.read_bytes()
     assert whole.count(old) >= 1
 

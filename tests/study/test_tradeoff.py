@@ -14,18 +14,20 @@ import msgspec
 import pytest
 
 from mbds_xsim.base.isolate import Task
+from mbds_xsim.measure import runner
 from mbds_xsim.measure.store import Store
 from mbds_xsim.scene.scene import Clock, Scene
-from mbds_xsim.simulate import registry
+from mbds_xsim.simulate import registry, timed
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import features_of
-from mbds_xsim.studies.tradeoff import bench, point, sweep
+from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
+from mbds_xsim.studies.tradeoff import bench, sweep
+from mbds_xsim.studies.tradeoff.bench import measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
-from mbds_xsim.studies.tradeoff.point import measure
-from mbds_xsim.studies.tradeoff.rows import Row, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
-from mbds_xsim.studies.tradeoff.sweep import Curve, curves_of
+from mbds_xsim.studies.tradeoff.sweep import curves_of
 from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT
 from tests.plugins import installed
 
@@ -38,7 +40,7 @@ def _small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(sweep, "COUNTS", (1, 2, 5, 10, 20))
     monkeypatch.setattr(sweep, "_THIN", (5,))
-    monkeypatch.setattr(point, "_ENOUGH", 0.01)
+    monkeypatch.setattr(timed, "_ENOUGH", 0.01)
 
 
 @pytest.fixture
@@ -49,6 +51,10 @@ def scene() -> Scene:
 
 def _study(scene: Scene, engines: str = "mujoco,exudyn", **how: Any) -> Tradeoff:
     return tradeoff(scene, engines=engines.split(","), **({"starts": 1, "workers": 0} | how))
+
+
+def _store(scene: Scene) -> Store[Measurement]:
+    return Store.of("tradeoff", scene.name, Measurement)
 
 
 def _curve(study: Tradeoff, name: str) -> Any:
@@ -75,8 +81,8 @@ def test_the_error_is_at_the_end_of_a_scene_shorter_than_a_second(scene: Scene) 
 def test_times_are_the_median_of_starts_and_repeats(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(point, "_ENOUGH", math.inf)
-    monkeypatch.setattr(point, "_MOST_REPEATS", 3)
+    monkeypatch.setattr(timed, "_ENOUGH", math.inf)
+    monkeypatch.setattr(timed, "_MOST_REPEATS", 3)
     study, rows = tradeoff_with_rows(scene, choice=Choice.parse(engines="mujoco"), workers=0)
 
     first = _curve(study, "mujoco RK4").points[0]
@@ -106,7 +112,8 @@ def test_an_interrupted_study_goes_on_where_it_stopped(
     calls: list[str] = []
 
     def counted(*arguments: Any) -> Any:
-        call = f"{arguments[2:4]} {arguments[1].index}"
+        simulator, _, start, count, _ = arguments
+        call = f"{simulator.name} {count} {start.index}"
         if len(calls) == 5 and call not in interrupted:
             interrupted.append(call)
             raise KeyboardInterrupt
@@ -195,8 +202,8 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
 @pytest.mark.parametrize("own_limit", [True, False])
 def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
     car = registry.load_scene("particlecar")
-    curve = Curve("pybullet", "semi-implicit-euler", "", {}, (1,))
-    row = Row(
+    curve = EngineMethod("pybullet", "semi-implicit-euler", "", {}, (1,))
+    row = Measurement(
         key="", scene=car.name, engine=curve.engine, version="1", method=curve.method,
         variation="", options={}, steps_per_frame=1, step_s=0.02, trajectory=1, seed=0,
         machine="", limit_s=1.0, kind="done", wall_s=(1.0,), cpu_s=(1.0,),
@@ -209,14 +216,14 @@ def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
 
 def test_a_line_that_was_cut_off_is_passed_over(scene: Scene) -> None:
     first = _study(scene, "mujoco")
-    path = Store.of(scene.name).path
+    path = _store(scene).path
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])
 
     second = _study(scene, "mujoco")
 
     assert (second.kept, second.measured) == (first.measured - 1, 1)
-    assert len(Store.of(scene.name).rows) == first.measured
+    assert len(_store(scene).rows) == first.measured
 
 
 def test_sweeps_name_options_and_methods_of_the_engine(adapter: Adapter) -> None:
@@ -234,7 +241,7 @@ def test_what_is_tried_can_be_loaded(adapter: Adapter, name: str) -> None:
 
     curves, _ = curves_of(scene, [adapter.name])
 
-    varied = [curve for curve in curves if curve.variation not in ("", sweep.NATIVE)]
+    varied = [curve for curve in curves if curve.variation not in ("", NATIVE)]
     for curve in varied:
         adapter.check(scene, curve.settings(scene, 5))
         assert _needs_met(adapter, curve, scene)
@@ -242,7 +249,7 @@ def test_what_is_tried_can_be_loaded(adapter: Adapter, name: str) -> None:
     assert len({curve.name for curve in curves}) == len(curves)
 
 
-def _needs_met(adapter: Adapter, curve: Curve, scene: Scene) -> bool:
+def _needs_met(adapter: Adapter, curve: EngineMethod, scene: Scene) -> bool:
     tried = adapter.sweeps[curve.variation.split(" = ")[0]]
     return not tried.needs or bool(tried.needs & features_of(scene))
 
@@ -292,7 +299,8 @@ def faulty(tmp_path: Path) -> Iterator[None]:
 
 @functools.wraps(Task)
 def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout: float) -> Task:
-    return Task(function, arguments, _HANG if "hanging" in arguments else timeout)
+    simulator = arguments[1][0][0]
+    return Task(function, arguments, _HANG if simulator.engine == "hanging" else timeout)
 
 
 @pytest.mark.usefixtures("faulty")
@@ -301,7 +309,7 @@ def test_crash_time_out_and_nan_are_listed_results(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweep, "COUNTS", (4,))
-    monkeypatch.setattr(bench, "Task", _impatient)
+    monkeypatch.setattr(runner, "Task", _impatient)
     engines = "mujoco,aborting,hanging,blowing"
 
     study = _study(scene, engines, starts=1, workers=8)
@@ -322,6 +330,6 @@ def test_crash_time_out_and_nan_are_listed_results(
         for point in curve.points
     )
     # A time-out counts only as long as no more time is given.
-    again = Store.of(scene.name)
+    again = _store(scene)
     assert {row.kind for row in again.rows.values()} == {"done", "failed", "crashed", "timed out"}
-    assert all(isinstance(row, Row) for row in again.rows.values())
+    assert all(isinstance(row, Measurement) for row in again.rows.values())

@@ -13,18 +13,17 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim import cli
-from mbds_xsim.report.files import link, rows_csv, write_reports
+from mbds_xsim.report.files import link, results_json, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
 from mbds_xsim.studies.tradeoff import words as summary
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.studies.tradeoff.rows import (
     SCHEMA,
     CurveResult,
+    Measurement,
     Point,
     Ratio,
-    Row,
     Tradeoff,
-    to_json,
 )
 
 
@@ -179,9 +178,12 @@ def test_files_are_written(study: Tradeoff, tmp_path: Path) -> None:
     assert "# other: speed against accuracy" in text
     assert "Cheapest within all budgets: mujoco RK4 solver = CG at 10 ms" in text
     assert text.count("![pair, speed against accuracy](out.png)\n") == text.count("![") == 1
-    told = json.loads(to_json([study]))
+    told = json.loads(results_json([study]))
     assert told["curves"][0]["points"][0]["kind"] == "crashed"
-    assert [entry["scene"] for entry in json.loads(to_json([study, other]))] == ["pair", "other"]
+    assert [entry["scene"] for entry in json.loads(results_json([study, other]))] == [
+        "pair",
+        "other",
+    ]
 
 
 def test_raw_rows_keep_every_repeat_and_version() -> None:
@@ -193,8 +195,8 @@ def test_raw_rows_keep_every_repeat_and_version() -> None:
     assert (line["version"], line["machine"], line["error_m"]) == ("4.0.0", "a, machine", "")
 
 
-def _row() -> Row:
-    return Row(
+def _row() -> Measurement:
+    return Measurement(
         key="k",
         scene="pair",
         engine="mujoco",

@@ -28,7 +28,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.simulate.timed import recorded
+from mbds_xsim.simulate.timed import checked
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ class ContactBench:
     def motion(self, scene: Scene, batch: Batch) -> Trajectory:
         """Let the engine run a batch; velocities are as recorded."""
         with load_adapter(self.engine).open(scene, self.settings) as run:
-            return recorded(run, batch)
+            return checked(run.rollout(batch), batch)
 
     def measured(
         self,

@@ -282,7 +282,7 @@ def _panel_entries(sweep: stability_rows.Sweep) -> Iterator[tuple[str, Entry]]:
             yield name, _cell_entry(cell, panel.name)
 
 
-def _cell_entry(cell: stability_rows.Cell, panel: str) -> Entry:
+def _cell_entry(cell: stability_rows.MapCell, panel: str) -> Entry:
     return Entry(
         verdict=cell.outcome,
         rank=_OUTCOMES.get(cell.outcome, FAILING + 1),

@@ -16,6 +16,7 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.quick import Search
+from mbds_xsim.measure.runner import Meter
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
@@ -26,8 +27,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.matched import settings_for
-from mbds_xsim.studies.tradeoff.bench import Meter
-from mbds_xsim.studies.tradeoff.sweep import NATIVE, Curve, curves_of
+from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
+from mbds_xsim.studies.tradeoff.sweep import curves_of
 
 SCHEMA = "mbds-xsim/match/1"
 
@@ -100,7 +101,7 @@ class Match(msgspec.Struct, frozen=True, kw_only=True):
 class _Candidate:
     """A curve on which the fewest steps are looked for."""
 
-    curve: Curve
+    curve: EngineMethod
     search: Search = field(default_factory=Search)
     trials: dict[int, Trial] = field(default_factory=dict)
     """On the trajectories of the search, by steps a frame."""
@@ -140,19 +141,19 @@ class _Field:
     limit: float
     meter: Meter
 
-    def run(self, asked: Sequence[tuple[Curve, int]]) -> list[Trial]:
+    def run(self, asked: Sequence[tuple[EngineMethod, int]]) -> list[Trial]:
         """Try settings on all trajectories, each in a process of its own."""
         rows = list(range(len(self.batch)))
         return self._run([(curve, count, rows, _SAMPLE) for curve, count in asked])
 
-    def run_spread(self, curve: Curve, count: int) -> Trial:
+    def run_spread(self, curve: EngineMethod, count: int) -> Trial:
         """Try one setting, its trajectories spread over processes."""
         places = list(range(len(self.batch)))
         parts = [places[k::_CHUNKS] for k in range(min(_CHUNKS, len(places)))]
         asked = [(curve, count, part, _SAMPLE if not k else 0) for k, part in enumerate(parts)]
         return joined(self._run(asked))
 
-    def _run(self, asked: Sequence[tuple[Curve, int, list[int], int]]) -> list[Trial]:
+    def _run(self, asked: Sequence[tuple[EngineMethod, int, list[int], int]]) -> list[Trial]:
         def finished(place: int, _: Any) -> None:
             self.meter.advance(asked[place][0].name)
 
@@ -160,7 +161,7 @@ class _Field:
         answers = run_tasks(tasks, workers=self.workers, finished=finished)
         return [failed_trial(a) if isinstance(a, Crash) else a for a in answers]
 
-    def _task(self, curve: Curve, count: int, rows: list[int], sample: int) -> Task:
+    def _task(self, curve: EngineMethod, count: int, rows: list[int], sample: int) -> Task:
         settings: Settings = curve.settings(self.scene, count)
         reference = part_of(self.reference, rows)
         arguments = (self.scene, self.batch[rows], curve.engine, settings, reference, sample)
@@ -252,7 +253,7 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
     for name in sorted(engines):
         settings = settings_for(scene, registry.load_adapter(name), "matched")
         count = settings.substeps(scene.clock.frame)
-        curve = Curve(name, settings.method, "", settings.options, (count,))
+        curve = EngineMethod(name, settings.method, "", settings.options, (count,))
         asked.append((curve, count))
         found[name] = settings
     trials = ground.run(asked)
@@ -263,7 +264,7 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
 def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
     """Let the settings in use compete, so that what is found is never dearer than they are."""
     count = settings.substeps(scene.clock.frame)
-    curve = Curve(engine, settings.method, _IN_USE, dict(settings.options), (count,))
+    curve = EngineMethod(engine, settings.method, _IN_USE, dict(settings.options), (count,))
     own = registry.load_adapter(engine).methods[settings.method].own
     search = Search(counts=(count,))
     search.tell(count, trial.passed and own)
@@ -275,7 +276,7 @@ def _rate_alike(candidates: Sequence[_Candidate]) -> None:
 
     def settings(candidate: _Candidate) -> tuple[str, str, dict[str, Any]]:
         curve = candidate.curve
-        return curve.engine, curve.method, dict(curve.options)
+        return curve.engine, curve.method, dict(curve.given or {})
 
     for used in (c for c in candidates if c.curve.variation == _IN_USE):
         (count,) = used.search.counts
@@ -393,7 +394,7 @@ def _found(
         method=curve.method,
         steps_per_frame=count,
         step_s=proof.scene.clock.frame / count,
-        options=dict(curve.options),
+        options=dict(curve.given or {}),
         meets_budget=trial.passed,
         reasons=trial.reasons,
         held_out=len(proof.batch),

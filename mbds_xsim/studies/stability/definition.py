@@ -11,7 +11,7 @@ import msgspec
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch
 
 Value = float | str
 
@@ -82,13 +82,3 @@ def text_of(value: Value, unit: str = "") -> str:
     if isinstance(value, str):
         return value
     return f"{value:g} {unit}".rstrip()
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """The scene at one value."""
-
-    value: Value
-    scene: Scene
-    batch: Batch
-    truth: Trajectory | None

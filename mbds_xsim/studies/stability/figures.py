@@ -12,7 +12,7 @@ from typing import Any
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.definition import text_of
-from mbds_xsim.studies.stability.rows import Cell, Outcome, Panel, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Outcome, Panel, Sweep
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def tips(sweep: Sweep) -> dict[str, str]:
     }
 
 
-def _draw_cell(axes: Any, cell: Cell, column: int, row: int, gid: str) -> None:
+def _draw_cell(axes: Any, cell: MapCell, column: int, row: int, gid: str) -> None:
     from matplotlib.patches import Rectangle
 
     look = LOOKS[cell.outcome]
@@ -171,7 +171,7 @@ def _draw_cell(axes: Any, cell: Cell, column: int, row: int, gid: str) -> None:
         )
 
 
-def _told(cell: Cell, sweep: Sweep) -> str:
+def _told(cell: MapCell, sweep: Sweep) -> str:
     lines = [words.name_of(cell, sweep)]
     lines += [f"{subject}: {text}" for subject, text in words.told(cell, sweep)]
     return "\n".join(lines)

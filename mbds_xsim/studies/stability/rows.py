@@ -6,13 +6,12 @@ from typing import Literal
 
 import msgspec
 
+from mbds_xsim.measure.store import Keyed
 from mbds_xsim.simulate.adapter import Profile
+from mbds_xsim.simulate.simulator import LEARNED, Options
 
 SCHEMA = "mbds-xsim/stability/1"
 
-LEARNED = "learned"
-"""Family of trained models."""
-Options = dict[str, float | int | bool | str]
 Outcome = Literal[
     "stable", "off course", "gains energy", "loses energy", "comes apart", "sinks in", "stuck",
     "clamped", "blows up", "gives up", "ends early", "crashed", "timed out", "refused",
@@ -32,11 +31,9 @@ adapter, which watches the states; the process, which died or did not end; or no
 the checks saw it."""
 
 
-class Cell(msgspec.Struct, frozen=True, kw_only=True):
+class MapCell(Keyed, frozen=True, kw_only=True):
     """One run: an engine's method at one value and one step."""
 
-    key: str
-    """Hash of all that decides the figures."""
     study: str
     value: float | str
     engine: str
@@ -106,7 +103,7 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
     method: str
     family: str
     profile: Profile
-    cells: tuple[tuple[Cell, ...], ...]
+    cells: tuple[tuple[MapCell, ...], ...]
 
     @property
     def steps_s(self) -> tuple[float, ...]:
@@ -132,13 +129,13 @@ class Panel(msgspec.Struct, frozen=True, kw_only=True):
         """Longest step at which this and all shorter ones measured are stable and on course [s]."""
         return _longest(self.cells[row], frozenset({"stable"}))
 
-    def first_broken(self, row: int) -> Cell | None:
+    def first_broken(self, row: int) -> MapCell | None:
         """The longest of the steps that fail next to the stable ones; None where none fails."""
         failed = [cell for cell in self.cells[row] if cell.failed]
         return failed[-1] if failed else None
 
 
-def _longest(cells: tuple[Cell, ...], good: frozenset[str]) -> float | None:
+def _longest(cells: tuple[MapCell, ...], good: frozenset[str]) -> float | None:
     longest = None
     for cell in reversed(cells):
         if cell.unmeasured:
@@ -176,12 +173,6 @@ class Sweep(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
 
     @property
-    def cells(self) -> list[Cell]:
+    def cells(self) -> list[MapCell]:
         """All cells, panel by panel."""
         return [cell for panel in self.panels for row in panel.cells for cell in row]
-
-
-def to_json(sweeps: list[Sweep]) -> bytes:
-    """Write one study as an object, several as a list; NaN and infinities become null."""
-    what = sweeps[0] if len(sweeps) == 1 else sweeps
-    return msgspec.json.format(msgspec.json.encode(what), indent=2)

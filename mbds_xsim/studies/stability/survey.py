@@ -1,27 +1,78 @@
-"""A study carried out: every engine, method, value and step, each run isolated."""
+"""A study carried out: every simulator at every value and step, each run isolated.
+
+The steps of one engine's method at one value share a process, as all values of one trained model
+do, whose torch takes longer to start than a prediction.
+"""
 
 from __future__ import annotations
 
-import platform
+import hashlib
+import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import msgspec
 
 from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.base.silence import Silent
-from mbds_xsim.measure.identity import machine
+from mbds_xsim.base.versions import CHECKS
+from mbds_xsim.measure.identity import machine, row_key, versions_of
+from mbds_xsim.measure.runner import Case, Meter, Runner, in_time
+from mbds_xsim.measure.store import Store
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.stability.contenders import Contender, Job, Plan, contenders_of
-from mbds_xsim.studies.stability.definition import FRAME, Case, Value, text_of
-from mbds_xsim.studies.stability.rows import SCHEMA, Panel, Sweep
-from mbds_xsim.studies.stability.runs import Measuring
-from mbds_xsim.studies.stability.verdict import CRITERIA
-from mbds_xsim.studies.tradeoff.bench import Meter
+from mbds_xsim.simulate.adapter import Profile
+from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
+from mbds_xsim.studies.stability.definition import COUNTS, FRAME, Study, Value, text_of
+from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Sweep
+from mbds_xsim.studies.stability.verdict import CRITERIA, run_cell
 
+LIMIT = 30.0
+"""Longest that a cell may take [s]."""
 _REFERENCE_LIMIT = 120.0  # [s]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What of a study is carried out, and how."""
+
+    study: Study
+    engines: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    """All of an engine's where none is named."""
+    profiles: tuple[Profile, ...] = ("matched", "native")
+    values: tuple[Value, ...] = ()
+    """The study's where none is given."""
+    counts: tuple[int, ...] = COUNTS
+    """Steps a frame, the fewest first."""
+    limit: float = LIMIT
+    """Longest that a cell may take [s]."""
+    workers: int | None = None
+    """Processes at a time; all cores when None, none but this one for 0."""
+    fresh: bool = False
+    """Whether cells that were measured earlier are measured again."""
+    cache: bool = True
+    """Whether reference solutions are kept."""
+    command: str = ""
+    others: tuple[Simulator, ...] = ()
+    """Who takes part beside the engines' methods."""
+    faulty: Mapping[str, str] = field(default_factory=dict)
+    """Engines that would take part but cannot be used, each with the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """The scene at one value."""
+
+    value: Value
+    scene: Scene
+    batch: Batch
+    truth: Trajectory | None
 
 
 def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
@@ -31,63 +82,103 @@ def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
         InputError: No method can do any of the scenes, or settings are not allowed.
     """
     begin = time.perf_counter()
-    values = plan.values or plan.study.values
-    scenes = {value: plan.study.scene(value) for value in values}
-    contenders, left_out = contenders_of(
-        plan.study, list(scenes.values()), plan.engines, plan.methods, plan.profiles, plan.others
+    plan = replace(plan, values=plan.values or plan.study.values)
+    simulators, left_out = simulators_of(plan)
+    instances, unknown = _instances(plan, simulators)
+    runner = Runner(
+        store=Store.of("stability", plan.study.name, MapCell),
+        crashed=_crashed,
+        labels=("value", "source"),
+        lasts=_lasts,
+        workers=plan.workers,
+        fresh=plan.fresh,
+        meter=meter or Silent(),
     )
-    cases, unknown = _cases(plan, values, contenders)
-    grid = [
-        [
-            [Job.of(case, contender, count) for count in contender.counts(plan.counts)]
-            for case in cases[contender.clock(plan.study)]
-        ]
-        for contender in contenders
-    ]
-    jobs = [job for panel in grid for row in panel for job in row]
-    measuring = Measuring(plan, meter or Silent())
-    measuring.run(jobs)
+    panels = _panels(plan, simulators, instances, runner)
     return Sweep(
         schema=SCHEMA,
         study=plan.study.name,
         sentence=plan.study.sentence,
         quantity=plan.study.quantity,
         unit=plan.study.unit,
-        values=tuple(values),
+        values=plan.values,
         steps_s=tuple(FRAME / count for count in plan.counts),
         duration_s=FRAME * plan.study.frames,
         criteria=CRITERIA,
-        panels=tuple(
-            _panel(contender, rows, measuring)
-            for contender, rows in zip(contenders, grid, strict=True)
-        ),
+        panels=panels,
         left_out=left_out | dict(plan.faulty),
         unknown=unknown,
         command=plan.command,
-        versions=_versions(contenders),
+        versions=versions_of({simulator.package: simulator.version for simulator in simulators}),
         machine=machine(),
         workers=core_count() if plan.workers is None else plan.workers,
-        measured=len(jobs) - measuring.kept,
-        kept=measuring.kept,
+        measured=runner.measured,
+        kept=runner.kept,
         wall_s=time.perf_counter() - begin,
     )
 
 
-def _cases(
-    plan: Plan, values: Sequence[Value], contenders: Sequence[Contender]
-) -> tuple[dict[Clock, list[Case]], dict[str, str]]:
-    """Make the scenes at the frames that each contender is recorded at, with what is true there."""
-    cases: dict[Clock, list[Case]] = {}
+def simulators_of(plan: Plan) -> tuple[list[Simulator], dict[str, str]]:
+    """List who takes part, and who can do none of the scenes, with the reason.
+
+    `matched` takes every method, `native` the one that a user of the engine gets.
+
+    Raises:
+        InputError: Nobody takes part, or a method that is named belongs to none of the engines.
+    """
+    asked: list[Simulator] = []
+    left_out: dict[str, str] = {}
+    scenes = [plan.study.scene(value) for value in plan.values]
+    for name, profile in itertools.product(plan.engines, plan.profiles):
+        adapter = registry.load_adapter(name)
+        try:
+            usual = adapter.settings(scenes[0], "native").method
+        except Unsupported as error:
+            left_out[name] = str(error)
+            continue
+        variation = NATIVE if profile == "native" else ""
+        for method in [usual] if profile == "native" else adapter.methods:
+            if not plan.methods or method in plan.methods:
+                asked.append(EngineMethod(name, method, variation, None, plan.counts, profile))
+    found: list[Simulator] = []
+    for simulator in [*asked, *plan.others]:
+        reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]
+        if all(reasons):
+            left_out[simulator.name] = reasons[0]
+        else:
+            found.append(simulator)
+    known = {method for name in plan.engines for method in registry.load_adapter(name).methods}
+    for method in plan.methods:
+        if method not in known:
+            raise UnknownName.of("method of these engines", method, sorted(known))
+    if not found:
+        reason = next(iter(left_out.values()), "no method that is named belongs to these settings")
+        msg = f"nothing to run in {plan.study.name}: {reason}"
+        raise InputError(msg)
+    return found, left_out
+
+
+def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
+    if simulator.shown and not study.known:
+        return f"{simulator.name}: no reference is known that could give it its first frames"
+    return simulator.refusal(scene)
+
+
+def _instances(
+    plan: Plan, simulators: Sequence[Simulator]
+) -> tuple[dict[Clock, list[Instance]], dict[str, str]]:
+    """Make the scenes at the frames that each simulator records, with what is true there."""
+    instances: dict[Clock, list[Instance]] = {}
     unknown: dict[str, str] = {}
-    for clock in dict.fromkeys(contender.clock(plan.study) for contender in contenders):
-        scenes = {value: plan.study.scene(value, clock) for value in values}
+    for clock in dict.fromkeys(simulator.clock(plan.study.clock) for simulator in simulators):
+        scenes = {value: plan.study.scene(value, clock) for value in plan.values}
         truths, missing = _truths(plan, scenes)
         unknown |= missing
-        cases[clock] = [
-            Case(value, scene, plan.study.batch(scene), truths.get(value))
+        instances[clock] = [
+            Instance(value, scene, plan.study.batch(scene), truths.get(value))
             for value, scene in scenes.items()
         ]
-    return cases, unknown
+    return instances, unknown
 
 
 def _truths(
@@ -119,20 +210,71 @@ def _truth(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
     return reference.solve(scene, batch, cache=cache)
 
 
-def _panel(contender: Contender, rows: list[list[Job]], done: Measuring) -> Panel:
-    return Panel(
-        engine=contender.engine,
-        version=contender.version,
-        method=contender.method,
-        family=contender.family,
-        profile=contender.profile,
-        cells=tuple(tuple(done.cells[job.key] for job in row) for row in rows),
+def _panels(
+    plan: Plan,
+    simulators: Sequence[Simulator],
+    instances: Mapping[Clock, Sequence[Instance]],
+    runner: Runner[MapCell],
+) -> tuple[Panel, ...]:
+    """Run all cells, those of most bodies first, who last, and put them in their places."""
+    grid = [
+        [
+            [_case(plan, simulator, instance, count) for count in simulator.counts]
+            for instance in instances[simulator.clock(plan.study.clock)]
+        ]
+        for simulator in simulators
+    ]
+    cases = [case for panel in grid for row in panel for case in row]
+    cases.sort(key=lambda case: -len(case.arguments()[1].bodies))
+    cells = dict(zip(map(id, cases), runner.rows(cases), strict=True))
+    return tuple(
+        Panel(
+            engine=simulator.engine,
+            version=simulator.version,
+            method=simulator.method,
+            family=simulator.family,
+            profile=simulator.profile,
+            cells=tuple(tuple(cells[id(case)] for case in row) for row in panel),
+        )
+        for simulator, panel in zip(simulators, grid, strict=True)
     )
 
 
-def _versions(contenders: Sequence[Contender]) -> dict[str, str]:
-    versions = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
-    versions["python"] = platform.python_version()
-    for contender in contenders:
-        versions |= contender.versions
-    return versions
+def _case(plan: Plan, simulator: Simulator, instance: Instance, count: int) -> Case[MapCell]:
+    scene, batch, truth = instance.scene, instance.batch, instance.truth
+    what = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
+    return Case(
+        row=MapCell(
+            key=hashlib.sha256(repr(what).encode()).hexdigest(),
+            study=plan.study.name,
+            value=instance.value,
+            engine=simulator.engine,
+            version=simulator.version,
+            method=simulator.method,
+            family=simulator.family,
+            profile=simulator.profile,
+            options={} if simulator.source else simulator.options(scene),
+            step_s=scene.clock.frame / count,
+            duration_s=scene.clock.duration,
+            limit_s=plan.limit,
+            machine=machine(),
+            outcome="crashed",
+            told="process",
+            source=simulator.source,
+        ),
+        name=f"{simulator.name}, {text_of(instance.value, plan.study.unit)}",
+        function=run_cell,
+        arguments=lambda: (simulator, scene, batch, count, truth),
+        limit=plan.limit,
+        group=simulator.name if simulator.source else (simulator.name, instance.value),
+        pace=count,
+    )
+
+
+def _crashed(cell: MapCell, crash: Crash) -> MapCell:
+    return msgspec.structs.replace(cell, outcome=crash.kind, reason=" ".join(crash.reason.split()))
+
+
+def _lasts(kept: MapCell, cell: MapCell) -> bool:
+    """Whether a kept cell need not be run again: a crash may have come from outside."""
+    return kept.outcome != "crashed" and in_time(kept, cell)

@@ -18,14 +18,11 @@ any of these before is told as that.
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base import isolate
 from mbds_xsim.checks import agreement
 from mbds_xsim.checks.energy import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
@@ -34,13 +31,11 @@ from mbds_xsim.checks.overlap import penetration
 from mbds_xsim.checks.passivity import passivity
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.claims import Method
-from mbds_xsim.simulate.timed import recorded
+from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way
 from mbds_xsim.studies.stability.rows import Outcome, Told
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _ENERGY = 0.1  # of the energy scale
 _OPEN = 0.01  # of the scene's length, and [rad]
@@ -56,111 +51,62 @@ CRITERIA = (
 )
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What became of a run, with the figures behind it."""
-
-    outcome: Outcome
-    told: Told
-    reason: str
-    broke_s: float | None
-    ended_s: float
-    energy: float | None
-    gap: float | None
-    sunk: float | None
-    way: float | None
-    error: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Signs:
-    """What may tell that a run broke, each (frame,), NaN where nothing is known."""
-
-    energy: Array
-    """Deviation over its scale, with its sign."""
-    gap: Array
-    """Over the scene's length, or [rad]."""
-    sunk: Array
-    """Over the scene's length."""
-    way: Array
-    """Over that which is due."""
-    error: Array
-    """Of the particles, over the scene's length."""
-
-    def broken(self) -> dict[Outcome, NDArray[np.bool_]]:
-        """Say at which frames which limit is passed, in the order of gravity."""
-        return {
-            "comes apart": self.gap > _OPEN,
-            "sinks in": self.sunk > _SUNK,
-            "gains energy": self.energy > _ENERGY,
-            "loses energy": self.energy < -_ENERGY,
-            "stuck": _to_the_end(self.way, self.way < _FROZEN),
-        }
-
-    def off_course(self) -> dict[Outcome, int]:
-        """Give the first frame at which the particles are too far off, if any."""
-        off = self.error > _OFF
-        return {"off course": int(off.argmax())} if off.any() else {}
-
-    def figures(self) -> dict[str, float | None]:
-        """Give the worst of each, and the way at the end, by their names in a verdict."""
-        worst = {k: _extreme(getattr(self, k)) for k in ("energy", "gap", "sunk", "error")}
-        end = float(self.way[-1])
-        return {**worst, "way": end if np.isfinite(end) else None}
-
-
-def part_of_way(gone: Array, due: Array, length: float) -> Array:
-    """Give the part of the way due [m] that is gone, where that is worth comparing; (frame,)."""
-    return np.where(due > _OFF * length, gone / due, np.nan)
-
-
-def judge(
-    scene: Scene,
-    batch: Batch,
-    trajectory: Trajectory,
-    truth: Trajectory | None,
-    method: Method,
-    step: float,
-) -> Verdict:
-    """Judge one run.
+def judge(signs: Signs, failure: Failure | None = None) -> dict[str, Any]:
+    """Give what became of a run, with the figures behind it, as fields of a cell.
 
     Args:
-        scene: What was simulated.
-        batch: The one start.
-        trajectory: What the engine made of it.
-        truth: The reference, if there is one; where it ends, so does the comparison.
-        method: How it was made.
-        step: Integration step [s].
+        signs: What shows in it.
+        failure: By which it ended, if it did not come to its end.
     """
-    record = Record(scene, batch, trajectory, method, step)
-    reference = None if truth is None else Record(scene, batch, truth)
+    begin, frames, end = signs.begin, len(signs.time), int(signs.finite.sum())
+    broken = {what: flags[begin:] for what, flags in _broken(signs).items()}
+    first = {what: int(flags.argmax()) + begin for what, flags in broken.items() if flags.any()}
+    if failure is not None or end < frames:
+        first.setdefault(meaning(failure), end)
+    off = signs.error > _OFF
+    if not first and off.any():
+        first = {"off course": int(off.argmax())}
+    outcome: Outcome = min(first, key=lambda what: first[what]) if first else "stable"
+    return {
+        "outcome": outcome,
+        "told": who_told(failure),
+        "reason": "" if failure is None else " ".join(failure.reason.split()),
+        "broke_s": float(signs.time[min(first[outcome], frames - 1)]) if first else None,
+        "ended_s": float(signs.time[max(0, end - 1)]),
+        "way": _extreme(signs.way[-1:]),
+        **{name: _extreme(getattr(signs, name)) for name in ("energy", "gap", "sunk", "error")},
+    }
+
+
+def _broken(signs: Signs) -> dict[Outcome, Mask]:
+    """Say at which frames which limit is passed, in the order of gravity."""
+    return {
+        "comes apart": signs.gap > _OPEN,
+        "sinks in": signs.sunk > _SUNK,
+        "gains energy": signs.energy > _ENERGY,
+        "loses energy": signs.energy < -_ENERGY,
+        "stuck": _to_the_end(signs.way, signs.way < _FROZEN),
+    }
+
+
+def signs_of(record: Record, truth: Trajectory | None) -> Signs:
+    """Give what shows in the motion of one start's bodies.
+
+    Args:
+        record: The run.
+        truth: The reference, if there is one; where it ends, so does the comparison.
+    """
+    reference = None if truth is None else Record(record.scene, record.batch, truth)
     with np.errstate(all="ignore"):
-        signs = Signs(
-            _energy(record, reference),
-            _opened(record),
-            _sunk(record),
-            _way(record, reference),
-            _error(record, reference),
+        return Signs(
+            time=record.trajectory.time,
+            finite=record.finite[0],
+            energy=_energy(record, reference),
+            gap=_opened(record),
+            sunk=_sunk(record),
+            way=_way(record, reference),
+            error=_error(record, reference),
         )
-    failure = trajectory.failures[0]
-    first = {what: int(flags.argmax()) for what, flags in signs.broken().items() if flags.any()}
-    outcome: Outcome = "stable"
-    if first:
-        outcome = min(first, key=lambda what: first[what])
-    elif failure is not None or not record.finite.all():
-        outcome = meaning(failure)
-        first = {outcome: int(record.finite[0].sum())}
-    elif first := signs.off_course():
-        outcome = "off course"
-    time = trajectory.time
-    return Verdict(
-        outcome=outcome,
-        told=who_told(failure),
-        reason="" if failure is None else " ".join(failure.reason.split()),
-        broke_s=float(time[min(first[outcome], len(time) - 1)]) if first else None,
-        ended_s=float(time[max(0, int(record.finite[0].sum()) - 1)]),
-        **signs.figures(),
-    )
 
 
 def _energy(record: Record, truth: Record | None) -> Array:
@@ -203,7 +149,7 @@ def _gone(record: Record) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _to_the_end(known: Array, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _to_the_end(known: Array, seen: Mask) -> Mask:
     """Keep what is seen from some frame to the last one that is known."""
     kept = np.logical_and.accumulate((seen | np.isnan(known))[::-1])[::-1]
     return np.asarray(kept & seen)
@@ -248,57 +194,26 @@ def who_told(failure: Failure | None) -> Told:
 
 
 def meaning(failure: Failure | None) -> Outcome:
-    """Tell what a failure is about."""
-    reason = "" if failure is None else failure.reason
-    return next((what for words, what in _MEANINGS if re.search(words, reason)), "ends early")
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A run's verdict, and what it took."""
-
-    verdict: Verdict
-    wall_s: float
-
-
-def run_cells(
-    scene: Scene,
-    batch: Batch,
-    engine: str,
-    settings: Sequence[Settings],
-    truth: Trajectory | None,
-    patience: float,
-) -> list[Judged]:
-    """Run cells one after the other in this process, as many as are begun within a time [s].
-
-    It is that of the processor, and begins when the engine is there.
-
-    Raises:
-        InputError: The engine cannot do the scene or some settings are not allowed.
-    """
-    registry.load_adapter(engine)
-    isolate.begin()
-    begin = time.process_time()
-    done: list[Judged] = []
-    for one in settings:
-        if done and time.process_time() - begin > patience:
-            break
-        done.append(run_cell(scene, batch, engine, one, truth))
-    return done
+    """Tell what a failure is about; where nobody gave one, numbers are not finite."""
+    if failure is None:
+        return "blows up"
+    found = (what for words, what in _MEANINGS if re.search(words, failure.reason))
+    return next(found, "ends early")
 
 
 def run_cell(
-    scene: Scene, batch: Batch, engine: str, settings: Settings, truth: Trajectory | None
-) -> Judged:
-    """Simulate one start in this process and judge it.
+    simulator: Simulator, scene: Scene, batch: Batch, count: int, truth: Trajectory | None
+) -> dict[str, Any]:
+    """Simulate one start in this process, judge it, and give the fields of its cell.
 
     Raises:
-        InputError: The engine cannot do the scene or the settings are not allowed.
+        InputError: The simulator cannot do the scene, or lacks the reference.
     """
-    adapter = registry.load_adapter(engine)
-    with adapter.open(scene, settings) as run:
-        begin = time.perf_counter()
-        trajectory = recorded(run, batch)
-        wall = time.perf_counter() - begin
-    method = adapter.methods[settings.method]
-    return Judged(judge(scene, batch, trajectory, truth, method, settings.step), wall)
+    ran = simulator.simulate(scene, batch, count, truth, often=False)
+    motion = ran.motion
+    if isinstance(motion, Signs):
+        found = judge(motion)
+    else:
+        record = Record(scene, batch, motion, ran.method, ran.step)
+        found = judge(signs_of(record, truth), motion.failures[0])
+    return found | {"wall_s": ran.wall_s[0]}

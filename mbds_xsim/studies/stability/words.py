@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
 from mbds_xsim.studies.stability.definition import text_of
-from mbds_xsim.studies.stability.rows import Cell, Panel, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Panel, Sweep
 
 _WHO = {
     "engine": "the engine",
@@ -89,7 +89,7 @@ def conclusion(sweep: Sweep) -> str:
     )
 
 
-def _holds(cell: Cell) -> bool:
+def _holds(cell: MapCell) -> bool:
     return not (cell.failed or cell.unmeasured or cell.outcome == "refused")
 
 
@@ -105,7 +105,7 @@ def learned_told(sweep: Sweep) -> str:
     return _LEARNED if any(panel.learned for panel in sweep.panels) else ""
 
 
-def _held(cells: Sequence[Cell], sweep: Sweep) -> str:
+def _held(cells: Sequence[MapCell], sweep: Sweep) -> str:
     stable = _runs(cells, _holds, sweep)
     on_course = _runs(cells, lambda cell: cell.outcome == "stable", sweep)
     text = f"stable {stable}, on course {on_course}"
@@ -115,18 +115,18 @@ def _held(cells: Sequence[Cell], sweep: Sweep) -> str:
     return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by nobody"
 
 
-def _runs(cells: Sequence[Cell], holds: Callable[[Cell], bool], sweep: Sweep) -> str:
+def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Sweep) -> str:
     """Name the values that hold: neighbours as a range."""
     groups = [list(group) for held, group in itertools.groupby(cells, holds) if held]
     return " and ".join(f"at {_range(group, sweep)}" for group in groups) or "nowhere"
 
 
-def _range(cells: Sequence[Cell], sweep: Sweep) -> str:
+def _range(cells: Sequence[MapCell], sweep: Sweep) -> str:
     first, last = (text_of(cells[k].value, sweep.unit) for k in (0, -1))
     return first if len(cells) == 1 else f"{first} to {last}"
 
 
-def name_of(cell: Cell, sweep: Sweep) -> str:
+def name_of(cell: MapCell, sweep: Sweep) -> str:
     """Name a cell in one line."""
     where = f"{sweep.quantity} {text_of(cell.value, sweep.unit)}"
     profile = f" ({cell.profile} settings)"
@@ -134,7 +134,7 @@ def name_of(cell: Cell, sweep: Sweep) -> str:
     return f"{cell.study}, {where}: {cell.engine} {cell.method}{profile}, step {step}"
 
 
-def told(cell: Cell, sweep: Sweep) -> Iterator[tuple[str, str]]:
+def told(cell: MapCell, sweep: Sweep) -> Iterator[tuple[str, str]]:
     """Tell all about a cell: what happened, who said so, the figures."""
     yield "outcome", what_happened(cell)
     if cell.failed or cell.outcome == "off course":
@@ -149,7 +149,7 @@ def told(cell: Cell, sweep: Sweep) -> Iterator[tuple[str, str]]:
     yield "again", command_of(cell, sweep)
 
 
-def what_happened(cell: Cell) -> str:
+def what_happened(cell: MapCell) -> str:
     """Say what became of a run, with when."""
     text: str = "not measured" if cell.unmeasured else cell.outcome
     if cell.broke_s is not None:
@@ -159,7 +159,7 @@ def what_happened(cell: Cell) -> str:
     return text
 
 
-def command_of(cell: Cell, sweep: Sweep) -> str:
+def command_of(cell: MapCell, sweep: Sweep) -> str:
     """Give the command line that runs a cell again."""
     if cell.source:
         return (
@@ -173,7 +173,7 @@ def command_of(cell: Cell, sweep: Sweep) -> str:
     )
 
 
-def _figures(cell: Cell) -> Iterator[str]:
+def _figures(cell: MapCell) -> Iterator[str]:
     if cell.energy is not None:
         yield f"energy {cell.energy:+.2g} of its scale"
     if cell.gap is not None:
@@ -188,7 +188,7 @@ def _figures(cell: Cell) -> Iterator[str]:
         yield f"{quantity.span(cell.wall_s)} of wall time"
 
 
-def _alike(cells: tuple[Cell, ...]) -> str:
+def _alike(cells: tuple[MapCell, ...]) -> str:
     """Say that all cells are refused, or that none is measured; else ""."""
     words = {"refused": "refused", "timed out": "not measured"}
     (first, *others) = {cell.outcome for cell in cells}

@@ -1,46 +1,40 @@
-"""Where the points of a study are measured: isolated, timed out, kept, and told about."""
+"""Where points of a chart are measured: one start at one setting, timed and held to the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.isolate import Crash
+from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.identity import machine, row_key
+from mbds_xsim.measure.runner import Case, Meter, Runner, in_time
 from mbds_xsim.measure.store import Store
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch
-from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.studies.tradeoff.point import INSTANT, Measured, horizon_of, measure
-from mbds_xsim.studies.tradeoff.rows import Kind, Row
-from mbds_xsim.studies.tradeoff.sweep import Curve
-from mbds_xsim.studies.tradeoff.truths import Place, Truths
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
+from mbds_xsim.studies.tradeoff.rows import Measurement
+from mbds_xsim.studies.tradeoff.truths import INSTANT, Place, Truth, Truths
+
+Array = NDArray[np.float64]
 
 _GRACE = 30.0
-"""What a task may take beside its rollouts [s]."""
+"""What a case may take beside its rollouts [s]."""
 _PATIENCE = 3.0
-"""A task may take so many times the limit of a rollout: predictions err, and machines stall."""
-
-
-class Meter(Protocol):
-    """Where progress is told."""
-
-    def forecast(self, left_s: float) -> None:
-        """Say how much work is left [s of one worker]."""
-
-    def advance(self, what: str) -> None:
-        """Count one point as measured."""
+"""A case may take so many times the limit of a rollout: predictions err, and machines stall."""
 
 
 @dataclass(frozen=True)
 class Job:
     """One start at one setting."""
 
-    curve: Curve
+    simulator: Simulator
     count: int
     """Steps a frame."""
     start: int
@@ -49,12 +43,12 @@ class Job:
     @property
     def place(self) -> Place:
         """What decides the truth it is held against."""
-        return self.curve.engine, self.curve.method, self.start
+        return self.simulator.engine, self.simulator.method, self.start
 
 
 @dataclass
 class Bench:
-    """Measures jobs, or takes their rows from the store."""
+    """The starts of a study with what is true of them, and the runner of their jobs."""
 
     scene: Scene
     batch: Batch
@@ -62,113 +56,177 @@ class Bench:
     seed: int
     limit: float
     """Longest rollout of one start [s]."""
-    workers: int | None
-    store: Store[Row]
-    meter: Meter
-    measured: int = 0
-    kept: int = 0
-    fresh: bool = False
-    """Whether what the store holds from earlier is measured again."""
-    _now: set[str] = field(default_factory=set)
+    runner: Runner[Measurement]
 
-    def rows(self, jobs: Sequence[Job]) -> list[Row]:
+    @staticmethod
+    def of(
+        scene: Scene,
+        batch: Batch,
+        truths: Truths,
+        *,
+        seed: int,
+        limit: float,
+        fresh: bool,
+        meter: Meter,
+    ) -> Bench:
+        """Make a bench with the scene's store."""
+        runner = Runner(
+            store=Store.of("tradeoff", scene.name, Measurement),
+            crashed=_crashed,
+            labels=("scene", "variation", "trajectory", "seed"),
+            lasts=in_time,
+            workers=truths.workers,
+            fresh=fresh,
+            meter=meter,
+            forecasts=False,
+        )
+        return Bench(scene, batch, truths, seed, limit, runner)
+
+    def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Give the row of each job, measuring those that are not kept."""
-        keys = [self._key(job) for job in jobs]
-        found = [self._kept(key, job) for key, job in zip(keys, jobs, strict=True)]
-        missing = [place for place, row in enumerate(found) if row is None]
+        cases = [self._case(job) for job in jobs]
+        missing = {case.row.key for case in self.runner.missing(cases)}
+        pairs = zip(jobs, cases, strict=True)
+        self.truths.prepare([job.place for job, case in pairs if case.row.key in missing])
+        return self.runner.rows(cases)
 
-        def finished(order: int, answer: Any) -> None:
-            place = missing[order]
-            row = self._row(keys[place], jobs[place], answer)
-            found[place] = row
-            self.store.add(row)
-            self._now.add(row.key)
-            self.measured += 1
-            self.meter.advance(jobs[place].curve.name)
-
-        self.truths.prepare([jobs[place].place for place in missing])
-        tasks = [self._task(jobs[place]) for place in missing]
-        run_tasks(tasks, workers=self.workers, finished=finished)
-        return [row for row in found if row is not None]
-
-    def too_slow(self, curve: Curve, count: int, predicted: float) -> Row:
+    def too_slow(self, simulator: Simulator, count: int, predicted: float) -> Measurement:
         """Give the row of a point that is not worth waiting for."""
         reason = f"predicted {predicted:.0f} s a start, limit {self.limit:g} s"
-        return self._bare(Job(curve, count, 0), "", "too slow", reason)
+        row = self._bare(Job(simulator, count, 0))
+        return msgspec.structs.replace(row, key="", kind="too slow", reason=reason)
 
-    @property
-    def horizon(self) -> float:
-        """Time of the charted error, the earliest of all starts [s]."""
-        if self.truths.are_limits:
-            return min(INSTANT, self.scene.clock.duration)
-        return min(horizon_of(truth.trajectory) for truth in self.truths.references)
+    def _case(self, job: Job) -> Case[Measurement]:
+        start, simulator = self.batch[[job.start]], job.simulator
+        return Case(
+            row=self._bare(job),
+            name=simulator.name,
+            function=measure,
+            arguments=lambda: (
+                simulator, self.scene, start, job.count, self.truths.of(job.place),
+            ),
+            limit=_PATIENCE * self.limit + _GRACE,
+            group=simulator.source or None,
+        )  # fmt: skip
 
-    def _key(self, job: Job) -> str:
-        settings = job.curve.settings(self.scene, job.count)
-        return row_key(self.scene, self.batch[[job.start]], job.curve.engine, settings)
-
-    def _kept(self, key: str, job: Job) -> Row | None:
-        """Take a row from the store; one that ran out of time only if it had as much."""
-        row = self.store.rows.get(key)
-        if row is None or (self.fresh and key not in self._now):
-            return None
-        if row.kind == "timed out" and row.limit_s < self.limit:
-            return None
-        self.kept += key not in self._now
-        return msgspec.structs.replace(
-            row,
-            scene=self.scene.name,
-            variation=job.curve.variation,
-            trajectory=int(self.batch.index[job.start]),
-            seed=self.seed,
-        )
-
-    def _task(self, job: Job) -> Task:
-        settings: Settings = job.curve.settings(self.scene, job.count)
-        start = self.batch[[job.start]]
-        arguments = (self.scene, start, job.curve.engine, settings, self.truths.of(job.place))
-        return Task(measure, arguments, _PATIENCE * self.limit + _GRACE)
-
-    def _row(self, key: str, job: Job, answer: Measured | Crash) -> Row:
-        if isinstance(answer, Crash):
-            kind: Kind = "refused" if answer.refused else "crashed"
-            return self._bare(job, key, "timed out" if answer.timed_out else kind, answer.reason)
-        failure = answer.failure
-        reason = "" if failure is None else f"frame {failure.frame}: {failure.reason}"
-        bare = self._bare(job, key, "failed" if failure else "done", reason)
-        return msgspec.structs.replace(
-            bare,
-            wall_s=answer.timing.wall_s,
-            cpu_s=answer.timing.cpu_s,
-            setup_s=answer.timing.setup_s,
-            error_m=answer.error_m,
-            error_weighted_m=answer.error_weighted_m,
-            gap_m=answer.gap_m,
-            energy=answer.energy,
-            broken=answer.broken,
-            coordinates=answer.size.coordinates,
-            constraints=answer.size.constraints,
-            contact_pairs=answer.size.contact_pairs,
-        )
-
-    def _bare(self, job: Job, key: str, kind: Kind, reason: str) -> Row:
+    def _bare(self, job: Job) -> Measurement:
         """Give a row without figures."""
-        curve = job.curve
-        return Row(
-            key=key,
+        simulator = job.simulator
+        return Measurement(
+            key=row_key(self.scene, self.batch[[job.start]], simulator, job.count),
             scene=self.scene.name,
-            engine=curve.engine,
-            version=registry.load_adapter(curve.engine).version(),
-            method=curve.method,
-            variation=curve.variation,
-            options=dict(curve.options),
+            engine=simulator.engine,
+            version=simulator.version,
+            method=simulator.method,
+            variation=simulator.variation,
+            options=simulator.options(self.scene),
             steps_per_frame=job.count,
             step_s=self.scene.clock.frame / job.count,
             trajectory=int(self.batch.index[job.start]),
             seed=self.seed,
             machine=machine(),
             limit_s=self.limit,
-            kind=kind,
-            reason=" ".join(reason.split()),
-            horizon_s=self.horizon,
+            kind="done",
+            horizon_s=self.truths.horizon,
         )
+
+
+def _crashed(row: Measurement, crash: Crash) -> Measurement:
+    return msgspec.structs.replace(row, kind=crash.kind, reason=" ".join(crash.reason.split()))
+
+
+def measure(
+    simulator: Simulator, scene: Scene, start: Batch, count: int, truth: Truth
+) -> dict[str, Any]:
+    """Simulate one start in this process, and give the figures of its row.
+
+    Args:
+        simulator: What simulates.
+        scene: What is simulated.
+        start: A batch of one.
+        count: Steps a frame.
+        truth: What the motion is held against.
+
+    Raises:
+        InputError: The simulator cannot do the scene or the settings are not allowed.
+    """
+    ran = simulator.simulate(scene, start, count, truth.trajectory, often=True)
+    figures = (
+        _of_particles(scene, ran.motion, truth)
+        if isinstance(ran.motion, Signs)
+        else _of_bodies(scene, start, ran.motion, ran, truth)
+    )
+    return {
+        "wall_s": tuple(wall / ran.simulated_s for wall in ran.wall_s),
+        "cpu_s": tuple(cpu / ran.simulated_s for cpu in ran.cpu_s),
+        "setup_s": ran.setup_s,
+        **({} if ran.size is None else vars(ran.size)),
+        **figures,
+    }
+
+
+def _of_bodies(
+    scene: Scene, start: Batch, motion: Trajectory, ran: Simulated, truth: Truth
+) -> dict[str, Any]:
+    """Judge a motion by all checks, and by its distance to the truth."""
+    failure = motion.failures[0]
+    if failure is not None:
+        reason = " ".join(f"frame {failure.frame}: {failure.reason}".split())
+        return {"kind": "failed", "reason": reason}
+    checked = audit(scene, start, motion, ran.method, step=ran.step, contact_time=ran.contact_time)
+    found = {finding.check: finding for finding in checked}
+    error = agreement.particle_error(Mechanism.of(scene), motion, truth.trajectory)
+    errors = _errors(scene, error, truth)
+    return errors | {
+        "gap_m": _figure(found, "gap"),
+        "energy": _figure(found, "passivity" if scene.contacts else "energy"),
+        "broken": (
+            *(_over_budget(scene, truth, error, errors) if errors and truth.judged else ()),
+            *(name for name, finding in found.items() if not finding.passed.all()),
+        ),
+    }
+
+
+def _of_particles(scene: Scene, signs: Signs, truth: Truth) -> dict[str, Any]:
+    """Judge a motion of particles by what they show; one that is lost has failed."""
+    if not signs.finite.all():
+        lost = signs.time[signs.finite.argmin()]
+        return {"kind": "failed", "reason": f"not finite from {lost:.3g} s on"}
+    gap = _worst(signs.gap)
+    return _errors(scene, signs.error[None] * scene.length, truth) | {
+        "gap_m": None if gap is None else gap * scene.length,
+        "energy": _worst(signs.energy),
+    }
+
+
+def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
+    """Give the error at the horizon and the growth-weighted one [m], of shape (1, frame)."""
+    frame = round(truth.horizon / scene.clock.frame)
+    if frame == 0:
+        return {}
+    known = truth.known
+    (weighted,) = agreement.growth_weighted(error[:, known], truth.growth[:, known])
+    return {"error_m": float(error[0, frame]), "error_weighted_m": float(weighted)}
+
+
+def _over_budget(
+    scene: Scene, truth: Truth, error: Array, errors: dict[str, float]
+) -> Iterator[str]:
+    """Name the budgets of accuracy that are not kept."""
+    at_instant = np.abs(truth.trajectory.time - INSTANT) < 0.5 * scene.clock.frame
+    at_instant &= truth.known
+    if not (error[0, at_instant] <= scene.budget.error_1s * scene.length).all():
+        yield "error at 1 s"
+    if not errors["error_weighted_m"] <= scene.budget.error * scene.length:
+        yield "error growth-weighted"
+
+
+def _figure(findings: dict[str, Finding], check: str) -> float | None:
+    """Worst figure of a check, None where it does not apply or has none."""
+    figure = float(findings[check].figure[0]) if check in findings else np.nan
+    return figure if np.isfinite(figure) else None
+
+
+def _worst(series: Array) -> float | None:
+    known = np.abs(series[np.isfinite(series)])
+    return float(known.max()) if len(known) else None

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 import numpy as np
 
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.tradeoff.explore import Found
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Row
-from mbds_xsim.studies.tradeoff.sweep import Curve
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Measurement, Point, Ratio
 
 _FLOOR = 1e-9
 """Errors up to this are the reference's, over the scene's length."""
+_WORST = ("setup_s", "error_m", "error_weighted_m", "gap_m", "energy")
+"""Figures of which a point has the worst of its starts."""
 OWN_LIMIT = "distance to its own limit"
 """What is broken where a method has not converged, and there is no reference."""
 
 
 def curve_results(
-    scene: Scene, curves: Sequence[Curve], found: Found, *, own_limit: bool = False
+    scene: Scene, curves: Sequence[EngineMethod], found: Found, *, own_limit: bool = False
 ) -> tuple[CurveResult, ...]:
     """Put the rows of all curves together.
 
@@ -49,7 +51,7 @@ def _converged(point: Point, allowed: float) -> Point:
     return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
 
 
-def point_of(rows: Sequence[Row]) -> Point:
+def point_of(rows: Sequence[Measurement]) -> Point:
     """Put the starts of one setting together: the median of the time, the worst of the rest."""
     first = rows[0]
     bad = next((row for row in rows if row.kind != "done"), None)
@@ -69,11 +71,7 @@ def point_of(rows: Sequence[Row]) -> Point:
         wall_low_s=min(walls),
         wall_high_s=max(walls),
         cpu_s=float(np.median([np.median(row.cpu_s) for row in rows])),
-        setup_s=_worst(rows, lambda row: row.setup_s),
-        error_m=_worst(rows, lambda row: row.error_m),
-        error_weighted_m=_worst(rows, lambda row: row.error_weighted_m),
-        gap_m=_worst(rows, lambda row: row.gap_m),
-        energy=_worst(rows, lambda row: row.energy),
+        **{name: _worst(rows, name) for name in _WORST},
         broken=tuple(dict.fromkeys(check for row in rows for check in row.broken)),
     )
 
@@ -102,7 +100,7 @@ def _ratio(curves: Sequence[CurveResult], error: float, *, is_budget: bool) -> R
     return Ratio(error_m=error, budget=is_budget, wall_s=tuple(costs), best=best)
 
 
-def _curve_result(scene: Scene, curve: Curve, points: list[Point]) -> CurveResult:
+def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> CurveResult:
     adapter = registry.load_adapter(curve.engine)
     method = adapter.methods[curve.method]
     pairs = [
@@ -110,12 +108,12 @@ def _curve_result(scene: Scene, curve: Curve, points: list[Point]) -> CurveResul
     ]
     return CurveResult(
         engine=curve.engine,
-        version=adapter.version(),
+        version=curve.version,
         method=curve.method,
         family=method.family,
         own=method.own,
         variation=curve.variation,
-        options=dict(curve.options),
+        options=curve.options(scene),
         order=method.order_for(scene),
         measured_order=order_of(pairs, length=scene.length, floor=_FLOOR * scene.length),
         points=tuple(points),
@@ -149,11 +147,12 @@ def _pair(cost: float | None, error: float | None) -> tuple[float, float] | None
     return cost, error
 
 
-def _worst(rows: Iterable[Row], figure: Callable[[Row], float | None]) -> float | None:
-    return max((value for row in rows if (value := figure(row)) is not None), default=None)
+def _worst(rows: Iterable[Measurement], figure: str) -> float | None:
+    values = (getattr(row, figure) for row in rows)
+    return max((value for value in values if value is not None), default=None)
 
 
-def _reason(bad: Row, rows: Sequence[Row]) -> str:
+def _reason(bad: Measurement, rows: Sequence[Measurement]) -> str:
     """Say which start it was where others went through."""
     return bad.reason if bad is rows[0] else f"start {bad.trajectory}: {bad.reason}"
 

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from mbds_xsim.base.isolate import core_count
+from mbds_xsim.simulate.simulator import Simulator
 from mbds_xsim.studies.tradeoff.bench import Bench, Job
-from mbds_xsim.studies.tradeoff.rows import Row
-from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve
+from mbds_xsim.studies.tradeoff.rows import Measurement
+from mbds_xsim.studies.tradeoff.sweep import SPAN
 
-Found = list[list[list[Row]]]
+Found = list[list[list[Measurement]]]
 """Rows by curve, by point and by start."""
 
 _CHUNK = 4
@@ -21,7 +22,7 @@ _FINE_ENOUGH = 0.1
 """Part of the error budget below which no shorter step is asked for."""
 
 
-def explore(bench: Bench, curves: Sequence[Curve]) -> Found:
+def explore(bench: Bench, curves: Sequence[Simulator]) -> Found:
     """Measure all points.
 
     The first start decides which points there are: all curves go on to the next shorter step
@@ -37,9 +38,9 @@ def explore(bench: Bench, curves: Sequence[Curve]) -> Found:
     return found
 
 
-def _wave(bench: Bench, curves: Sequence[Curve], found: Found) -> bool:
+def _wave(bench: Bench, curves: Sequence[Simulator], found: Found) -> bool:
     """Measure the next point of every curve; tell whether there was any."""
-    bench.meter.forecast(_left(bench, curves, found))
+    bench.runner.meter.forecast(_left(bench, curves, found))
     jobs: list[tuple[int, Job]] = []
     asked = False
     for place, curve in enumerate(curves):
@@ -59,7 +60,7 @@ def _wave(bench: Bench, curves: Sequence[Curve], found: Found) -> bool:
     return asked
 
 
-def _next_count(bench: Bench, curve: Curve, rows: Sequence[Row]) -> int | None:
+def _next_count(bench: Bench, curve: Simulator, rows: Sequence[Measurement]) -> int | None:
     """Steps a frame of the next point; None where the curve is done."""
     if len(rows) == len(curve.counts):
         return None
@@ -71,13 +72,13 @@ def _next_count(bench: Bench, curve: Curve, rows: Sequence[Row]) -> int | None:
     return count
 
 
-def _wants_more(bench: Bench, last: Row) -> bool:
+def _wants_more(bench: Bench, last: Measurement) -> bool:
     """Whether a curve that spans two decades has not come far below the error budget yet."""
     allowed = bench.scene.budget.error_1s * bench.scene.length
     return last.error_m is not None and last.error_m > _FINE_ENOUGH * allowed
 
 
-def _round(bench: Bench, curves: Sequence[Curve], found: Found, start: int) -> None:
+def _round(bench: Bench, curves: Sequence[Simulator], found: Found, start: int) -> None:
     """Measure the points that the first start went through at a further one."""
     points = [
         (point, Job(curves[k], point[0].steps_per_frame, start))
@@ -88,21 +89,23 @@ def _round(bench: Bench, curves: Sequence[Curve], found: Found, start: int) -> N
     points.sort(key=lambda pair: _cost(bench, pair[0][0]))
     costs = [cost_of(_cost(bench, point[0])) for point, _ in points]
     later = math.fsum(costs) * (len(bench.batch) - 1 - start)
-    chunk = _CHUNK * (bench.workers or core_count())
+    chunk = _CHUNK * (bench.runner.workers or core_count())
     for begin in range(0, len(points), chunk):
-        bench.meter.forecast(math.fsum(costs[begin:]) + later)
+        bench.runner.meter.forecast(math.fsum(costs[begin:]) + later)
         part = points[begin : begin + chunk]
         for (point, _), row in zip(part, bench.rows([job for _, job in part]), strict=True):
             point.append(row)
 
 
-def _left(bench: Bench, curves: Sequence[Curve], found: Found) -> float:
+def _left(bench: Bench, curves: Sequence[Simulator], found: Found) -> float:
     """Work of the whole study that is left [s of one worker]."""
     pairs = zip(curves, found, strict=True)
     return math.fsum(_left_of_curve(bench, curve, points) for curve, points in pairs)
 
 
-def _left_of_curve(bench: Bench, curve: Curve, points: Sequence[Sequence[Row]]) -> float:
+def _left_of_curve(
+    bench: Bench, curve: Simulator, points: Sequence[Sequence[Measurement]]
+) -> float:
     """Work on the rest of the first start, and on the other starts of all points [s]."""
     rows = [point[0] for point in points]
     ahead = left_on(curve, rows, bench.scene.clock.duration, bench.limit)
@@ -110,7 +113,7 @@ def _left_of_curve(bench: Bench, curve: Curve, points: Sequence[Sequence[Row]]) 
     return ahead + (ahead + done) * (len(bench.batch) - 1)
 
 
-def _cost(bench: Bench, row: Row) -> float:
+def _cost(bench: Bench, row: Measurement) -> float:
     """Time of a rollout that was measured [s]."""
     return bench.scene.clock.duration * min(row.cpu_s, default=0.0)
 
@@ -121,7 +124,7 @@ _REPEATS = 0.3
 """What short rollouts are repeated to [s]."""
 
 
-def rollout_cost(rows: Sequence[Row], count: int, duration: float) -> float | None:
+def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> float | None:
     """Predict the time of a rollout at a number of steps a frame [s]; None where nothing tells.
 
     The last two points tell how the cost grows, at most in proportion to the steps. Processor
@@ -143,7 +146,7 @@ def cost_of(rollout: float) -> float:
     return _START + max(_REPEATS, rollout)
 
 
-def left_on(curve: Curve, rows: Sequence[Row], duration: float, limit: float) -> float:
+def left_on(curve: Simulator, rows: Sequence[Measurement], duration: float, limit: float) -> float:
     """Predict the time of the points of a curve that are still to come [s]."""
     counts = curve.counts[len(rows) :]
     costs = (rollout_cost(rows, count, duration) or 0.0 for count in counts if count <= SPAN)

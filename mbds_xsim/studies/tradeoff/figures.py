@@ -8,10 +8,10 @@ from typing import Any
 
 from mbds_xsim.report import palette, quantity
 from mbds_xsim.report.themed import GREY, INK, PAPER
+from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.models import model_told
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
-from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"

@@ -8,6 +8,8 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.measure.store import Keyed
+from mbds_xsim.simulate.simulator import Options
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 
@@ -15,14 +17,11 @@ Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]
 """How a run ended: at the last frame; early, by the engine's or the adapter's word; with its
 process; at the time limit; not at all, as the settings are not allowed; or it was not begun, as
 it would have taken longer than the limit."""
-Options = dict[str, float | int | bool | str]
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True):
+class Measurement(Keyed, frozen=True, kw_only=True):
     """One start simulated at one setting, as it is kept."""
 
-    key: str
-    """Hash of all that decides the figures."""
     scene: str
     engine: str
     version: str
@@ -59,6 +58,11 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     coordinates: int | None = None
     constraints: int | None = None
     contact_pairs: int | None = None
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether it was not waited for, so that nothing is known of it."""
+        return self.kind == "timed out"
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
@@ -218,9 +222,3 @@ def read_tradeoff(path: Path) -> Tradeoff:
         msg = f"{path}: got schema {found.schema!r}, allowed is {SCHEMA!r}"
         raise InputError(msg)
     return found
-
-
-def to_json(studies: list[Tradeoff]) -> bytes:
-    """Write one study as an object, several as a list; NaN and infinities become null."""
-    what = studies[0] if len(studies) == 1 else studies
-    return msgspec.json.format(msgspec.json.encode(what), indent=2)

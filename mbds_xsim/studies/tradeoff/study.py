@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Iterable
 
@@ -12,8 +11,8 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import core_count
 from mbds_xsim.base.silence import Silent
-from mbds_xsim.measure.identity import machine
-from mbds_xsim.measure.store import Store
+from mbds_xsim.measure.identity import machine, versions_of
+from mbds_xsim.measure.runner import Meter
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -21,11 +20,12 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
-from mbds_xsim.studies.tradeoff.bench import Bench, Meter
+from mbds_xsim.simulate.simulator import EngineMethod
+from mbds_xsim.studies.tradeoff.bench import Bench
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 from mbds_xsim.studies.tradeoff.explore import Found, explore
-from mbds_xsim.studies.tradeoff.rows import SCHEMA, Row, Tradeoff
-from mbds_xsim.studies.tradeoff.sweep import Curve, curves_of
+from mbds_xsim.studies.tradeoff.rows import SCHEMA, Measurement, Tradeoff
+from mbds_xsim.studies.tradeoff.sweep import curves_of
 from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT, Truths, first_impact, references
 
 STARTS = 3
@@ -83,7 +83,7 @@ def tradeoff_with_rows(
     cache: bool = True,
     meter: Meter | None = None,
     command: str = "",
-) -> tuple[Tradeoff, list[Row]]:
+) -> tuple[Tradeoff, list[Measurement]]:
     """Chart a scene, and keep the raw rows. See `tradeoff`."""
     begin = time.perf_counter()
     curves, left_out = curves_of(scene, choice.engines)
@@ -92,23 +92,16 @@ def tradeoff_with_rows(
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)
     batch = _draw(scene, starts, seed)
-    bench = Bench(
+    truths = Truths(
         scene=scene,
         batch=batch,
-        truths=Truths(
-            scene=scene,
-            batch=batch,
-            references=references(scene, batch, cache=cache, workers=workers),
-            usual={(c.engine, c.method): c for c in curves if not c.variation},
-            limit=limit,
-            workers=workers,
-        ),
-        seed=seed,
+        references=references(scene, batch, cache=cache, workers=workers),
+        usual={(curve.engine, curve.method): curve for curve in curves if not curve.variation},
         limit=limit,
         workers=workers,
-        store=Store.of(scene.name),
-        meter=meter or Silent(),
-        fresh=fresh,
+    )
+    bench = Bench.of(
+        scene, batch, truths, seed=seed, limit=limit, fresh=fresh, meter=meter or Silent()
     )
     found = explore(bench, curves)
     rows = [row for points in found for rows in points for row in rows]
@@ -118,7 +111,7 @@ def tradeoff_with_rows(
 
 def _study(
     bench: Bench,
-    curves: list[Curve],
+    curves: list[EngineMethod],
     found: Found,
     left_out: dict[str, str],
     command: str,
@@ -133,7 +126,7 @@ def _study(
         command=command,
         seed=bench.seed,
         trajectories=tuple(int(index) for index in bench.batch.index),
-        horizon_s=bench.horizon,
+        horizon_s=bench.truths.horizon,
         reference_ends_s=first_impact(bench.truths.references),
         own_limit=LIMIT_COUNT if bench.truths.are_limits else None,
         duration_s=scene.clock.duration,
@@ -144,12 +137,12 @@ def _study(
         curves=results,
         ratios=ratios_of(scene, results),
         left_out=left_out,
-        versions=_versions(result.engine for result in results),
+        versions=versions_of({result.engine: result.version for result in results}),
         machine=machine(),
-        workers=core_count() if bench.workers is None else bench.workers,
+        workers=core_count() if bench.truths.workers is None else bench.truths.workers,
         busy=1.0,
-        measured=bench.measured,
-        kept=bench.kept,
+        measured=bench.runner.measured,
+        kept=bench.runner.kept,
         wall_s=wall_s,
         fingerprint=fingerprint(scene),
     )
@@ -162,12 +155,6 @@ def _draw(scene: Scene, starts: int, seed: int) -> Batch:
     return draw_batch(scene, indices, seed=seed)
 
 
-def _busy(rows: list[Row]) -> float:
+def _busy(rows: list[Measurement]) -> float:
     shares = [sum(row.wall_s) / sum(row.cpu_s) for row in rows if sum(row.cpu_s) > 0]
     return float(np.median(shares)) if shares else 1.0
-
-
-def _versions(engines: Iterable[str]) -> dict[str, str]:
-    versions = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
-    versions["python"] = platform.python_version()
-    return versions | {name: registry.load_adapter(name).version() for name in engines}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.scene import Scene
@@ -11,42 +10,16 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.matched import settings_for
-
-Options = Mapping[str, float | int | bool | str]
+from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Steps a frame that a method is tried at."""
 SPAN = 100
 """A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
-NATIVE = "native"
-"""Variation that stands for what an ordinary user of the engine gets."""
-
 _THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
 
 
-@dataclass(frozen=True)
-class Curve:
-    """One way of simulating a scene, to be tried at several steps."""
-
-    engine: str
-    method: str
-    variation: str
-    """What differs from the engine's usual options for the scene; empty: nothing."""
-    options: Options
-    counts: tuple[int, ...]
-    """Steps a frame, the longest steps first."""
-
-    def settings(self, scene: Scene, count: int) -> Settings:
-        """Give the settings of one point."""
-        return Settings(self.method, scene.clock.frame / count, self.options)
-
-    @property
-    def name(self) -> str:
-        """Engine, method and what is varied."""
-        return " ".join(filter(None, (self.engine, self.method, self.variation)))
-
-
-def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[str, str]]:
+def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod], dict[str, str]]:
     """List the curves of a scene's chart.
 
     The options in use are those of the engine's matched settings, for all of its methods. They
@@ -55,7 +28,7 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[s
     Returns:
         The curves, and the methods left out as "engine method", each with the reason.
     """
-    curves: list[Curve] = []
+    curves: list[EngineMethod] = []
     left_out: dict[str, str] = {}
     for name in engines:
         adapter = registry.load_adapter(name)
@@ -65,11 +38,10 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[Curve], dict[s
             left_out[name] = str(error)
             continue
         for method in adapter.methods:
-            curve = Curve(name, method, "", dict(matched.options), _counts(scene, matched, method))
-            try:
-                adapter.check(scene, curve.settings(scene, 1))
-            except Unsupported as error:
-                left_out[f"{name} {method}"] = str(error)
+            counts = _counts(scene, matched, method)
+            curve = EngineMethod(name, method, "", dict(matched.options), counts)
+            if refusal := curve.refusal(scene):
+                left_out[f"{name} {method}"] = refusal
             else:
                 curves += [curve, *_variations(scene, adapter, curve, matched.method)]
         curves += _native(scene, adapter)
@@ -82,26 +54,29 @@ def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
     return tuple(sorted(own | set(COUNTS)))
 
 
-def _variations(scene: Scene, adapter: Adapter, base: Curve, preferred: str) -> Iterator[Curve]:
+def _variations(
+    scene: Scene, adapter: Adapter, base: EngineMethod, preferred: str
+) -> Iterator[EngineMethod]:
     """Change one option at a time."""
     needs = features_of(scene)
     for option, sweep in adapter.sweeps.items():
         acts = base.method in (sweep.methods or (preferred,))
         if not acts or (sweep.needs and not sweep.needs & needs):
             continue
-        used = base.options.get(option, adapter.options[option].default)
+        usual = base.options(scene)
+        used = usual.get(option, adapter.options[option].default)
         for value in sweep.values:
             if value != used:
-                changed = {**base.options, option: value}
-                told = f"{option} = {value}"
-                yield Curve(base.engine, base.method, told, changed, _THIN)
+                changed, name = {**usual, option: value}, f"{option} = {value}"
+                yield EngineMethod(base.engine, base.method, name, changed, _THIN)
 
 
-def _native(scene: Scene, adapter: Adapter) -> Iterator[Curve]:
+def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
     try:
         settings = adapter.settings(scene, "native")
         adapter.check(scene, settings)
     except Unsupported:
         return
     count = settings.substeps(scene.clock.frame)
-    yield Curve(adapter.name, settings.method, NATIVE, dict(settings.options), (count,))
+    options = dict(settings.options)
+    yield EngineMethod(adapter.name, settings.method, NATIVE, options, (count,), "native")

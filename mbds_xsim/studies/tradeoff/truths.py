@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
@@ -13,10 +14,13 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.tradeoff.point import Truth, horizon_of
-from mbds_xsim.studies.tradeoff.sweep import SPAN, Curve
+from mbds_xsim.simulate.simulator import Simulator
+from mbds_xsim.studies.tradeoff.sweep import SPAN
 
+Array = NDArray[np.float64]
+
+INSTANT = 1.0
+"""Time of the error that is charted, where the reference lasts so long [s]."""
 LIMIT_COUNT = 2 * SPAN
 """Steps a frame that stand for a vanishing step."""
 
@@ -28,6 +32,29 @@ Place = tuple[str, str, int]
 """Engine, method and row of the batch."""
 
 
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What one start is held against."""
+
+    trajectory: Trajectory
+    growth: Array
+    """Sensitivity G, shape (1, frame)."""
+    judged: bool = True
+    """Whether the error counts against a budget: not where an engine is held to itself."""
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether each frame is known, shape (frame,)."""
+        return np.asarray(np.isfinite(self.trajectory.position).all(axis=(0, 2, 3)))
+
+    @property
+    def horizon(self) -> float:
+        """Time of the charted error: 1 s, or the last frame that is known before [s]."""
+        times = self.trajectory.time[self.known]
+        before = times[times <= INSTANT * (1 + 1e-9)]
+        return float(before[-1]) if len(before) else 0.0
+
+
 @dataclass
 class Truths:
     """Truth of each start, or of each start in each method."""
@@ -35,7 +62,7 @@ class Truths:
     scene: Scene
     batch: Batch
     references: list[Truth]
-    usual: Mapping[tuple[str, str], Curve]
+    usual: Mapping[tuple[str, str], Simulator]
     """By engine and method, at the engine's usual options."""
     limit: float
     """Longest rollout of one start that was asked for [s]."""
@@ -45,7 +72,14 @@ class Truths:
     @property
     def are_limits(self) -> bool:
         """Whether the reference ends at once, so that a method only has itself to be held to."""
-        return min(horizon_of(truth.trajectory) for truth in self.references) == 0.0
+        return min(truth.horizon for truth in self.references) == 0.0
+
+    @property
+    def horizon(self) -> float:
+        """Time of the charted error, the earliest of all starts [s]."""
+        if self.are_limits:
+            return min(INSTANT, self.scene.clock.duration)
+        return min(truth.horizon for truth in self.references)
 
     def prepare(self, places: Sequence[Place]) -> None:
         """Simulate the limits that will be asked for and are not there."""
@@ -55,7 +89,7 @@ class Truths:
         tasks = [
             Task(
                 _limit,
-                (self.scene, self.batch[[start]], self.usual[engine, method]),
+                (self.usual[engine, method], self.scene, self.batch[[start]]),
                 _GRACE + _PATIENCE * self.limit,
             )
             for engine, method, start in missing
@@ -70,8 +104,7 @@ class Truths:
     def _unknown(self) -> Truth:
         """Give what nothing can be held against."""
         time = self.references[0].trajectory.time
-        empty = Trajectory.empty(time, 1, len(self.scene.bodies))
-        return Truth(empty, np.ones((1, len(time))), judged=False)
+        return _own_limit(Trajectory.empty(time, 1, len(self.scene.bodies)))
 
 
 def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) -> list[Truth]:
@@ -103,9 +136,14 @@ def _reference(scene: Scene, start: Batch, cache: bool) -> Truth:
     return Truth(trajectory, growth)
 
 
-def _limit(scene: Scene, start: Batch, curve: Curve) -> Truth:
-    trajectory = simulate(scene, start, curve.engine, curve.settings(scene, LIMIT_COUNT)).trajectory
-    return Truth(trajectory, np.ones((1, len(trajectory.time))), judged=False)
+def _limit(simulator: Simulator, scene: Scene, start: Batch) -> Truth:
+    motion = simulator.simulate(scene, start, LIMIT_COUNT, None, often=False).motion
+    assert isinstance(motion, Trajectory)  # those without bodies need a reference
+    return _own_limit(motion)
+
+
+def _own_limit(motion: Trajectory) -> Truth:
+    return Truth(motion, np.ones((1, len(motion.time))), judged=False)
 
 
 def _failed(truth: Truth) -> str:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column
+from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Tradeoff
-from mbds_xsim.studies.tradeoff.sweep import NATIVE
 
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""

@@ -1,0 +1,193 @@
+"""Trained models as simulators, beside engines.
+
+A model has no step to choose: it takes its frame. It is shown the reference's first frames, is not
+told random forces, as when it was trained, and predicts the rest; what it gives are positions of
+particles, and by these alone it is judged. The scene may be another than the one that it was
+trained on: its parameters are those of a network that fits any graph.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+
+from mbds_xsim.base import isolate
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.versions import MODELS
+from mbds_xsim.learn.model_file import read_model
+from mbds_xsim.learn.particles import (
+    ParticleMotion,
+    gap,
+    particle_error,
+    sunk,
+    unexplained_energy,
+    way,
+)
+from mbds_xsim.learn.trained import TrainedModel, carry_on, known_start, particle_motion, trained_in
+from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Profile
+from mbds_xsim.simulate.simulator import LEARNED, NATIVE, Options, Signs, Simulated, part_of_way
+from mbds_xsim.simulate.timed import WARM_UP, stopwatch
+
+_TIMED = 25  # frames of a batch
+
+
+@dataclass(frozen=True)
+class LearnedSimulator:
+    """A trained model; see `mbds_xsim.simulate.simulator.Simulator`."""
+
+    trained: TrainedModel
+    method: str
+    """What it was trained on, in a study's words."""
+    variation: str = ""
+    together: int = 1
+    """Trajectories of a batch: times are each one's share."""
+    quiet: Batch | None = None
+    """Starts of a study without the random forces; None: theirs have none."""
+
+    @property
+    def engine(self) -> str:
+        """Name of the model."""
+        return self.trained.kind
+
+    @property
+    def profile(self) -> Profile:
+        """Profile of its data."""
+        return cast(Profile, self.trained.variant)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Give one: it has no steps."""
+        return (1,)
+
+    @property
+    def name(self) -> str:
+        """Model, training and what is varied."""
+        return " ".join(filter(None, (self.engine, self.method, self.variation)))
+
+    @property
+    def family(self) -> str:
+        """None of the engines'."""
+        return LEARNED
+
+    @property
+    def shown(self) -> int:
+        """First frames of the truth."""
+        return HISTORY
+
+    @property
+    def source(self) -> str:
+        """Its file, as it was named."""
+        return str(self.trained.named)
+
+    @property
+    def package(self) -> str:
+        """Name of what runs it."""
+        return "torch"
+
+    @property
+    def version(self) -> str:
+        """Version of torch."""
+        return registry.package_version("torch")
+
+    def clock(self, usual: Clock) -> Clock:
+        """Give its own frames over the usual time."""
+        frame = self.trained.scene.clock.frame
+        return Clock(frame, max(HISTORY, round(usual.duration / frame)))
+
+    def refusal(self, scene: Scene) -> str:
+        """Try whether its parameters fit."""
+        try:
+            read_model(self.trained.file, scene)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    def options(self, scene: Scene) -> Options:
+        """Say which file it is, and what it is shown."""
+        del scene
+        return {"known_frames": HISTORY, "file": self.trained.content[:16]}
+
+    def decisive(self, scene: Scene, count: int) -> list[Any]:
+        """List its file, the size of its batch, and versions."""
+        del scene
+        return [self.trained.content, count, self.together, MODELS, self.version]
+
+    def simulate(
+        self, scene: Scene, start: Batch, count: int, truth: Trajectory | None, *, often: bool
+    ) -> Simulated:
+        """Predict one start, and time it alone or in a batch of copies."""
+        del count
+        torch.set_num_threads(1)
+        isolate.begin()
+        if truth is None:
+            msg = f"no reference is known here that could give a model its first {HISTORY} frames"
+            raise InputError(msg)
+        begin = time.perf_counter()
+        model, _ = read_model(self.trained.file, scene)
+        setup = time.perf_counter() - begin
+        quiet = self._without_noise(start)
+        known = batch = known_start(model, truth, quiet)
+        if self.together > 1:
+            batch = known.repeated(self.together).truncated(_TIMED)
+        if often:
+            carry_on(model, batch.truncated(WARM_UP))
+        predicted, wall, cpu = stopwatch(lambda: carry_on(model, batch), often=often)
+        if batch is not known:
+            predicted = carry_on(model, known)
+        motion = particle_motion(model.graph, quiet, truth, predicted)
+        rows, frames = batch.inputs.force.shape[:2]
+        return Simulated(
+            signs_of(motion, particle_motion(model.graph, start, truth)),
+            wall,
+            cpu,
+            simulated_s=rows * frames * model.graph.frame_s,
+            setup_s=setup,
+        )
+
+    def _without_noise(self, start: Batch) -> Batch:
+        if self.quiet is None:
+            return start
+        return self.quiet[np.flatnonzero(self.quiet.index == start.index[0])]
+
+
+def signs_of(motion: ParticleMotion, truth: ParticleMotion) -> Signs:
+    """Give what a predicted motion's particles show."""
+    length, frame = motion.graph.length, motion.graph.frame_s
+    finite = np.isfinite(motion.position).all(axis=(1, 2))
+    with np.errstate(all="ignore"):
+        return Signs(
+            time=frame * np.arange(len(finite)),
+            finite=np.logical_and.accumulate(finite),
+            energy=unexplained_energy(motion, truth),
+            gap=gap(motion) / length,
+            sunk=sunk(motion) / length,
+            way=part_of_way(way(motion), way(truth), length),
+            error=particle_error(motion, truth) / length,
+            begin=HISTORY,
+        )
+
+
+def simulators_in(places: Sequence[Path]) -> tuple[LearnedSimulator, ...]:
+    """Find trained models in files and folders, for scenes of any kind.
+
+    Raises:
+        InputError: There is none, or a file is no trained model.
+    """
+    return tuple(
+        LearnedSimulator(
+            trained,
+            f"{trained.scene.name}-{trained.run}",
+            NATIVE if trained.variant == "native" else "",
+        )
+        for trained in trained_in(places)
+    )
