@@ -163,10 +163,10 @@ class LearnedSimulator:
 def signs_of(motion: ParticleMotion, truth: ParticleMotion) -> Signs:
     """Give what a predicted motion's particles show."""
     length, frame = motion.graph.length, motion.graph.frame_s
-    finite = np.isfinite(motion.position).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(motion.position).all(axis=(1, 2)))
     with np.errstate(all="ignore"):
         return Signs(
-            time=frame * np.arange(len(finite)),
+            time=np.asarray(frame * np.arange(len(finite)), dtype=np.float64),
             finite=np.logical_and.accumulate(finite),
             energy=unexplained_energy(motion, truth),
             gap=gap(motion) / length,

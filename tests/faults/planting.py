@@ -18,7 +18,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Profile, Readback, Run, Settings
 from mbds_xsim.simulate.registry import load_adapter
-from mbds_xsim.simulate.timed import Simulation, recorded, simulate
+from mbds_xsim.simulate.timed import Simulation, checked, simulate
 
 __all__ = ["Fault", "Faulty", "planted"]
 
@@ -146,7 +146,7 @@ def _carried_out(
         sound = _simulated(None, scene, batch, engine, settings)
         motion = fault.motion(scene, batch, settings.step, sound.trajectory)
         run = cast(Run, SimpleNamespace(rollout=lambda _: motion))
-        return dataclasses.replace(sound, trajectory=recorded(run, batch))
+        return dataclasses.replace(sound, trajectory=checked(run.rollout(batch), batch))
     adapter = Faulty(load_adapter(engine), fault)
     loading = mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter)
     with fault.native(engine), loading:

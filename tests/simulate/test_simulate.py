@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import Adapter, Run
+from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.registry import load_scene
-from mbds_xsim.simulate.timed import recorded, simulate
+from mbds_xsim.simulate.timed import checked, simulate
 
 
 def _sound() -> tuple[Batch, Trajectory]:
@@ -26,7 +25,7 @@ def _sound() -> tuple[Batch, Trajectory]:
 
 
 def _given(trajectory: object, batch: Batch) -> Trajectory:
-    return recorded(cast(Run, SimpleNamespace(rollout=lambda _: trajectory)), batch)
+    return checked(cast(Trajectory, trajectory), batch)
 
 
 def test_frames_from_a_failure_on_are_not_numbers() -> None:
