@@ -13,8 +13,6 @@ from mbds_xsim.scene.state import Trajectory
 
 Array = NDArray[np.float64]
 
-HORIZONS = (1, 10, 20, 50, 100, 200)
-"""Frames at which errors are listed."""
 CHAOS = 100.0
 """Growth of a perturbation from which on disagreement is no longer judged."""
 
@@ -39,11 +37,6 @@ def particle_error(mechanism: Mechanism, trajectory: Trajectory, reference: Traj
         - (markers_of(mechanism, reference)[:, :frames])
     )
     return np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
-
-
-def error_at_horizons(error: Array) -> dict[int, Array]:
-    """Give the error at those of `HORIZONS` that were recorded [m], each shape (trajectory,)."""
-    return {frame: error[:, frame] for frame in HORIZONS if frame < error.shape[1]}
 
 
 def error_at(error: Array, time: Array, instant: float) -> Array:

@@ -27,7 +27,6 @@ _DEPENDENT = 1e-3  # of the largest singular value: directions that impulses har
 _IMPACT = 5e-3  # of an impact's impulse: tumbling cars leave up to 3.4e-3, in MuJoCo
 _FAINT = 0.05  # of the weight: less of it is hardly a contact, whose impulse says little
 _SURE = 1e-3  # of the weight: what motion within a step may leave open where drifts add up
-_EARTH = 9.81  # sets the scale of scenes without gravity [m/s²]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +100,10 @@ def _series(
 ) -> tuple[Array, tuple[str, ...]]:
     """Values of all parts, (trajectory, frame, part), and their names."""
     names = tuple(f"{name}, {push.name}" for push, _, parts in groups for name in parts)
-    series = np.full((*record.finite.shape, len(names)), np.nan)
     columns = [
         np.where(left.known, part, np.nan) for _, left, parts in groups for part in parts.values()
     ]
-    series[:, 0], series[:, 1:] = 0.0, np.stack(columns, axis=-1)
-    return series, names
+    return record.by_step(columns), names
 
 
 def _parts(left: _Left) -> dict[str, Array]:
@@ -122,7 +119,8 @@ def _parts(left: _Left) -> dict[str, Array]:
 
 def _drifts(record: Record, push: Push, left: _Left) -> dict[str, Array]:
     """Sums up to each step over the weight's impulse, (trajectory, step)."""
-    weight, spins = _weight(record, push), np.moveaxis(left.rows[..., 6:], -1, 0)
+    weight = push.mass * record.usual_pull * record.frame
+    spins = np.moveaxis(left.rows[..., 6:], -1, 0)
     sure = left.vague < _SURE * weight
     return {
         axle.name: np.abs(np.cumsum(spin * (sure | (axle.sphere is None)), axis=1)) / weight
@@ -142,7 +140,7 @@ def _left_of(record: Record, push: Push) -> _Left:
     given = np.concatenate([gains.linear, gains.angular / size, gains.spin / radii], axis=-1)
     known = np.isfinite(given).all(axis=-1) & np.isfinite(gains.arm).all(axis=(2, 3))
     given = np.where(known[..., None], given, 0.0)
-    up, weight = np.maximum(given[..., 2], 0.0), _weight(record, push)
+    up, weight = np.maximum(given[..., 2], 0.0), push.mass * record.usual_pull * record.frame
     faint = gains.touches.any(axis=2) & (up < _FAINT * weight)
     given[faint, 2] = 0.0
     touches = gains.touches & (known & ~faint)[..., None]
@@ -153,10 +151,9 @@ def _left_of(record: Record, push: Push) -> _Left:
             columns[..., 6 + k, axle.sphere, :] = np.where(
                 touches[..., axle.sphere, None], lever, 0.0
             )
-    assert record.scene.ground is not None
     # A step is quiet where the ground carries the weight steadily, before and after it as well.
     quiet = push.resting[:, 1:] & push.resting[:, :-1]
-    most = up * np.hypot(1.0, record.scene.ground.friction)
+    most = up * np.hypot(1.0, record.ground.friction)
     vague = np.where(known, (gains.vague * most + gains.blur) / size, 0.0)
     flying = ~touches.any(axis=2)
     sides = np.pad(up, ((0, 0), (1, 1)))
@@ -204,8 +201,3 @@ def _confined(left: _Left, cones: Cones) -> Array:
     some, rows = ~left.flying, left.given.copy()
     rows[some] = unexplained(left.columns[some], left.given[some], cones[some])
     return rows
-
-
-def _weight(record: Record, push: Push) -> float:
-    """Impulse of gravity over a step [N·s]."""
-    return push.mass * (float(np.linalg.norm(record.scene.gravity)) or _EARTH) * record.frame

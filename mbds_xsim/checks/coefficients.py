@@ -23,8 +23,7 @@ from mbds_xsim.checks.energy import (
     input_work,
 )
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flight import flying
-from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
+from mbds_xsim.checks.joints import pair_distance, pair_rate
 from mbds_xsim.checks.momentum import flights_of, gain_of
 
 Array = NDArray[np.float64]
@@ -71,7 +70,7 @@ def coefficients(record: Record) -> Finding | None:
     frame, and besides of the one before and after. In single steps it is measured how much nearer
     energy and momentum come to a motion without its inputs. None where nothing flies.
     """
-    if record.steps < 1 or not flying(record.mechanism, record.bodies, record.frame).any():
+    if record.steps < 1 or not record.flying().any():
         return None
     parts = parts_of(record)
     sure = SURE
@@ -82,11 +81,8 @@ def coefficients(record: Record) -> Finding | None:
         np.where(part.known, np.abs(part.share) / most, 0.0)
         for part, most in zip(parts, allowed, strict=True)
     ]
-    found = np.full((*record.finite.shape, len(parts) + 1), np.nan)
-    last = np.maximum(record.finite.sum(axis=1) - 1, 0)
-    found[np.arange(len(found)), last, :-1] = np.stack(shares, axis=-1)
-    found[:, 1:, -1] = steps_of(record).nearer / _NONE
-    found[:, 0, -1] = 0.0
+    ends = record.at_end(np.stack(shares, axis=-1))
+    found = np.concatenate([ends, record.by_step([steps_of(record).nearer / _NONE])], axis=-1)
     found[~record.finite] = np.nan
     seen = [f"{part.name} {np.median(most):.2g}" for part, most in zip(parts, allowed, strict=True)]
     return Finding.of(
@@ -175,7 +171,7 @@ def _left(record: Record) -> Array:
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)
-    return np.where(flying(record.mechanism, record.bodies, record.frame), left, np.nan)
+    return np.where(record.flying(), left, np.nan)
 
 
 def _power_gained(record: Record) -> Array:
@@ -187,7 +183,7 @@ def _power_gained(record: Record) -> Array:
         rates = np.diff(hinge_rates(record), axis=1)
         gained += np.einsum("tsh,tsh->ts", rates, record.batch.torque[:, steps])
     if mechanism.springs:
-        states, springs = with_world(record.bodies), mechanism.springs
+        states, springs = record.bodies.with_world(), mechanism.springs
         rate = pair_rate(states, springs)
         stretch = pair_distance(states, springs) - [spring.length for spring in springs]
         tension = stretch * [spring.stiffness for spring in springs]

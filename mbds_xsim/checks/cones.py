@@ -69,12 +69,10 @@ class Cones:
 
 def cones_of(record: Record, push: Push) -> Cones:
     """Find how the impulses of each step at the group's spheres are confined."""
-    assert record.scene.ground is not None
     begin, end = (slip[..., :2] for slip in gains_of(record, push).slips)
     sizes = [np.linalg.norm(part, axis=-1) for part in (begin, end)]
     change = np.linalg.norm(end - begin, axis=-1)
-    fall = record.frame * float(np.linalg.norm(record.scene.gravity))
-    lasts = np.minimum(*sizes) > _LASTING * change + _FAST * fall
+    lasts = np.minimum(*sizes) > _LASTING * change + _FAST * record.fall
     lasts &= push.reach & (push.resting[:, 1:] & push.resting[:, :-1])[..., None]
     tiny = np.finfo(float).tiny
     ways = [
@@ -85,7 +83,7 @@ def cones_of(record: Record, push: Push) -> Cones:
     middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), tiny)
     turned = np.arccos(np.clip(np.einsum("...i,...i->...", ways[0], middle), -1.0, 1.0))
     least = np.where(lasts, np.cos(np.minimum(turned + _ASIDE, np.pi)), -1.0)
-    return Cones(record.scene.ground.friction, -middle, least)
+    return Cones(record.ground.friction, -middle, least)
 
 
 def unexplained(columns: Array, given: Array, cones: Cones) -> Array:

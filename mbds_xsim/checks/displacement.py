@@ -153,7 +153,7 @@ def _residual(
     bend = bend + _LAG * abs(record.lag) / record.frame * fastest
     repeats = _same(record.bodies.position) & _same(record.bodies.native)
     speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
-    least = record.frame * _pull(record) * per_length
+    least = record.frame * record.usual_pull * per_length
     floor = _FLOOR * np.maximum(speed, least)[:, None, None]
     return _Residual(
         left,
@@ -193,14 +193,14 @@ def _with_ends(window: Array) -> Array:
 
 def _hidden(record: Record, angular: bool) -> Array:
     """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
-    ground, mechanism = record.scene.ground, record.mechanism
+    mechanism = record.mechanism
     found = np.zeros((len(record.finite), record.steps, mechanism.body_count))
-    if ground is None or not len(mechanism.sphere_body):
+    if not len(mechanism.sphere_body):
         return found
     moved = responses(mechanism)[angular]
     for push in pushes_of(record):
         group = list(push.bodies)
-        path = np.full(push.steady.shape, _PATH * np.hypot(1.0, ground.friction))
+        path = np.full(push.steady.shape, _PATH * np.hypot(1.0, record.ground.friction))
         if len(group) > 1:  # a single body's responses are exact
             path *= _POSE * np.where(push.steady, _LASTING, 1.0)
         most = moved[push.spheres][:, group].max(axis=0)
@@ -220,16 +220,13 @@ def _of_group(record: Record, push: Push, left: Array) -> Array:
     Vertically the impulse only grows, horizontally its changes add up to μ times as much: exact but
     for a lag, by which impulses of neighbouring steps belong to this.
     """
-    ground = record.scene.ground
-    assert ground is not None
-    mass = record.mechanism.mass[list(push.bodies)]
-    centre = np.einsum("b,tsbi->tsi", mass / push.mass, left[:, :, list(push.bodies)])
+    centre = push.middle(left)
     gain = _upward(push)[..., None] / push.mass
     late = abs(record.lag) / record.frame * (_window(gain) + push.blur[..., None] / push.mass)
     speed = np.nanmax(rotation.norm(record.bodies.velocity), axis=(1, 2), initial=0.0)
-    floor = _FLOOR * np.maximum(speed, record.frame * _pull(record))[:, None, None]
+    floor = _FLOOR * np.maximum(speed, record.frame * record.usual_pull)[:, None, None]
     sizes = np.stack([np.hypot(centre[..., 0], centre[..., 1]), np.abs(centre[..., 2])], axis=-1)
-    limit = _PATH * gain * np.array([ground.friction, 1.0]) + late + floor
+    limit = _PATH * gain * np.array([record.ground.friction, 1.0]) + late + floor
     return _framed((sizes / limit).max(axis=-1, keepdims=True))
 
 
@@ -262,7 +259,3 @@ def _at_end(known: NDArray[np.bool_], values: Array) -> Array:
     placed = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
     placed[np.arange(len(known)), known.sum(axis=1)] = values
     return placed
-
-
-def _pull(record: Record) -> float:
-    return float(np.linalg.norm(record.scene.gravity)) or 9.81

@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 from mbds_xsim.checks.course import course_of, yielding
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impacts import Impacts, fast_impacts_of, told_restitution
+from mbds_xsim.checks.impacts import (
+    Impacts,
+    at_impacts,
+    fast_impacts_of,
+    told_restitution,
+)
 
 Array = NDArray[np.float64]
 
@@ -52,16 +57,15 @@ def eccentric_restitution(record: Record) -> Finding | None:
     groups = _deviations(record)
     if not groups:
         return None
-    assert record.scene.ground is not None
     ratios = [ratio for _, hits, _ in groups for ratio in (hits.leaving / hits.arriving).tolist()]
-    note = told_restitution(ratios, record.scene.ground.restitution)
+    note = told_restitution(ratios, record.ground.restitution)
     if ratios:
         rigid = sum(int(deviation.rigid.sum()) for _, _, deviation in groups)
         note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
     return Finding.of(
         "eccentric restitution",
         "1",
-        _parts(record, [(hits, deviation.restitution) for _, hits, deviation in groups]),
+        at_impacts(record, [(hits, deviation.restitution) for _, hits, deviation in groups]),
         budget=_RESTITUTION * record.scene.budget.restitution,
         names=tuple(name for name, _, _ in groups),
         note=note,
@@ -76,19 +80,10 @@ def eccentric_friction(record: Record) -> Finding | None:
     return Finding.of(
         "eccentric friction",
         "1",
-        _parts(record, [(hits, deviation.friction) for _, hits, deviation in groups]),
+        at_impacts(record, [(hits, deviation.friction) for _, hits, deviation in groups]),
         budget=_FRICTION * record.scene.budget.friction,
         names=tuple(name for name, _, _ in groups),
     )
-
-
-def _parts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
-    """Place what belongs to impacts, (trajectory, frame, group); not every trajectory has some."""
-    parts = np.full((*record.finite.shape, len(groups)), np.nan)
-    parts[:, 0] = 0.0
-    for k, (hits, values) in enumerate(groups):
-        parts[hits.row, hits.step + 1, k] = values
-    return parts
 
 
 @functools.lru_cache(maxsize=1)
@@ -118,8 +113,7 @@ def _least(record: Record, hits: Impacts) -> _Least:
 
 
 def _from_rigid(record: Record, hits: Impacts) -> _Deviation:
-    ground = record.scene.ground
-    assert ground is not None
+    ground = record.ground
     restitution = np.abs(hits.leaving / hits.arriving - ground.restitution)
     most, across = ground.friction * hits.impulse[:, 2], hits.impulse[:, :2]
     soft = yielding(record, hits.after, hits.sphere)[:, :2, :2]
@@ -134,8 +128,7 @@ def _from_rigid(record: Record, hits: Impacts) -> _Deviation:
 
 
 def _from_compliant(record: Record, hits: Impacts) -> _Deviation:
-    ground = record.scene.ground
-    assert ground is not None
+    ground = record.ground
     course = course_of(record, hits, ground.friction)
     blur = _BLUR * np.abs(course.velocity[:, 2] - hits.leaving) / hits.arriving
     off = np.linalg.norm(course.friction - hits.impulse[:, :2], axis=1)

@@ -10,14 +10,13 @@ from scipy.integrate import cumulative_simpson
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flight import flying, summed
-from mbds_xsim.checks.joints import pair_distance, pair_rate, with_world
+from mbds_xsim.checks.joints import pair_distance, pair_rate
+from mbds_xsim.checks.spheres import summed
 from mbds_xsim.scene.joint_space import joint_coordinate
 
 Array = NDArray[np.float64]
 
 _FLOOR = 1e-3  # of Σ m·g·length
-_EARTH = 9.81  # sets the floor of scenes without gravity [m/s²]
 
 
 class Energy:
@@ -51,7 +50,7 @@ def energy_balance(record: Record) -> Finding | None:
     The work of held inputs is exact; that of dampers is a quadrature, whose error is the
     finding's uncertainty. None where nothing flies.
     """
-    flights = flying(record.mechanism, record.bodies, record.frame)
+    flights = record.flying()
     if record.scene.contacts and not flights.any():
         return None
     energy = energy_of(record)
@@ -83,11 +82,10 @@ def energy_of(record: Record) -> Energy:
     weight = -mechanism.mass * (bodies.position @ gravity)
     stored = np.zeros(record.finite.shape)
     if mechanism.springs:
-        stretch = pair_distance(with_world(bodies), mechanism.springs)
+        stretch = pair_distance(bodies.with_world(), mechanism.springs)
         stretch = stretch - [spring.length for spring in mechanism.springs]
         stored = 0.5 * stretch**2 @ np.array([spring.stiffness for spring in mechanism.springs])
-    pull = float(np.linalg.norm(gravity)) or _EARTH
-    floor = _FLOOR * float(mechanism.mass.sum()) * pull * record.scene.length
+    floor = _FLOOR * float(mechanism.mass.sum()) * record.usual_pull * record.scene.length
     return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
 
 
@@ -124,7 +122,7 @@ def hinge_turns(record: Record) -> Array:
 @functools.lru_cache(maxsize=1)
 def hinge_rates(record: Record) -> Array:
     """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world, rates = with_world(record.bodies), []
+    world, rates = record.bodies.with_world(), []
     for joint in record.mechanism.hinges:
         axis = rotation.rotate(world.native[..., joint.parent, :], joint.axis)
         spin = world.angular_velocity
@@ -141,7 +139,7 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
     damping = np.array([spring.damping for spring in record.mechanism.springs])
     if not damping.any():
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
-    power = pair_rate(with_world(record.bodies), record.mechanism.springs) ** 2 @ damping
+    power = pair_rate(record.bodies.with_world(), record.mechanism.springs) ** 2 @ damping
     loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
     if record.steps < 4:
         return loss, np.nanmax(np.abs(loss), axis=1, initial=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,13 +13,16 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.counted import apart
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
+from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
 
 Array = NDArray[np.float64]
+
+_EARTH = 9.81
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +71,35 @@ class Record:
         if self.finite.all():
             return states
         keep = self.finite[:, :, None, None]
-        return BodyStates(
-            *(
-                np.where(keep, field, np.nan)
-                for field in (
-                    states.position,
-                    states.native,
-                    states.velocity,
-                    states.angular_velocity,
-                )
-            )
-        )
+        return BodyStates(*(np.where(keep, field, np.nan) for field in vars(states).values()))
+
+    @functools.cached_property
+    def spheres(self) -> Spheres:
+        """The contact spheres, shape (trajectory, frame, sphere)."""
+        return spheres_of(self.mechanism, self.bodies)
+
+    @functools.cached_property
+    def clear(self) -> NDArray[np.bool_]:
+        """Steps in which a contact sphere cannot reach the ground, (trajectory, step, sphere).
+
+        At both ends it must be higher than it would fall, at its own speed and at what gravity and
+        the body's rotation add to it, in a whole frame.
+        """
+        mechanism, frame = self.mechanism, self.frame
+        spin = self.bodies.angular_velocity[:, :, mechanism.sphere_body]
+        reach = np.linalg.norm(mechanism.sphere_offset, axis=-1)
+        pull = self.pull + np.sum(spin**2, axis=-1) * reach
+        high = self.spheres.gap > frame * (np.abs(self.spheres.climb) + frame * pull)
+        return np.asarray(high[:, 1:] & high[:, :-1])
+
+    def flying(self, group: tuple[int, ...] | None = None) -> NDArray[np.bool_]:
+        """Find the steps in which no sphere of a group (or of all) can reach the ground.
+
+        Shape (trajectory, step).
+        """
+        owner = self.mechanism.sphere_body
+        own = np.ones(len(owner), dtype=bool) if group is None else np.isin(owner, group)
+        return np.asarray(self.clear[:, :, own].all(axis=2))
 
     @functools.cached_property
     def spin(self) -> Array:
@@ -102,10 +124,44 @@ class Record:
             self.bodies,
             self.batch.force,
             self.batch.torque,
+            self.flying(),
             frame=self.frame,
             lag=self.lag,
             steps=self.steps_compared,
         )
+
+    def by_step(self, parts: Sequence[Array]) -> Array:
+        """Put values of steps at the frames at their ends, 0 at the first: (…, frame, part)."""
+        found = np.stack(parts, axis=-1)
+        return np.concatenate([np.zeros_like(found[:, :1]), found], axis=1)
+
+    def at_end(self, values: Array) -> Array:
+        """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
+        found = np.full((*self.finite.shape, values.shape[-1]), np.nan)
+        last = np.maximum(self.finite.sum(axis=1) - 1, 0)
+        found[np.arange(len(found)), last] = values
+        return found
+
+    @property
+    def ground(self) -> Ground:
+        """The ground of a scene that has one."""
+        assert self.scene.ground is not None
+        return self.scene.ground
+
+    @property
+    def pull(self) -> float:
+        """Size of gravity [m/s²]."""
+        return float(np.linalg.norm(self.scene.gravity))
+
+    @property
+    def usual_pull(self) -> float:
+        """The same, but the earth's in scenes without: it sets scales there [m/s²]."""
+        return self.pull or _EARTH
+
+    @property
+    def fall(self) -> float:
+        """Speed that gravity adds in a frame [m/s]."""
+        return self.frame * self.pull
 
     @property
     def lag(self) -> float:

@@ -14,8 +14,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FIELDS = ("position", "native", "velocity", "angular_velocity")
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Flow:
@@ -73,21 +71,14 @@ class Flow:
         from mbds_xsim.reference.dynamics import dynamics_of
 
         known, dynamics = known_states(states), dynamics_of(mechanism)
-        tree = to_bodies(mechanism, to_links(mechanism, picked(states, known)))
+        tree = to_bodies(mechanism, to_links(mechanism, states[known]))
         found = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
-        filled = []
-        for name in FIELDS:
-            values = np.full_like(getattr(states, name), np.nan)
+        filled = BodyStates(*(np.full_like(values, np.nan) for values in vars(states).values()))
+        for name, values in vars(filled).items():
             values[known] = getattr(found, name)
-            filled.append(values)
-        return BodyStates(*filled)
+        return filled
 
 
 def known_states(states: BodyStates) -> Mask:
     """Tell which states are not lost, shape of the leading axes."""
     return np.asarray(np.isfinite(states.position).all(axis=(-1, -2)))
-
-
-def picked(states: BodyStates, known: Mask) -> BodyStates:
-    """Take some states, with one leading axis."""
-    return BodyStates(*(getattr(states, name)[known] for name in FIELDS))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,10 @@ def friction(record: Record) -> Finding | None:
     if not pushes:
         return None
     parts = [part for push in pushes for part in (_beyond(record, push), _beside(record, push))]
-    series = np.full((*record.finite.shape, len(parts)), np.nan)
-    series[:, 1:] = np.stack(parts, axis=-1)
-    series[:, 0] = 0.0
     return Finding.of(
         "friction",
         "1",
-        series,
+        record.by_step(parts),
         budget=record.scene.budget.friction,
         names=tuple(f"{part}, {push.name}" for push in pushes for part in ("cone", "slip")),
     )
@@ -48,24 +45,23 @@ def rolling(record: Record) -> Finding | None:
     pushes = [push for push in pushes_of(record) if push.ball]
     if not pushes:
         return None
-    parts = np.full((*record.finite.shape, len(pushes)), np.nan)
-    for k, push in enumerate(pushes):
+    parts = []
+    for push in pushes:
         body = push.bodies[0]
         speed = np.linalg.norm(record.bodies.velocity[:, :, body], axis=-1)
         fastest = np.maximum(np.nanmax(speed, axis=1, initial=0.0), np.finfo(float).tiny)
-        slip = np.linalg.norm(_slip(record, push)[:, :, 0], axis=-1)
+        slip = np.linalg.norm(push.over.slip[:, :, 0], axis=-1)
         load = record.batch.force[:, : record.steps, body, :2] * record.frame
         load = load + push.mass * record.frame * np.array(record.scene.gravity[:2])
         drive = np.linalg.norm(load, axis=-1)
-        takes = _friction_of(record) * push.impulse[..., 2] - drive
+        takes = record.ground.friction * push.impulse[..., 2] - drive
         stops = _yielding(record, push) * takes * _SURE > slip[:, :-1] + drive / push.mass
         rolls = stops & push.resting[:, 1:]
-        parts[:, 1:, k] = np.where(rolls, slip[:, 1:] / fastest[:, None], np.nan)
-    parts[:, 0] = 0.0
+        parts.append(np.where(rolls, slip[:, 1:] / fastest[:, None], np.nan))
     return Finding.of(
         "rolling",
         "1",
-        parts,
+        record.by_step(parts),
         budget=record.scene.budget.rolling,
         names=tuple(push.name for push in pushes),
     )
@@ -73,10 +69,10 @@ def rolling(record: Record) -> Finding | None:
 
 def _beyond(record: Record, push: Push) -> Array:
     """Impulse beyond the cone, over the larger of the two normal ones, (trajectory, step)."""
-    mu, up = _friction_of(record), push.impulse[..., 2]
+    mu, up = record.ground.friction, push.impulse[..., 2]
     across = np.linalg.norm(push.impulse[..., :2], axis=-1)
     beyond = np.maximum(across - mu * np.maximum(up, 0.0) - push.blur, 0.0)
-    return np.asarray(beyond / ((mu or 1.0) * np.maximum(up, _weight(record, push))))
+    return np.asarray(beyond / ((mu or 1.0) * np.maximum(up, push.weight)))
 
 
 def _beside(record: Record, push: Push) -> Array:
@@ -85,28 +81,23 @@ def _beside(record: Record, push: Push) -> Array:
     A slip at both ends of a step, alike and no small part of its change, lasted through it, as
     what friction has stopped does not start again. Where it turns, friction is between its ends.
     """
-    mu, up = _friction_of(record), push.impulse[..., 2]
+    mu, up = record.ground.friction, push.impulse[..., 2]
     if mu == 0.0 or not push.ball:
         return np.full(up.shape, np.nan)
-    slip = _slip(record, push)[:, :, 0]
+    slip = push.over.slip[:, :, 0]
     begin, end = slip[:, :-1], slip[:, 1:]
     ahead = [part / np.linalg.norm(part, axis=-1, keepdims=True) for part in (begin, end)]
     toward = ahead[0] + ahead[1]
     toward = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
     spread = np.linalg.norm(ahead[0] - toward, axis=-1)
     slowest = np.minimum(*(np.linalg.norm(part, axis=-1) for part in (begin, end)))
-    takes = np.maximum(_LITTLE * _weight(record, push), _SPRUNG * up)
+    takes = np.maximum(_LITTLE * push.weight, _SPRUNG * up)
     least = mu * takes / push.mass
     slips = slowest > least + _LASTING * np.linalg.norm(end - begin, axis=-1)
-    slips &= (spread < _ALIKE) & (up > _LITTLE * _weight(record, push))
+    slips &= (spread < _ALIKE) & (up > _LITTLE * push.weight)
     left = push.impulse[..., :2] / (mu * up)[..., None] + toward
     found = np.linalg.norm(left, axis=-1) - spread - push.blur / (mu * up)
     return np.where(slips, np.maximum(found, 0.0), np.nan)
-
-
-def _slip(record: Record, push: Push) -> Array:
-    """Slips of the group's spheres [m/s], shape (trajectory, frame, sphere, 2)."""
-    return np.asarray(spheres_of(record.mechanism, record.bodies).slip[:, :, push.spheres])
 
 
 def _yielding(record: Record, push: Push) -> float:
@@ -115,13 +106,3 @@ def _yielding(record: Record, push: Push) -> float:
     radius = float(mechanism.sphere_radius[push.spheres[0]])
     stiffest = float(np.linalg.eigvalsh(mechanism.inertia[body])[-1])
     return 1.0 / push.mass + radius**2 / stiffest
-
-
-def _friction_of(record: Record) -> float:
-    assert record.scene.ground is not None
-    return record.scene.ground.friction
-
-
-def _weight(record: Record, push: Push) -> float:
-    """Impulse of gravity over a step [N·s]."""
-    return push.mass * float(np.linalg.norm(record.scene.gravity)) * record.frame

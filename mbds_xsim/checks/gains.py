@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.ground import Push, spheres_of
+from mbds_xsim.checks.ground import Push
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -90,7 +90,6 @@ def gains_of(record: Record, push: Push) -> Gains:
     arm = (begin + end) / 2
     spin, lever, veer = _spins(record, push, half)
     rates = _both(half, _rates(mechanism, states, push))
-    slip = spheres_of(mechanism, states).slip[:, :, push.spheres]
     # How far an arm is from its mean at most: at the ends, and where a path bends in between.
     strays = rotation.norm(end - begin) / 2 + record.frame / 4 * rotation.norm(rates[1] - rates[0])
     vague = np.where(push.reach, strays, 0.0).max(axis=2) + veer
@@ -118,7 +117,7 @@ def gains_of(record: Record, push: Push) -> Gains:
         blur=_REEL * abs(record.lag) * record.frame * reel * size,
         spin=spin,
         lever=lever,
-        slips=_both(half, np.pad(slip, (*((0, 0),) * 3, (0, 1)))),
+        slips=_both(half, np.pad(push.over.slip, (*((0, 0),) * 3, (0, 1)))),
         touches=touches,
     )
 
@@ -157,6 +156,14 @@ def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
     )
 
 
+def spin_gained(record: Record, axle: Axle) -> Array:
+    """What a body gains of spin about its axle, less what the hinge gives, (trajectory, step)."""
+    axis = rotation.rotate(record.bodies.native[:, :, axle.body], axle.axis)
+    own = axle.moment * rotation.dot(axis, record.bodies.angular_velocity[:, :, axle.body])
+    drive = axle.sign * record.batch.torque[:, : record.steps, axle.hinge] * record.frame
+    return np.asarray(np.diff(own, axis=1) - drive)
+
+
 def _spins(record: Record, push: Push, half: Array) -> tuple[Array, Array, Array]:
     """What axles gained less what hinges gave, levers of their spheres, and how far these veer.
 
@@ -166,10 +173,8 @@ def _spins(record: Record, push: Push, half: Array) -> tuple[Array, Array, Array
     spin, lever = np.zeros((*half.shape, len(axles))), np.zeros((*half.shape, len(axles), 3))
     veer = np.zeros(half.shape)
     for k, axle in enumerate(axles):
+        spin[..., k] = spin_gained(record, axle)
         axis = rotation.rotate(record.bodies.native[:, :, axle.body], axle.axis)
-        own = axle.moment * rotation.dot(axis, record.bodies.angular_velocity[:, :, axle.body])
-        drive = axle.sign * record.batch.torque[:, : record.steps, axle.hinge] * record.frame
-        spin[..., k] = np.diff(own, axis=1) - drive
         begin, end = _both(half, axis)
         # axis · (−R ẑ × P)
         lever[..., k, :] = axle.radius * rotation.cross(_UP, (begin + end) / 2)
@@ -179,11 +184,7 @@ def _spins(record: Record, push: Push, half: Array) -> tuple[Array, Array, Array
 
 def _linear(record: Record, push: Push, half: Array) -> Array:
     group = list(push.bodies)
-    share = record.mechanism.mass[group] / push.mass
-    place, speed = (
-        np.einsum("b,tfbi->tfi", share, values[:, :, group])
-        for values in (record.bodies.position, record.bodies.velocity)
-    )
+    place, speed = push.middle(record.bodies.position), push.middle(record.bodies.velocity)
     frame, rate = record.frame, (2.0 * half / record.frame)[..., None]
     middle = (place[:, 1:] + place[:, :-1]) / 2
     x = _about(half, place[:, :-1] - middle), _about(-half, place[:, 1:] - middle)
@@ -201,8 +202,7 @@ def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
     group, states = list(push.bodies), record.bodies
     mass = record.mechanism.mass[group]
     place, speed = (
-        values[:, :, group]
-        - np.einsum("b,tfbi->tfi", mass / push.mass, values[:, :, group])[:, :, None]
+        values[:, :, group] - push.middle(values)[:, :, None]
         for values in (states.position, states.velocity)
     )
     own = rotation.rotate(states.native[:, :, group], record.turning[:, :, group])
@@ -217,22 +217,17 @@ def _angular(record: Record, push: Push, half: Array) -> tuple[Array, Array]:
 
 def _arms(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
     """From the group's centre of mass to the lowest points of spheres, (…, sphere, 3)."""
-    group, carrier = list(push.bodies), mechanism.sphere_body[push.spheres]
-    share = mechanism.mass[group] / push.mass
-    middle = np.einsum("b,...bi->...i", share, states.position[..., group, :])
-    out = rotation.rotate(states.native[..., carrier, :], mechanism.sphere_offset[push.spheres])
-    low = mechanism.sphere_radius[push.spheres, None] * _UP
-    return np.asarray(states.position[..., carrier, :] + out - middle[..., None, :] - low)
+    own = push.spheres
+    centre = states.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])
+    low = mechanism.sphere_radius[own, None] * _UP
+    return np.asarray(centre - push.middle(states.position)[..., None, :] - low)
 
 
 def _rates(mechanism: Mechanism, states: BodyStates, push: Push) -> Array:
     """Rates of these arms [m/s]."""
-    group, carrier = list(push.bodies), mechanism.sphere_body[push.spheres]
-    share = mechanism.mass[group] / push.mass
-    middle = np.einsum("b,...bi->...i", share, states.velocity[..., group, :])
-    out = rotation.rotate(states.native[..., carrier, :], mechanism.sphere_offset[push.spheres])
-    swing = rotation.cross(states.angular_velocity[..., carrier, :], out)
-    return np.asarray(states.velocity[..., carrier, :] + swing - middle[..., None, :])
+    own = push.spheres
+    speed = states.speeds(mechanism.sphere_body[own], mechanism.sphere_offset[own])
+    return np.asarray(speed - push.middle(states.velocity)[..., None, :])
 
 
 def _turned(begin: Array, end: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Contact spheres over the ground, and the impulses that the ground gives."""
+"""The impulses that the ground gives to groups of connected bodies."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.flight import clear
+from mbds_xsim.checks.spheres import Spheres
 from mbds_xsim.checks.supports import balances_of
-from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 
 Array = NDArray[np.float64]
@@ -24,18 +22,6 @@ _STEADY = 0.1  # of it, in vertical speed
 
 
 @dataclass(frozen=True, eq=False)
-class Spheres:
-    """Contact spheres, each array of shape (…, sphere)."""
-
-    gap: Array
-    """Between the sphere and the ground [m]."""
-    climb: Array
-    """Rate of the gap [m/s]."""
-    slip: Array
-    """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
-
-
-@dataclass(frozen=True, eq=False)
 class Push:
     """What the ground does to a group of connected bodies that nothing else supports."""
 
@@ -44,6 +30,12 @@ class Push:
     spheres: NDArray[np.int64]
     """Which contact spheres the group has."""
     mass: float
+    share: Array
+    """Masses of the bodies over that of all, shape (body of the group,)."""
+    weight: float
+    """Impulse of gravity over a step [N·s]."""
+    over: Spheres
+    """The group's spheres, shape (trajectory, frame, sphere of the group)."""
     ball: bool
     """A single body with one sphere, around its centre of mass: normal and tangential motion do
     not mix."""
@@ -64,18 +56,17 @@ class Push:
     @functools.cached_property
     def resting(self) -> Mask:
         """Frames around which the ground carries the weight steadily, (trajectory, frame)."""
-        return around(self.steady)
+        padded = np.pad(self.steady, ((0, 0), (1, 1)), mode="edge")
+        return np.asarray(padded[:, 1:] & padded[:, :-1])
 
+    @property
+    def untouched(self) -> Mask:
+        """Frames in which no sphere of the group touches, shape (trajectory, frame)."""
+        return np.asarray((self.over.gap > 0.0).all(axis=2))
 
-def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
-    """Compute gaps, their rates and slips of all contact spheres, from states (…, body, …)."""
-    carrier = mechanism.sphere_body
-    arm = rotation.rotate(bodies.native[..., carrier, :], mechanism.sphere_offset)
-    gap = bodies.position[..., carrier, 2] + arm[..., 2] - mechanism.sphere_radius
-    down = mechanism.sphere_radius[:, None] * np.array([0.0, 0.0, -1.0])
-    swing = np.cross(bodies.angular_velocity[..., carrier, :], arm + down)
-    speed = bodies.velocity[..., carrier, :] + swing
-    return Spheres(gap, speed[..., 2], speed[..., :2])
+    def middle(self, values: Array) -> Array:
+        """Mean over the group's bodies by mass, of values of all bodies, shape (…, 3)."""
+        return np.einsum("b,...bi->...i", self.share, values[..., list(self.bodies), :])
 
 
 @functools.lru_cache(maxsize=1)
@@ -94,27 +85,19 @@ def pushes_of(record: Record) -> list[Push]:
     ]
 
 
-def around(steps: Mask) -> Mask:
-    """Tell which frames lie between two such steps, or at an end of one at an end of the motion."""
-    padded = np.pad(steps, ((0, 0), (1, 1)), mode="edge")
-    return np.asarray(padded[:, 1:] & padded[:, :-1])
-
-
 def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     mechanism, group = record.mechanism, list(bodies)
-    mass, gravity = mechanism.mass[group], np.array(record.scene.gravity)
+    mass, gravity, fall = mechanism.mass[group], np.array(record.scene.gravity), record.fall
     momentum = np.einsum("b,tfbi->tfi", mass, record.bodies.velocity[:, :, group])
     load = record.batch.force[:, : record.steps, group].sum(axis=2) + mass.sum() * gravity
     impulse = np.diff(momentum, axis=1) - record.frame * load
     change = np.linalg.norm(np.diff(load, axis=1, prepend=load[:, :1]), axis=-1)
     spheres = np.flatnonzero(np.isin(mechanism.sphere_body, group))
-    reach = ~clear(mechanism, record.bodies, record.frame)[:, :, spheres]
-    fall = record.frame * float(np.linalg.norm(gravity))
-    over = spheres_of(mechanism, record.bodies)
-    climb = np.abs(over.climb[:, :, spheres])
+    reach, over = ~record.clear[:, :, spheres], record.spheres.of(spheres)
+    climb = np.abs(over.climb)
     fastest = np.where(reach, np.maximum(climb[:, 1:], climb[:, :-1]), 0.0).max(axis=2)
     # From the top of a hop into the next impact both ends are slow, and the way between is not.
-    mean = np.abs(np.diff(over.gap[:, :, spheres], axis=1)) / record.frame
+    mean = np.abs(np.diff(over.gap, axis=1)) / record.frame
     moving = np.maximum(fastest, np.where(reach, mean, 0.0).max(axis=2))
     lift = impulse[..., 2] / (mass.sum() * (fall or 1.0))
     supported = reach.any(axis=2) & (fastest <= _SUPPORT * fall) & (lift <= _SUPPORT)
@@ -124,6 +107,9 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
         bodies=bodies,
         spheres=spheres,
         mass=float(mass.sum()),
+        share=mass / mass.sum(),
+        weight=float(mass.sum()) * fall,
+        over=over,
         ball=_is_ball(mechanism, bodies, spheres),
         impulse=impulse,
         blur=abs(record.lag) * change,

@@ -122,9 +122,7 @@ def impact_coefficients(record: Record) -> Finding | None:
     pool = None if shown is None else Pool.of(shown)
     if pool is None:
         return None
-    parts = np.full((*record.finite.shape, 2), np.nan)
-    last = np.maximum(record.finite.sum(axis=1) - 1, 0)
-    parts[np.arange(len(parts)), last] = pool.used
+    parts = record.at_end(np.broadcast_to(pool.used, (len(record.finite), 2)))
     names = ("restitution", "friction")
     return Finding.of("impact coefficients", "1", parts, budget=1.0, names=names, note=str(pool))
 
@@ -144,8 +142,7 @@ def _shown(record: Record, hits: Impacts) -> Shown:
 
 def _by_rigid(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array]:
     """Friction is known of impacts that leave a slip, which it opposes."""
-    ground = record.scene.ground
-    assert ground is not None
+    ground = record.ground
     speed = np.linalg.norm(hits.rebound, axis=1)
     slips = (speed > _SLIPS * hits.arriving).astype(float)
     against = -hits.rebound / np.maximum(speed, np.finfo(float).tiny)[:, None]
@@ -157,9 +154,7 @@ def _by_rigid(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array
 
 def _by_compliant(record: Record, hits: Impacts) -> tuple[Array, Array, Array, Array]:
     """The share of the rebound that the course does not explain is no restitution."""
-    ground = record.scene.ground
-    assert ground is not None
-    mu = ground.friction
+    ground, mu = record.ground, record.ground.friction
     course, more = (course_of(record, hits, share * mu) for share in (1.0, 1.0 + _MORE))
     most = (mu or 1.0) * hits.impulse[:, 2:]
     left = (hits.impulse[:, :2] - course.friction) / most

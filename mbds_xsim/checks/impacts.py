@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flow import FIELDS, picked
-from mbds_xsim.checks.ground import Push, Spheres, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
@@ -57,11 +56,7 @@ class Impacts:
 
     def __getitem__(self, picks: Mask) -> Impacts:
         """Take some of the impacts."""
-        taken: dict[str, Any] = {
-            key: picked(value, picks) if isinstance(value, BodyStates) else value[picks]
-            for key, value in vars(self).items()
-        }
-        return Impacts(**taken)
+        return Impacts(**{key: value[picks] for key, value in vars(self).items()})
 
 
 def restitution(record: Record) -> Finding | None:
@@ -72,30 +67,27 @@ def restitution(record: Record) -> Finding | None:
     pushes = [push for push in pushes_of(record) if push.ball]
     if not pushes:
         return None
-    parts, note = _delivered(record, pushes)
+    wanted = record.ground.restitution
+    found = [fast_impacts_of(record, push) for push in pushes]
+    ratios = [hits.leaving / hits.arriving for hits in found]
+    off = [(hits, np.abs(ratio - wanted)) for hits, ratio in zip(found, ratios, strict=True)]
     return Finding.of(
         "restitution",
         "1",
-        parts,
+        at_impacts(record, off),
         budget=record.scene.budget.restitution,
         names=tuple(push.name for push in pushes),
-        note=note,
+        note=told_restitution(np.concatenate(ratios).tolist(), wanted),
     )
 
 
-def _delivered(record: Record, pushes: list[Push]) -> tuple[Array, str]:
-    """Deviations from the coefficient, (trajectory, frame, group), and what was delivered."""
-    ground = record.scene.ground
-    assert ground is not None
-    parts = np.full((*record.finite.shape, len(pushes)), np.nan)
+def at_impacts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:
+    """Put values of impacts at the frames after them, (trajectory, frame, group)."""
+    parts = np.full((*record.finite.shape, len(groups)), np.nan)
     parts[:, 0] = 0.0  # not every trajectory bounces
-    ratios: list[float] = []
-    for k, push in enumerate(pushes):
-        hits = fast_impacts_of(record, push)
-        ratio = hits.leaving / hits.arriving
-        parts[hits.row, hits.step + 1, k] = np.abs(ratio - ground.restitution)
-        ratios += ratio.tolist()
-    return parts, told_restitution(ratios, ground.restitution)
+    for k, (hits, values) in enumerate(groups):
+        parts[hits.row, hits.step + 1, k] = values
+    return parts
 
 
 def told_restitution(ratios: list[float], wanted: float) -> str:
@@ -110,26 +102,19 @@ def told_restitution(ratios: list[float], wanted: float) -> str:
 def fast_impacts_of(record: Record, push: Push) -> Impacts:
     """Find the single impacts that are a measure of restitution."""
     hits = impacts_of(record, push)
-    fall = record.frame * float(np.linalg.norm(record.scene.gravity))
-    return hits[hits.arriving > _SLOW * fall]
-
-
-def untouched(record: Record, push: Push) -> Mask:
-    """Tell in which frames no sphere of a group touches, shape (trajectory, frame)."""
-    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres]
-    return np.asarray((gap > 0.0).all(axis=2))
+    return hits[hits.arriving > _SLOW * record.fall]
 
 
 @functools.lru_cache(maxsize=4)
 def impacts_of(record: Record, push: Push) -> Impacts:
     """Find the steps in which one sphere, and no other of its group, hits the ground once."""
-    free = untouched(record, push)
+    free = push.untouched
     alone = push.reach.sum(axis=2) == 1
     row, step = np.nonzero(free[:, 1:] & free[:, :-1] & alone & (push.impulse[..., 2] > 0.0))
     sphere = push.spheres[push.reach[row, step].argmax(axis=1)]
     arrival, before, falling = _at_touch(record, row, step, step, sphere)
     parting, after, rising = _at_touch(record, row, step, step + 1, sphere)
-    pull = float(np.linalg.norm(record.scene.gravity)) or np.finfo(float).tiny
+    pull = record.pull or np.finfo(float).tiny
     left = record.frame - falling + rising
     arriving, leaving = -before.climb, after.climb
     single = (arriving > 0.0) & (leaving > 0.0) & (falling >= 0.0) & (rising <= 0.0)
@@ -138,8 +123,8 @@ def impacts_of(record: Record, push: Push) -> Impacts:
         row=row[single],
         step=step[single],
         sphere=sphere[single],
-        before=picked(arrival, single),
-        after=picked(parting, single),
+        before=arrival[single],
+        after=parting[single],
         arriving=arriving[single],
         leaving=leaving[single],
         slip=before.slip[single],
@@ -157,16 +142,15 @@ def _at_touch(
 
     Forwards from the step's first frame, backwards from its last; NaN where it stays clear.
     """
-    bodies = BodyStates(*(getattr(record.bodies, name)[row, frame] for name in FIELDS))
+    bodies = record.bodies[row, frame]
     force, torque = record.batch.force[row, step], record.batch.torque[row, step]
     sense = np.where(frame > step, -1.0, 1.0)
     time, limit = np.zeros(len(row)), 1.5 * record.frame
     there, here = bodies, one_sphere(record, bodies, sphere)
-    pull = float(np.linalg.norm(record.scene.gravity))
     for k in range(_REFINEMENTS + 1):
         speed = sense * here.climb
         # The first guess is a parabola's, on which Newton's steps cannot go astray.
-        square = np.sqrt(speed**2 + 2.0 * pull * np.maximum(here.gap, 0.0))
+        square = np.sqrt(speed**2 + 2.0 * record.pull * np.maximum(here.gap, 0.0))
         ahead = 2.0 * here.gap / (square - speed) if k == 0 else -here.gap / speed
         time = np.clip(time + sense * ahead, -limit, limit)
         there = followed(record, bodies, force, torque, time)
@@ -178,9 +162,7 @@ def _at_touch(
 def one_sphere(record: Record, bodies: BodyStates, sphere: Index) -> Spheres:
     """Look at one sphere of each state."""
     spheres, each = spheres_of(record.mechanism, bodies), np.arange(len(sphere))
-    return Spheres(
-        spheres.gap[each, sphere], spheres.climb[each, sphere], spheres.slip[each, sphere]
-    )
+    return Spheres(*(values[each, sphere] for values in vars(spheres).values()))
 
 
 def followed(

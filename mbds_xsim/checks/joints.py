@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import PlacedJoint, PointPair
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 
 Array = NDArray[np.float64]
 
@@ -22,18 +22,15 @@ def gap(record: Record) -> Finding | None:
     mechanism, scene = record.mechanism, record.scene
     if not mechanism.joints and not mechanism.distances:
         return None
-    states = with_world(record.bodies)
-    joints = [j for j in mechanism.joints if j.kind != "slider"]
-    sliders = [j for j in mechanism.joints if j.kind == "slider"]
+    states = record.bodies.with_world()
+    joints, sliders = _parted(mechanism)
     parts = [
         rotation.norm(_apart(states, joints)),
         _off_axis(states, sliders),
         np.abs(pair_distance(states, mechanism.distances) - _lengths(mechanism.distances)),
     ]
-    names = [f"joint {j.name}" for j in [*joints, *sliders]]
-    names += [f"distance link {link.name}" for link in mechanism.distances]
     return Finding.of(
-        "gap", "m", np.concatenate(parts, axis=-1), budget=scene.budget.gap, names=tuple(names)
+        "gap", "m", np.concatenate(parts, axis=-1), budget=scene.budget.gap, names=_names(mechanism)
     )
 
 
@@ -46,27 +43,23 @@ def gap_rate(record: Record) -> Finding | None:
     mechanism = record.mechanism
     if not mechanism.joints and not mechanism.distances:
         return None
-    states = with_world(record.bodies)
-    joints = [j for j in mechanism.joints if j.kind != "slider"]
-    sliders = [j for j in mechanism.joints if j.kind == "slider"]
+    states = record.bodies.with_world()
+    joints, sliders = _parted(mechanism)
     shift = _parting(states, sliders)
-    parent, _ = _ends(sliders)
-    axes = rotation.rotate(states.native[..., parent, :], _axes(sliders))
-    shift = shift - rotation.cross(states.angular_velocity[..., parent, :], _apart(states, sliders))
+    carried = states.angular_velocity[..., _ends(sliders)[0], :]
+    shift = shift - rotation.cross(carried, _apart(states, sliders))
     parts = [
         rotation.norm(_parting(states, joints)),
-        rotation.norm(rotation.cross(axes, shift)),
+        rotation.norm(rotation.cross(_axes(states, sliders), shift)),
         np.abs(pair_rate(states, mechanism.distances)),
     ]
     late = _turned(record, rotation.norm(record.bodies.velocity))
-    names = [f"joint {j.name}" for j in [*joints, *sliders]]
-    names += [f"distance link {link.name}" for link in mechanism.distances]
     return Finding.of(
         "gap rate",
         "m/s",
         np.maximum(np.concatenate(parts, axis=-1) - late, 0.0),
         budget=record.scene.budget.gap / record.frame,
-        names=tuple(names),
+        names=_names(mechanism),
     )
 
 
@@ -78,12 +71,10 @@ def angle_gap_rate(record: Record) -> Finding | None:
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
         return None
-    states = with_world(record.bodies)
+    states = record.bodies.with_world()
     parent, child = _ends(joints)
-    spins = [states.angular_velocity[..., ends, :] for ends in (parent, child)]
-    turning = spins[1] - spins[0]
-    free = np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
-    free = rotation.rotate(states.native[..., parent, :], free)
+    turning = states.angular_velocity[..., child, :] - states.angular_velocity[..., parent, :]
+    free = states.arms(parent, _free(joints))
     across = turning - rotation.dot(turning, free)[..., None] * free
     late = _turned(record, rotation.norm(record.bodies.angular_velocity))
     return Finding.of(
@@ -100,12 +91,12 @@ def angle_gap(record: Record) -> Finding | None:
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
         return None
-    states = with_world(record.bodies)
+    states = record.bodies.with_world()
     parent, child = _ends(joints)
     back = rotation.conjugate(states.native[..., parent, :])
     turn = rotation.multiply(back, states.native[..., child, :])
     # A hinge's free turn is taken out: the rest is a swing of sine |across| of its half angle.
-    free = np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+    free = _free(joints)
     along = np.sum(turn[..., 1:] * free, axis=-1)
     across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
     return Finding.of(
@@ -117,34 +108,22 @@ def angle_gap(record: Record) -> Finding | None:
     )
 
 
-def with_world(bodies: BodyStates) -> BodyStates:
-    """Append the world as a last body at rest, so that index −1 finds it."""
-    zero = np.zeros((*bodies.position.shape[:-2], 1, 3))
-    still = np.broadcast_to(rotation.IDENTITY, (*zero.shape[:-1], 4))
-    return BodyStates(
-        np.concatenate([bodies.position, zero], axis=-2),
-        np.concatenate([bodies.native, still], axis=-2),
-        np.concatenate([bodies.velocity, zero], axis=-2),
-        np.concatenate([bodies.angular_velocity, zero], axis=-2),
-    )
-
-
 def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
     """Distances of attachment points [m], shape (…, pair), of states with the world."""
-    ends = [
-        _points(states, [pair.bodies[k] for pair in pairs], [pair.in_body[k] for pair in pairs])
-        for k in (0, 1)
-    ]
-    return np.linalg.norm(ends[1] - ends[0], axis=-1)
+    begin, end = (states.points(*points) for points in _attached(pairs))
+    return np.asarray(rotation.norm(end - begin))
 
 
 def pair_rate(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
     """Rates of the distances of attachment points [m/s], (…, pair), of states with the world."""
-    ends = [
-        ([pair.bodies[k] for pair in pairs], [pair.in_body[k] for pair in pairs]) for k in (0, 1)
-    ]
-    apart = _points(states, *ends[1]) - _points(states, *ends[0])
-    parting = _speeds(states, *ends[1]) - _speeds(states, *ends[0])
+    ends = _attached(pairs)
+    apart, parting = (
+        b - a
+        for a, b in (
+            [states.points(*points) for points in ends],
+            [states.speeds(*points) for points in ends],
+        )
+    )
     return np.asarray(rotation.dot(parting, apart / rotation.norm(apart)[..., None]))
 
 
@@ -158,46 +137,66 @@ def _turned(record: Record, speeds: Array) -> Array:
     return np.asarray(2.0 * abs(record.lag) * fastest * speeds.max(axis=-1, keepdims=True))
 
 
+def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]:
+    """Joints with an anchor that both bodies share, and sliders."""
+    joints = mechanism.joints
+    return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
+
+
+def _names(mechanism: Mechanism) -> tuple[str, ...]:
+    """Of the parts of gaps and their rates."""
+    joints, sliders = _parted(mechanism)
+    links = (f"distance link {link.name}" for link in mechanism.distances)
+    return (*(f"joint {j.name}" for j in [*joints, *sliders]), *links)
+
+
+def _free(joints: list[PlacedJoint]) -> Array:
+    """Axes about which joints turn freely, zero where there is none."""
+    return np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+
+
+def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
+    """Bodies and points of the two ends of distance links or springs."""
+    return [
+        ([pair.bodies[k] for pair in pairs], _vectors([pair.in_body[k] for pair in pairs]))
+        for k in (0, 1)
+    ]
+
+
 def _parting(states: BodyStates, joints: list[PlacedJoint]) -> Array:
     """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
-    parent, child = _ends(joints)
-    return _speeds(states, child, [j.in_child for j in joints]) - _speeds(
-        states, parent, [j.in_parent for j in joints]
-    )
-
-
-def _speeds(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
-    spin = states.angular_velocity[..., bodies, :]
-    return states.velocity[..., bodies, :] + rotation.cross(spin, _arms(states, bodies, offsets))
+    parent, child = _anchors(joints)
+    return states.speeds(*child) - states.speeds(*parent)
 
 
 def _apart(states: BodyStates, joints: list[PlacedJoint]) -> Array:
-    parent, child = _ends(joints)
-    return _points(states, child, [j.in_child for j in joints]) - _points(
-        states, parent, [j.in_parent for j in joints]
-    )
+    parent, child = _anchors(joints)
+    return states.points(*child) - states.points(*parent)
 
 
 def _off_axis(states: BodyStates, sliders: list[PlacedJoint]) -> Array:
-    parent, _ = _ends(sliders)
-    axes = rotation.rotate(states.native[..., parent, :], _axes(sliders))
-    return rotation.norm(rotation.cross(axes, _apart(states, sliders)))
+    return rotation.norm(rotation.cross(_axes(states, sliders), _apart(states, sliders)))
 
 
-def _points(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
-    return states.position[..., bodies, :] + _arms(states, bodies, offsets)
+def _axes(states: BodyStates, joints: list[PlacedJoint]) -> Array:
+    """Free axes of hinges and sliders, fixed in the parents, in W; zero of other joints."""
+    return states.arms(_ends(joints)[0], _vectors([j.axis for j in joints]))
 
 
-def _arms(states: BodyStates, bodies: list[int], offsets: list[Array]) -> Array:
-    return rotation.rotate(states.native[..., bodies, :], np.array(offsets).reshape(-1, 3))
-
-
-def _axes(joints: list[PlacedJoint]) -> Array:
-    return np.array([j.axis for j in joints]).reshape(-1, 3)
+def _anchors(joints: list[PlacedJoint]) -> list[tuple[list[int], Array]]:
+    parent, child = _ends(joints)
+    return [
+        (parent, _vectors([j.in_parent for j in joints])),
+        (child, _vectors([j.in_child for j in joints])),
+    ]
 
 
 def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:
     return [j.parent for j in joints], [j.child for j in joints]
+
+
+def _vectors(values: list[Array]) -> Array:
+    return np.array(values).reshape(-1, 3)
 
 
 def _lengths(pairs: tuple[PointPair, ...]) -> Array:

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks.closing import unexplained_by_loops
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flow import FIELDS
 from mbds_xsim.checks.mismatch import Mismatch
-from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
 
@@ -85,7 +83,7 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
     """Take off the first step's mismatch what closing loops by impulses makes of the start."""
     left = mismatch.left.copy()
     known = np.flatnonzero(np.isfinite(left[:, 0]).all(axis=(1, 2, 3)))
-    start = BodyStates(*(getattr(record.bodies, name)[known, 0] for name in FIELDS))
+    start = record.bodies[known, 0]
     load = record.batch.force[known, 0], record.batch.torque[known, 0]
     change = mismatch.as_bodies(left[known, 0], start.native)
     kept = unexplained_by_loops(record.mechanism, start, change, load, _step(record))
@@ -107,13 +105,10 @@ def velocity_lag(record: Record) -> Finding | None:
     lag, uncertainty = _slope(mismatch, _LAG * _step(record))
     if record.scene.contacts:
         lag = np.nan_to_num(lag)
-    series = np.full(record.finite.shape, np.nan)
-    rows = np.arange(len(series))
-    series[rows, record.finite.sum(axis=1) - 1] = np.abs(lag)
     return Finding.of(
         "velocity lag",
         "s",
-        series[..., None],
+        record.at_end(np.abs(lag)[:, None]),
         budget=_LAG * _step(record),
         uncertainty=uncertainty,
         note=f"known to {np.max(uncertainty):.1g} s",

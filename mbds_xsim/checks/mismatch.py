@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.checks.flight import flying
-from mbds_xsim.checks.flow import FIELDS, Flow, known_states, picked
+from mbds_xsim.checks.flow import Flow, known_states
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
@@ -111,10 +110,11 @@ def mismatch_of(
     bodies: BodyStates,
     force: Array,
     torque: Array,
+    flying: Mask,
     *,
     frame: float,
     lag: float,
-    steps: tuple[int, int] = EVERY_SECOND,
+    steps: tuple[int, int],
 ) -> Mismatch:
     """Compare positions and velocities over some steps, outside contact.
 
@@ -123,6 +123,7 @@ def mismatch_of(
         bodies: Recorded states, NaN where they are lost, shape (trajectory, frame, body, …).
         force: [N], shape (trajectory, step, body, 3).
         torque: [N·m], shape (trajectory, step, hinge).
+        flying: Steps outside contact, shape (trajectory, step).
         frame: Interval of the frames [s].
         lag: Recorded velocities belong to frame time + lag [s].
         steps: First step, and every how many; every second takes in all frames.
@@ -130,9 +131,9 @@ def mismatch_of(
     first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
     force, torque = force[:, first], torque[:, first]
     flow = Flow(mechanism, _MOMENT * frame)
-    free = flying(mechanism, bodies, frame)[:, first]
+    free = flying[:, first]
     # Both ends of all steps at once: calls cost as much as numbers here.
-    ends, count = _frames(bodies, np.concatenate([first, first + 1])), len(first)
+    ends, count = bodies[:, np.concatenate([first, first + 1])], len(first)
     free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
     points = _points_at(flow, ends, free, force, torque, lag)
     halves = slice(0, count), slice(count, None)
@@ -189,7 +190,7 @@ def _points_at(
     count = flow.mechanism.body_count
     points = np.full((len(_Points._fields), *known.shape, count, 4, 3), np.nan)
     if known.any():
-        kept = picked(states, known)
+        kept = states[known]
         near = flow.closed(kept)
         if lag:
             rates = flow.accelerations(near, force[known], torque[known])
@@ -274,7 +275,3 @@ def _extents(mechanism: Mechanism) -> Array:
     ):
         found[body] = max(found[body], distance)
     return found
-
-
-def _frames(bodies: BodyStates, frames: NDArray[np.int64]) -> BodyStates:
-    return BodyStates(*(getattr(bodies, name)[:, frames] for name in FIELDS))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.flight import flying, summed
+from mbds_xsim.checks.spheres import summed
 from mbds_xsim.checks.supports import Balance, balances_of
 from mbds_xsim.scene.mechanism import WORLD_INDEX
 
@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FLOOR = 1e-3
-_EARTH = 9.81  # sets the floor of scenes without gravity [m/s²]
 
 
 def momentum(record: Record) -> Finding | None:
@@ -46,10 +45,7 @@ def momentum(record: Record) -> Finding | None:
 
 def flights_of(record: Record) -> list[tuple[Balance, Mask]]:
     """Give the balances that hold in some steps, each with these, shape (trajectory, step)."""
-    found = [
-        (balance, flying(record.mechanism, record.bodies, record.frame, balance.bodies))
-        for balance in balances_of(record.mechanism)
-    ]
+    found = [(balance, record.flying(balance.bodies)) for balance in balances_of(record.mechanism)]
     return [pair for pair in found if pair[1].any()]
 
 
@@ -86,9 +82,8 @@ def gain_of(record: Record, balance: Balance) -> Gain:
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
     """Change less impulses over the scale, (trajectory, frame), and its error, (trajectory,)."""
     gain = gain_of(record, balance)
-    drift = rotation.norm(summed(gain.left, flights))
+    found = record.by_step([rotation.norm(summed(gain.left, flights))])[..., 0]
     error = np.where(np.isfinite(gain.blur) & flights, gain.blur, 0.0).sum(axis=1)
-    found = np.concatenate([np.zeros((len(drift), 1)), drift], axis=1)
     found[~record.finite] = np.nan
     return found / gain.scale[:, None], error / gain.scale
 
@@ -116,8 +111,7 @@ def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
     At least 1e-3 of what the group has at the speed of a fall through the scene's length.
     """
     sizes = rotation.norm(each).sum(axis=2)
-    pull = float(np.linalg.norm(record.scene.gravity)) or _EARTH
-    speed = np.sqrt(pull * record.scene.length)
+    speed = np.sqrt(record.usual_pull * record.scene.length)
     floor = _FLOOR * float(record.mechanism.mass[_rows(balance)].sum()) * speed * arm
     return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
 

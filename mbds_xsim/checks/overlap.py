@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def penetration(record: Record) -> Finding | None:
     scene = record.scene
     if not scene.contacts:
         return None
-    overlap = np.maximum(-spheres_of(record.mechanism, record.bodies).gap, 0.0)
+    overlap = np.maximum(-record.spheres.gap, 0.0)
     share = np.nanmax(overlap / record.mechanism.sphere_radius, initial=0.0)
     return Finding.of(
         "penetration",
@@ -61,7 +61,7 @@ def contact_gap(record: Record) -> Finding | None:
 
 def _gaps(record: Record, push: Push) -> Array:
     """Distances where they are known [m], NaN elsewhere, shape (trajectory, frame)."""
-    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres].min(axis=2)
+    gap = push.over.gap.min(axis=2)
     found = np.where(push.resting, np.abs(gap), np.nan)
     # A gap that stays is where the ground is; one of a frame may be a hop.
     around = np.minimum(np.minimum(found[:, :-2], found[:, 1:-1]), found[:, 2:])

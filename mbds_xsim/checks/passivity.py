@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks.energy import energy_of, input_work
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
-from mbds_xsim.checks.impacts import impacts_of, untouched
+from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.impacts import impacts_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -64,10 +64,7 @@ def law_gain(record: Record, push: Push) -> Array:
     gain = np.zeros(push.impulse.shape[:2])
     if push.ball:
         return gain
-    ground = record.scene.ground
-    assert ground is not None
-    slip = np.linalg.norm(spheres_of(record.mechanism, record.bodies).slip, axis=-1)
-    slip = slip[:, :, push.spheres]
+    ground, slip = record.ground, np.linalg.norm(push.over.slip, axis=-1)
     fastest = np.where(push.reach, np.maximum(slip[:, 1:], slip[:, :-1]), 0.0).max(axis=2)
     unclear = push.reach.any(axis=2) & ~push.steady
     most = 0.5 * ground.friction * np.maximum(push.impulse[..., 2], 0.0) * fastest
@@ -93,7 +90,7 @@ def _rise(record: Record, pushes: list[Push], explained: Array) -> tuple[Array, 
     left[:, 1:] -= explained
     compared, most = record.finite.copy(), left.copy()
     for push in pushes:
-        compared &= settled(record, push)
+        compared &= settled(push)
         most += stored(record, push)
     return risen(left, most, compared) / energy.scale[:, None], energy.scale
 
@@ -109,19 +106,17 @@ def risen(least: Array, most: Array, compared: Mask) -> Array:
     return np.asarray(rise)
 
 
-def settled(record: Record, push: Push) -> Mask:
+def settled(push: Push) -> Mask:
     """Frames at which a group's contacts store no more than `stored`, (trajectory, frame).
 
     Those in flight, those around which the ground only carries, and the start: what overlaps
     there was put there. A slow impact, too, stores the energy it arrives with.
     """
-    found = untouched(record, push) | push.resting
+    found = push.untouched | push.resting
     found[:, 0] = True
     return np.asarray(found)
 
 
 def stored(record: Record, push: Push) -> Array:
     """Most that overlaps under the weight store [J]: weight times overlap, (trajectory, frame)."""
-    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres]
-    weight = push.mass * float(np.linalg.norm(record.scene.gravity))
-    return np.asarray(weight * np.maximum(-gap.min(axis=2), 0.0))
+    return np.asarray(push.mass * record.pull * np.maximum(-push.over.gap.min(axis=2), 0.0))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.passivity import risen, settled, stored
 
 Array = NDArray[np.float64]
@@ -76,7 +75,7 @@ def _rise(record: Record, push: Push, pull: float) -> Array:
     energy = 0.5 * climb**2 + pull * height
     energy[:, 1:] -= work
     most = energy + stored(record, push) / push.mass
-    return risen(energy, most, record.finite & settled(record, push)) / pull
+    return risen(energy, most, record.finite & settled(push)) / pull
 
 
 def _moved(record: Record, push: Push) -> Array:
@@ -113,18 +112,16 @@ def _still(record: Record, push: Push) -> Mask:
     scene, bodies = record.scene, list(push.bodies)
     speed = np.linalg.norm(record.bodies.velocity[:, :, bodies], axis=-1)
     spin = np.linalg.norm(record.bodies.angular_velocity[:, :, bodies], axis=-1)
-    unit = np.sqrt(float(np.linalg.norm(scene.gravity)) * scene.length)
+    unit = np.sqrt(record.pull * scene.length)
     slow = (speed + spin * scene.length).max(axis=2) < _SLOW * unit
     return np.asarray(slow & push.resting & _carried(record, push))
 
 
 def _carried(record: Record, push: Push) -> Mask:
     """Whether touching spheres surround the centre of mass: no half of the plane is without one."""
-    bodies, mass = list(push.bodies), record.mechanism.mass[list(push.bodies)]
-    middle = np.einsum("b,tfbi->tfi", mass / mass.sum(), record.bodies.position[:, :, bodies])
+    middle = push.middle(record.bodies.position)
     arm = _places(record, push)[..., :2] - middle[:, :, None, :2]
-    gap = spheres_of(record.mechanism, record.bodies).gap[:, :, push.spheres]
-    touching = np.abs(gap) < _NEAR * record.scene.length
+    touching = np.abs(push.over.gap) < _NEAR * record.scene.length
     count = touching.sum(axis=2)
     # Those that do not touch repeat the first one that does.
     angle = np.arctan2(arm[..., 1], arm[..., 0])
@@ -137,7 +134,5 @@ def _carried(record: Record, push: Push) -> Mask:
 
 def _places(record: Record, push: Push) -> Array:
     """Centres of the group's contact spheres [m], shape (trajectory, frame, sphere, 3)."""
-    mechanism, bodies = record.mechanism, record.bodies
-    carrier = mechanism.sphere_body[push.spheres]
-    offset = rotation.rotate(bodies.native[:, :, carrier], mechanism.sphere_offset[push.spheres])
-    return np.asarray(bodies.position[:, :, carrier] + offset)
+    mechanism, own = record.mechanism, push.spheres
+    return record.bodies.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])

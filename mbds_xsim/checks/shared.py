@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.checks.coefficients import SURE, parts_of, steps_of
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.flight import flying
 from mbds_xsim.checks.impact_coefficients import Pool, Shown, shown_of
 
 Array = NDArray[np.float64]
@@ -47,7 +46,7 @@ class Evidence:
 
 def evidence_of(record: Record) -> Evidence | None:
     """Collect what coefficients found; None where nothing flies, or the method is unknown."""
-    if record.method is None or not flying(record.mechanism, record.bodies, record.frame).any():
+    if record.method is None or not record.flying().any():
         return None
     parts, steps = parts_of(record), steps_of(record)
     return Evidence(

@@ -8,38 +8,21 @@ wheel by wheel, where the ground's impulse on all of them is not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.checks.gains import axles_of, spin_gained
+from mbds_xsim.checks.ground import Push, pushes_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
+_EVEN = 1e-9  # [m]; also of directions
 _STRAIGHT = 0.9  # least share of the heading in the slip of a wheel that slips straight on
 _LASTING = 0.2  # of its change, which a slip must keep
 _LITTLE = 0.05  # of the weight
 _SHARE = 0.5  # of the budget of friction: a wheel's is known better than a group's
-
-
-@dataclass(frozen=True, eq=False)
-class _Wheels:
-    """All wheels of a group that stands on nothing else; axes are (…, wheel)."""
-
-    body: NDArray[np.int64]
-    hinge: NDArray[np.int64]
-    sign: Array
-    """Of the torque on the wheel: −1 where it is the hinge's parent."""
-    moment: Array
-    """About the axle [kg·m²]."""
-    axle: Array
-    """In native frames, shape (wheel, 3)."""
 
 
 def wheels(record: Record) -> Finding | None:
@@ -49,72 +32,32 @@ def wheels(record: Record) -> Finding | None:
     than μ times its vertical impulse, and to just so much while all that touch slip straight on.
     Over μ times the vertical impulse, or the weight's where that is larger. None without wheels.
     """
-    found = [
-        (push, placed)
-        for push in pushes_of(record)
-        if (placed := _wheels_of(record.mechanism, push)) is not None
-    ]
-    if not found or not record.scene.ground or not record.scene.ground.friction:
+    found = [push for push in pushes_of(record) if _is_on_wheels(record, push)]
+    if not found or not record.ground.friction:
         return None
-    parts = [part for push, placed in found for part in _parts(record, push, placed)]
-    series = np.full((*record.finite.shape, len(parts)), np.nan)
-    series[:, 1:] = np.stack(parts, axis=-1)
-    series[:, 0] = 0.0
+    parts = [part for push in found for part in _parts(record, push)]
     kinds = ("momentum", "cone", "slip")
     return Finding.of(
         "wheels",
         "1",
-        series,
+        record.by_step(parts),
         budget=_SHARE * record.scene.budget.friction,
-        names=tuple(f"{kind}, {push.name}" for push, _ in found for kind in kinds),
+        names=tuple(f"{kind}, {push.name}" for push in found for kind in kinds),
     )
 
 
-def _wheels_of(mechanism: Mechanism, push: Push) -> _Wheels | None:
-    placed = [_hinge_of(mechanism, sphere) for sphere in push.spheres]
-    if push.ball or None in placed:
-        return None
-    body = mechanism.sphere_body[push.spheres]
-    hinges = np.array([hinge for hinge in placed if hinge is not None], dtype=np.int64)
-    joints = [mechanism.hinges[hinge] for hinge in hinges]
-    axle = np.array([joint.axis for joint in joints])
-    return _Wheels(
-        body=body,
-        hinge=hinges,
-        sign=np.array([1.0 if j.child == b else -1.0 for j, b in zip(joints, body, strict=True)]),
-        moment=np.einsum("wi,wij,wj->w", axle, mechanism.inertia[body], axle),
-        axle=axle,
-    )
+def _is_on_wheels(record: Record, push: Push) -> bool:
+    """Whether each sphere of a group is around the centre of a body on an axle."""
+    offset = np.linalg.norm(record.mechanism.sphere_offset[push.spheres], axis=1)
+    placed = {axle.sphere for axle in axles_of(record.mechanism, push)}
+    return bool(placed >= set(range(len(push.spheres))) and offset.max() <= _EVEN)
 
 
-def _hinge_of(mechanism: Mechanism, sphere: int) -> int | None:
-    """Hinge on whose axle a sphere's body is a wheel, by its number among the hinges."""
-    body = int(mechanism.sphere_body[sphere])
-    mine = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
-    tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
-    if tied or len(mine) != 1 or mine[0].kind != "hinge":
-        return None
-    joint, inertia = mine[0], mechanism.inertia[body]
-    anchor = joint.in_child if joint.child == body else joint.in_parent
-    moment = float(joint.axis @ inertia @ joint.axis)
-    across = (np.trace(inertia) - moment) / 2
-    outer = np.outer(joint.axis, joint.axis)
-    even = np.abs(inertia - across * np.eye(3) - (moment - across) * outer).max()
-    centred = np.linalg.norm(mechanism.sphere_offset[sphere]) <= _EVEN
-    on_axle = np.linalg.norm(np.cross(joint.axis, anchor)) <= _EVEN
-    alone = np.count_nonzero(mechanism.sphere_body == body) == 1
-    if not (centred and on_axle and alone and even <= _EVEN * moment):
-        return None
-    return mechanism.hinges.index(joint)
-
-
-def _parts(record: Record, push: Push, placed: _Wheels) -> tuple[Array, Array, Array]:
+def _parts(record: Record, push: Push) -> tuple[Array, Array, Array]:
     """Deviations from momentum, cone and slip, each (trajectory, step)."""
-    friction, heading, turned = _frictions(record, push, placed)
-    assert record.scene.ground is not None
-    most = record.scene.ground.friction * push.impulse[..., 2]
-    weight = push.mass * float(np.linalg.norm(record.scene.gravity)) * record.frame
-    scale = np.maximum(most, record.scene.ground.friction * weight)
+    friction, heading, turned = _frictions(record, push)
+    most = record.ground.friction * push.impulse[..., 2]
+    scale = np.maximum(most, record.ground.friction * push.weight)
     total = np.abs(friction).sum(axis=2)
     # Directions are known up to their change within the step.
     open_ = (turned * np.abs(friction)).sum(axis=2) + push.blur
@@ -133,31 +76,31 @@ def _parts(record: Record, push: Push, placed: _Wheels) -> tuple[Array, Array, A
     )
 
 
-def _frictions(record: Record, push: Push, placed: _Wheels) -> tuple[Array, Array, Array]:
+def _frictions(record: Record, push: Push) -> tuple[Array, Array, Array]:
     """Impulses along headings [N·s], headings (…, wheel, 2), and how far these turn in a step."""
-    bodies, radius = record.bodies, record.mechanism.sphere_radius[push.spheres]
-    axle = rotation.rotate(bodies.native[:, :, placed.body], placed.axle)
-    spin = placed.moment * np.sum(axle * bodies.angular_velocity[:, :, placed.body], axis=-1)
-    drive = placed.sign * record.batch.torque[:, : record.steps, placed.hinge] * record.frame
-    # The heading, axle × z, is as long as the lever of friction is to the radius.
-    heading = np.stack([axle[..., 1], -axle[..., 0]], axis=-1)
+    placed = {axle.sphere: axle for axle in axles_of(record.mechanism, push)}
+    axles = [placed[k] for k in range(len(push.spheres))]
+    radius = np.array([axle.radius for axle in axles])
+    axis = record.bodies.arms([axle.body for axle in axles], np.array([a.axis for a in axles]))
+    # The heading, axis × z, is as long as the lever of friction is to the radius.
+    heading = np.stack([axis[..., 1], -axis[..., 0]], axis=-1)
     middle = (heading[:, 1:] + heading[:, :-1]) / 2
     level = np.linalg.norm(middle, axis=-1)
     # A wheel that lies flat has none: near there it turns by more than can be followed.
     turned = np.linalg.norm(np.diff(heading, axis=1), axis=-1) / level
-    friction = (drive - np.diff(spin, axis=1)) / (radius * level)
+    spin = np.stack([spin_gained(record, axle) for axle in axles], axis=-1)
+    friction = -spin / (radius * level)
     return friction, middle / level[..., None], turned
 
 
 def _slipping(record: Record, push: Push, heading: Array) -> tuple[Mask, Array]:
     """Steps through which all wheels that touch slip straight on, and the least heading's share."""
-    slip = spheres_of(record.mechanism, record.bodies).slip[:, :, push.spheres]
+    slip = push.over.slip
     size = np.linalg.norm(slip, axis=-1)
     along = [np.sum(heading * part, axis=-1) for part in (slip[:, :-1], slip[:, 1:])]
     slowest = np.minimum(size[:, :-1], size[:, 1:])
     change = np.linalg.norm(np.diff(slip, axis=1), axis=-1)
     share = np.minimum(np.abs(along[0]) / size[:, :-1], np.abs(along[1]) / size[:, 1:])
-    fall = record.frame * float(np.linalg.norm(record.scene.gravity))
-    lasts = (along[0] * along[1] > 0.0) & (slowest > _LASTING * change + _LITTLE * fall)
+    lasts = (along[0] * along[1] > 0.0) & (slowest > _LASTING * change + _LITTLE * record.fall)
     every = (lasts & (share > _STRAIGHT) & push.reach).all(axis=2)
     return every & push.supported, share.min(axis=2)

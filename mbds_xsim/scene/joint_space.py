@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 
 Array = NDArray[np.float64]
+Bodies = list[int] | NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,35 @@ class BodyStates:
     """[m/s], shape (…, body, 3)."""
     angular_velocity: Array
     """In W [rad/s], shape (…, body, 3)."""
+
+    def __getitem__(self, rows: Any) -> BodyStates:
+        """Take some of the states, by their leading axes."""
+        return BodyStates(*(values[rows] for values in vars(self).values()))
+
+    def with_world(self) -> BodyStates:
+        """Append the world as a last body at rest, so that index −1 finds it."""
+        zero = np.zeros((*self.position.shape[:-2], 1, 3))
+        still = np.broadcast_to(rotation.IDENTITY, (*zero.shape[:-1], 4))
+        worlds = (zero, still, zero, zero)
+        return BodyStates(
+            *(
+                np.concatenate([values, world], axis=-2)
+                for values, world in zip(vars(self).values(), worlds, strict=True)
+            )
+        )
+
+    def arms(self, body: Bodies, offset: Array) -> Array:
+        """Turn vectors from centres of mass to points of bodies into W [m], (…, point, 3)."""
+        return rotation.rotate(self.native[..., body, :], offset)
+
+    def points(self, body: Bodies, offset: Array) -> Array:
+        """Place points that are fixed in bodies [m], shape (…, point, 3)."""
+        return self.position[..., body, :] + self.arms(body, offset)
+
+    def speeds(self, body: Bodies, offset: Array) -> Array:
+        """Give the velocities of such points [m/s], shape (…, point, 3)."""
+        spin = self.angular_velocity[..., body, :]
+        return self.velocity[..., body, :] + rotation.cross(spin, self.arms(body, offset))
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +254,6 @@ def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
 
 def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
     """States of the links' parents, the world's among them, in link order."""
-    parents = {key: values[..., tree.parent_body, :] for key, values in vars(bodies).items()}
-    held = tree.parent_body == WORLD_INDEX
-    for key, values in parents.items():
-        values[..., held, :] = rotation.IDENTITY if key == "native" else 0.0
-    return BodyStates(**parents)
+    return BodyStates(
+        *(values[..., tree.parent_body, :] for values in vars(bodies.with_world()).values())
+    )

@@ -44,8 +44,6 @@ _ORDER_MARGIN = 0.2
 # Where a method meets the answer to this, there is no order left to measure (RK4 on a parabola).
 _EXACT = 1e-9
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
-# Non-linear motions, on which no method is better than its order by luck.
-_TELLING = ("rod", "hinge", "tumbling", "parallelogram")
 
 
 def measured_order(

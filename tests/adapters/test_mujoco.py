@@ -32,7 +32,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
+from tests.random_scenes import Kind, random_links, random_tree
 
 mujoco: Any = pytest.importorskip("mujoco")
 

@@ -14,7 +14,7 @@ from mbds_xsim.scene.constraints import Rows, constraint_rows, degrees_of_freedo
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
-from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
+from tests.random_scenes import Kind, random_links, random_tree
 
 KINDS: tuple[Kind, ...] = ("fixed", "hinge", "slider", "ball")
 ROWS = {"fixed": 6, "hinge": 5, "slider": 5, "ball": 3}

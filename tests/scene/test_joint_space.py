@@ -11,7 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
-from mbds_xsim.testing.random_scenes import Kind, random_links, random_tree
+from tests.random_scenes import Kind, random_links, random_tree
 
 _KINDS = st.lists(
     st.sampled_from(["fixed", "hinge", "slider", "ball", "free"]), min_size=1, max_size=6

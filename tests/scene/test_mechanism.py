@@ -23,7 +23,7 @@ from mbds_xsim.scene.scene import (
     Scene,
     SpringDamper,
 )
-from mbds_xsim.testing.random_scenes import random_tree
+from tests.random_scenes import random_tree
 
 UNIT = Inertia(1.0, (1.0, 1.0, 1.0))
 ORIGIN = (0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.ground import Push, pushes_of, spheres_of
+from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.scene import Scene
@@ -74,11 +74,11 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
     record = Record(scene, batch, motion)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         pushes = pushes_of(record)
-        spheres = spheres_of(record.mechanism, record.bodies)
+        spheres = record.spheres
         touch = np.zeros((len(motion), record.steps, spheres.gap.shape[2]), dtype=bool)
         impact, clear = np.zeros(touch.shape[:2], dtype=bool), np.zeros_like(touch)
         for push in pushes:
-            pushed = push.reach & _pushed(record, push)[:, :, None]
+            pushed = push.reach & _pushed(push)[:, :, None]
             touch[:, :, push.spheres] = pushed
             impact |= pushed.any(axis=2) & ~push.supported
             clear[:, :, push.spheres] = pushed & (push.supported | push.ball)[:, :, None]
@@ -94,10 +94,9 @@ def contact_of(scene: Scene, batch: Batch, motion: Trajectory) -> Contact:
     return Contact(gap, slip, touch, impact, tuple(episodes))
 
 
-def _pushed(record: Record, push: Push) -> Mask:
+def _pushed(push: Push) -> Mask:
     """Steps in which the ground pushes a group, shape (trajectory, step)."""
-    weight = push.mass * float(np.linalg.norm(record.scene.gravity)) * record.frame
-    return np.asarray(push.impulse[..., 2] > _LEAST * weight)
+    return np.asarray(push.impulse[..., 2] > _LEAST * push.weight)
 
 
 def _mean_slip(slip: Array, touch: Mask) -> Array:
@@ -130,9 +129,7 @@ def _rolls(record: Record, push: Push) -> list[float | None]:
 
     Between the last frame of a slide and the next, a slip goes on to fall as it did before.
     """
-    slip = np.linalg.norm(
-        spheres_of(record.mechanism, record.bodies).slip[:, :, push.spheres[0]], axis=-1
-    )
+    slip = np.linalg.norm(push.over.slip[:, :, 0], axis=-1)
     speed = np.linalg.norm(record.bodies.velocity[:, :, push.bodies[0]], axis=-1)
     fastest = np.fmax.reduce(speed, axis=1)[:, None]
     slides = ~(push.resting & (slip <= record.scene.budget.rolling * fastest))
