@@ -81,6 +81,7 @@ def shift(
     check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.device import check_device
+    from mbds_xsim.learn.shift.evaluation import to_csv
     from mbds_xsim.learn.shift.models import Selection
     from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.study import question_of, samples_of, study
@@ -89,7 +90,6 @@ def shift(
     from mbds_xsim.studies.shift.figures import to_png
     from mbds_xsim.studies.shift.motion import samples_png
     from mbds_xsim.studies.shift.present import present
-    from mbds_xsim.studies.shift.rows import to_csv
 
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
@@ -113,7 +113,7 @@ def shift(
         print_report(present(found.shift), console)
         studies.append(found)
     stored = to_json([found.shift for found in studies])
-    write_if(csv, lambda: to_csv(studies))
+    write_if(csv, lambda: to_csv([found.evaluation for found in studies]))
     write_if(png, lambda: to_png([found.shift for found in studies], stored))
     write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
     shown = html is not None or opened

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from mbds_xsim.dataset.work import Carrier
     from mbds_xsim.learn.recipe import Profile
-    from mbds_xsim.learn.runs import Cost
-    from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan, TrainingRequest
+    from mbds_xsim.learn.runs import Cost, TrainingRequest
+    from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
 
 _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
@@ -97,7 +97,8 @@ def train(
     """Train learned models on engines' data, all on equally much of it; see docs/train.md."""
     check_torch("train")
     from mbds_xsim.learn.groups import groups
-    from mbds_xsim.learn.trainings import TrainingRequest, planned
+    from mbds_xsim.learn.runs import TrainingRequest
+    from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)

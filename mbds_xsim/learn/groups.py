@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.dataset.paired import check_alike, numbers_in
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -27,12 +28,6 @@ from mbds_xsim.scene.scene import Scene
 
 Numbers = NDArray[np.int64]
 
-_ALIKE = {
-    "scene": "scene",
-    "seed": "seed",
-    "noise": "noise",
-    "count": "number of trajectories drawn",
-}
 _SEVERAL = ("all", "leave-one-out")
 
 
@@ -75,8 +70,7 @@ class TrainingGroup:
 
     def numbers(self, split: str) -> Numbers:
         """Numbers of the trajectories of a part that every engine of the group has, ascending."""
-        each = [data.index[data.rows_of(split)] for data in self.data.values()]
-        return functools.reduce(np.intersect1d, each)
+        return numbers_in([*self.data.values()], split)
 
 
 def groups(paths: Sequence[Path]) -> list[TrainingGroup]:
@@ -113,17 +107,8 @@ def _group(scene: str, variant: str, engines: Mapping[str, Dataset]) -> Training
 
 
 def _check(group: TrainingGroup) -> None:
-    (first, data), *others = group.data.items()
-    for engine, other in others:
-        for key, words in _ALIKE.items():
-            if data.attributes[key] != other.attributes[key]:
-                msg = (
-                    f"{group.name}: the {words} of {engine} is not that of {first}, so their "
-                    f"trajectories cannot be paired ({other.path}, {data.path}); give data that "
-                    "were generated together"
-                )
-                raise InputError(msg)
-    frames = int(data.attributes["steps"]) + 1
+    check_alike([*group.data.values()])
+    frames = int(next(iter(group.data.values())).attributes["steps"]) + 1
     for split in ("train", "validation"):
         if not len(group.numbers(split)) or frames <= HISTORY:
             where = ", ".join(str(file.path) for file in group.data.values())

@@ -21,7 +21,7 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import read_sealed, sealed
-from mbds_xsim.scene.mechanism import JointKind, PlacedJoint
+from mbds_xsim.scene.mechanism import JointKind
 from mbds_xsim.scene.state import Batch
 
 Array = NDArray[np.float64]
@@ -75,16 +75,12 @@ def _fixed_in(graph: Graph) -> NDArray[np.bool_]:
     fixed = np.zeros((graph.node_count, graph.body_count + 1), dtype=bool)
     fixed[np.arange(graph.node_count), graph.body.numpy()] = True
     for joint in graph.mechanism.joints:
-        on = _on(graph, joint)
+        # Nodes that the joint leaves where they are in both of its bodies.
+        arm = _AWAY[joint.kind](graph.reference.numpy() - joint.anchor, joint.axis)
+        on = np.linalg.norm(arm, axis=-1) <= _ON * graph.length
         for body, other in ((joint.parent, joint.child), (joint.child, joint.parent)):
             fixed[on & fixed[:, body], other] = True
     return fixed
-
-
-def _on(graph: Graph, joint: PlacedJoint) -> NDArray[np.bool_]:
-    """Nodes that a joint leaves where they are in both of its bodies, at the reference pose."""
-    arm = _AWAY[joint.kind](graph.reference.numpy() - joint.anchor, joint.axis)
-    return np.asarray(np.linalg.norm(arm, axis=-1) <= _ON * graph.length)
 
 
 _AWAY: dict[JointKind, Callable[[Array, Array], Array]] = {
@@ -172,22 +168,16 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
 
 def _energy(motion: ParticleMotion) -> tuple[Array, Array]:
     """Kinetic and potential [J], each (frame,)."""
-    differences = _kinked if motion.graph.scene.contacts else _smooth
-    velocity = np.full(motion.position.shape, np.nan)
-    velocity[_REACH:-_REACH] = differences(motion.position) / motion.graph.frame_s
+    position = motion.position
+    change = position[3:-1] - position[1:-3]
+    if motion.graph.scene.contacts:  # of second order, which at a bounce overshoots neither side
+        change = 0.5 * change
+    else:  # of fourth order
+        change = (8.0 * change - (position[4:] - position[:-4])) / 12.0
+    velocity = np.full(position.shape, np.nan)
+    velocity[_REACH:-_REACH] = change / motion.graph.frame_s
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ motion.mass
-    return kinetic, -(motion.position @ motion.graph.gravity.numpy()) @ motion.mass
-
-
-def _smooth(position: Array) -> Array:
-    """Change of positions over a frame, of fourth order."""
-    near, far = position[3:-1] - position[1:-3], position[4:] - position[:-4]
-    return (8.0 * near - far) / 12.0
-
-
-def _kinked(position: Array) -> Array:
-    """The same of second order, which at a bounce overshoots neither side."""
-    return 0.5 * (position[3:-1] - position[1:-3])
+    return kinetic, -(position @ motion.graph.gravity.numpy()) @ motion.mass
 
 
 def _work(motion: ParticleMotion) -> Array:
@@ -252,7 +242,11 @@ def figures_on(
     shown = known.to(device)
     predicted = rollout(model, shown, steps=horizon).cpu()
     step = one_step_error(model, shown, frames=horizon, stride=stride)
-    return _spread(measure(known, predicted, step), rows.numpy(), len(motions))
+    whole = {}
+    for name, values in vars(measure(known, predicted, step)).items():
+        whole[name] = np.full((len(motions), *values.shape[1:]), np.nan)
+        whole[name][rows.numpy()] = values
+    return RolloutFigures(**whole)
 
 
 def measure(motions: Motions, predicted: Tensor, one_step: Array | None = None) -> RolloutFigures:
@@ -297,15 +291,6 @@ def one_step_error(model: LearnedModel, motions: Motions, *, frames: int, stride
         total[rows] += torch.where(error.isfinite(), error, torch.inf)
         count[rows] += 1
     return np.asarray((total / count).numpy())
-
-
-def _spread(figures: RolloutFigures, rows: NDArray[np.int64], count: int) -> RolloutFigures:
-    """Put figures of some rows among all."""
-    whole = {}
-    for name, values in vars(figures).items():
-        whole[name] = np.full((count, *values.shape[1:]), np.nan)
-        whole[name][rows] = values
-    return RolloutFigures(**whole)
 
 
 def _squared_distance(first: Tensor, second: Tensor) -> Tensor:

@@ -102,6 +102,9 @@ PROFILES = {
     "paper": Profile(steps=1_000_000, every=5_000, windows=512),
 }
 
+TRACKS = {"smoke": "lite", "lite": "lite", "paper": "paper"}
+"""Hyper-parameters that belong to a profile."""
+
 WITHOUT_END = Plateau(patience=3, factor=0.5)
 """In place of a cosine where a run ends when it is level: it has no last step to end at."""
 

@@ -11,6 +11,7 @@ import json
 import math
 import platform
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +29,7 @@ from mbds_xsim.learn.device import put
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
 from mbds_xsim.learn.model import LearnedModel, build, load_model
 from mbds_xsim.learn.model_file import read_facts, save_model
-from mbds_xsim.learn.recipe import Profile, Recipe
+from mbds_xsim.learn.recipe import TRACKS, Profile, Recipe
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions
@@ -41,6 +42,25 @@ _STEPS = 20
 _LONGEST = 5.0  # [s] of trying
 
 
+@dataclass(frozen=True)
+class TrainingRequest:
+    """What is to be trained, for how long, and where the files go."""
+
+    groups: Sequence[TrainingGroup]
+    models: Sequence[str]
+    on: str
+    """Words of `groups.shares_of`."""
+    seeds: int
+    profile_name: str
+    profile: Profile
+    out: Path
+    track: str | None = None
+    """Hyper-parameters; those of the profile when left out."""
+    device: str = "cpu"
+    events: Path | None = None
+    """Folder of TensorBoard's files."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
     """A model, what it trains on, and a seed."""
@@ -50,14 +70,19 @@ class TrainingRun:
     """Name: `mujoco`, `not-mujoco`, `all`, `mujoco-low`."""
     share: Share
     model: str
-    track: str
-    profile_name: str
-    profile: Profile
     seed: int
-    out: Path
-    device: str = "cpu"
-    events: Path | None = None
-    """Folder of TensorBoard's files."""
+    request: TrainingRequest
+    """With absolute paths."""
+
+    @property
+    def profile(self) -> Profile:
+        """How long it trains."""
+        return self.request.profile
+
+    @property
+    def track(self) -> str:
+        """Name of its hyper-parameters."""
+        return self.request.track or TRACKS[self.request.profile_name]
 
     @property
     def name(self) -> str:
@@ -68,17 +93,17 @@ class TrainingRun:
     @property
     def path(self) -> Path:
         """The model's file."""
-        return self.out / f"{self.name}.pt"
+        return self.request.out / f"{self.name}.pt"
 
     @property
     def curve(self) -> Path:
         """The learning curve's."""
-        return self.out / f"{self.name}.curve.json"
+        return self.request.out / f"{self.name}.curve.json"
 
     @property
     def checkpoint(self) -> Path:
         """What a run that was interrupted goes on from."""
-        return self.out / f"{self.name}.checkpoint"
+        return self.request.out / f"{self.name}.checkpoint"
 
     @property
     def settings(self) -> Any:
@@ -149,14 +174,14 @@ def prepared(
 ) -> tuple[LearnedModel, Statistics, Parts]:
     """Make the untrained model of a run, and read its data, of each part at most so many."""
     kind = load_model(run.model)
-    how = {"bodies": kind.needs_bodies, "device": run.device, "dtype": kind.dtype}
+    how = {"bodies": kind.needs_bodies, "device": run.request.device, "dtype": kind.dtype}
     training, validation = (
         mixed(run.group, run.share, split, most=most, **how) for split in ("train", "validation")
     )
     statistics = Statistics.of(training)
     graph = training.graph.to("cpu")
     model = build(run.model, graph, statistics, track=run.track, seed=run.seed)
-    put(model, run.device)
+    put(model, run.request.device)
     return model, statistics, (training, validation)
 
 
@@ -168,7 +193,7 @@ def carry_out(run: TrainingRun) -> dict[str, str]:
         return known
     model, statistics, parts = prepared(run)
     run.checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    with EventLog(run.events and run.events / run.name) as log:
+    with EventLog(run.request.events and run.request.events / run.name) as log:
 
         def tell(training: Training) -> None:
             _write_curve(run, training)
@@ -205,7 +230,7 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
     # Whether the last fifth of the steps improved validation too little to go on.
     level = enough and training.last_improvement < run.profile.improvement
     facts = {
-        "profile_name": run.profile_name,
+        "profile_name": run.request.profile_name,
         "engines": ",".join(run.group.files),
         "files": json.dumps(files),
         "train_trajectories": len(parts[0]),
@@ -220,7 +245,7 @@ def facts_of(run: TrainingRun, training: Training, parts: Parts) -> dict[str, st
         "wall_s": training.wall_s,
         "cpu_s": training.cpu_s,
         "steps_per_s": steps / training.wall_s,
-        "device": run.device,
+        "device": run.request.device,
         "python": platform.python_version(),
         "torch": torch.__version__,
         "mbds_xsim": version("mbds-xsim"),

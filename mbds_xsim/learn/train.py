@@ -28,6 +28,7 @@ from mbds_xsim.learn.recipe import SETTLED, WITHOUT_END, Cosine, Decay, Plateau,
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
 _ANEW = "remove it to start anew"
+_KEPT = ("curve", "ended", "skipped", "wall_s", "cpu_s")  # of a training in its checkpoint
 _End = Literal["", "steps", "level", "diverged"]
 
 
@@ -233,22 +234,18 @@ class _Loop:
 
     def save(self, path: Path) -> None:
         """Write everything, or nothing."""
-        training, content = self.training, io.BytesIO()
-        state = _Checkpoint(
-            identity=self.identity,
-            step=self.step,
-            rate=self.rate,
-            model=training.model.state_dict(),
-            best=self.best_state,
-            adam=self.adam.state_dict(),
-            generator=self.generator.get_state(),
-            curve=msgspec.to_builtins(training.curve),
-            ended=training.ended,
-            skipped=training.skipped,
-            wall_s=training.wall_s,
-            cpu_s=training.cpu_s,
-        )
-        torch.save(msgspec.structs.asdict(state), content)
+        content = io.BytesIO()
+        state = {
+            "identity": self.identity,
+            "step": self.step,
+            "rate": self.rate,
+            "model": self.training.model.state_dict(),
+            "best": self.best_state,
+            "adam": self.adam.state_dict(),
+            "generator": self.generator.get_state(),
+            **{name: msgspec.to_builtins(getattr(self.training, name)) for name in _KEPT},
+        }
+        torch.save(state, content)
         write_whole(path, content.getvalue())
 
     def restore(self, path: Path) -> None:
@@ -269,8 +266,7 @@ class _Loop:
             raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
         self.step = state.step
         self._set_rate(state.rate)
-        kept = (state.curve, state.ended, state.skipped, state.wall_s, state.cpu_s)
-        self.training = Training(model, *kept)
+        self.training = Training(model, **{name: getattr(state, name) for name in _KEPT})
 
 
 class _Checkpoint(msgspec.Struct, frozen=True):

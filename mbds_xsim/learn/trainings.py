@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from mbds_xsim.base.errors import InputError, UnknownName
@@ -18,10 +17,18 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.dataset.work import Carrier, repeating
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.groups import TrainingGroup, shares_of
+from mbds_xsim.learn.groups import shares_of
 from mbds_xsim.learn.model import load_model, refusal, trainable
-from mbds_xsim.learn.recipe import PROFILES, Profile
-from mbds_xsim.learn.runs import Cost, TrainingRun, carry_out, check_data, finished, measure
+from mbds_xsim.learn.recipe import PROFILES, TRACKS, Profile
+from mbds_xsim.learn.runs import (
+    Cost,
+    TrainingRequest,
+    TrainingRun,
+    carry_out,
+    check_data,
+    finished,
+    measure,
+)
 from mbds_xsim.learn.window import names_read
 
 Facts = dict[str, dict[str, str]]
@@ -30,7 +37,6 @@ Facts = dict[str, dict[str, str]]
 LONG = 1000
 """Steps of a run from which its cost is to be told first."""
 _MEASURING = 600.0  # of one model [s]
-_TRACKS = {"smoke": "lite", "lite": "lite", "paper": "paper"}
 _ENDS = {
     "level": "level after {steps} steps",
     "steps": "all {steps} steps",
@@ -51,24 +57,6 @@ class TrainingSink(Protocol):
 
     def ended(self, name: str, most_steps: int, how: str) -> None:
         """Tell of a run that is over."""
-
-
-@dataclass(frozen=True)
-class TrainingRequest:
-    """What is to be trained."""
-
-    groups: Sequence[TrainingGroup]
-    models: Sequence[str]
-    on: str
-    """Words of `groups.shares_of`."""
-    seeds: int
-    profile_name: str
-    profile: Profile
-    out: Path
-    track: str | None = None
-    """That of the profile when left out."""
-    device: str = "cpu"
-    events: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -109,18 +97,26 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
         InputError: A model, track or training is not there, data are too few or too short for it
             or not what was written, or in the place of a run there is another.
     """
-    track = request.track or _TRACKS[request.profile_name]
-    _check_models(request.models, track)
+    events = request.events and request.events.absolute()
+    request = replace(request, out=request.out.absolute(), events=events)
+    track = request.track or TRACKS[request.profile_name]
+    for model in request.models:
+        if model not in trainable():
+            raise UnknownName.of("model to train", model, trainable())
+        if track not in load_model(model).tracks:
+            msg = f"--track: got {track!r}, allowed is {', '.join(load_model(model).tracks)}"
+            raise InputError(msg)
     reasons = {
         (group, model): refusal(model, Graph.of(group.scene), track=track)
         for group in request.groups
         for model in request.models
     }
     runs = [
-        run
+        TrainingRun(group, training, share, model, seed, request)
         for (group, model), reason in reasons.items()
         if not reason
-        for run in _runs(request, group, model, track)
+        for seed in range(request.seeds)
+        for training, share in shares_of(group, request.on).items()
     ]
     if not runs:
         each = "; ".join(f"{model}: {reason}" for (_, model), reason in reasons.items())
@@ -155,35 +151,6 @@ def _check_contents(runs: Sequence[TrainingRun]) -> None:
             names.setdefault(run.group.data[engine], set()).update(read)
     for data, needed in names.items():
         data.check(needed)
-
-
-def _check_models(models: Sequence[str], track: str) -> None:
-    for model in models:
-        if model not in trainable():
-            raise UnknownName.of("model to train", model, trainable())
-        if track not in load_model(model).tracks:
-            msg = f"--track: got {track!r}, allowed is {', '.join(load_model(model).tracks)}"
-            raise InputError(msg)
-
-
-def _runs(
-    request: TrainingRequest, group: TrainingGroup, model: str, track: str
-) -> Iterator[TrainingRun]:
-    for seed in range(request.seeds):
-        for training, share in shares_of(group, request.on).items():
-            yield TrainingRun(
-                group=group,
-                training=training,
-                share=share,
-                model=model,
-                track=track,
-                profile_name=request.profile_name,
-                profile=request.profile,
-                seed=seed,
-                out=request.out.absolute(),
-                device=request.device,
-                events=request.events and request.events.absolute(),
-            )
 
 
 def costs(plan: TrainingPlan, *, workers: int | None, carrier: Carrier) -> list[Cost]:

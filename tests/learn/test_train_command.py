@@ -39,10 +39,11 @@ from mbds_xsim.learn.curves import (
 from mbds_xsim.learn.groups import Share, TrainingGroup, groups, mixed, shares_of, turns
 from mbds_xsim.learn.model_file import read_facts, read_model
 from mbds_xsim.learn.recipe import PROFILES, Profile, Recipe
+from mbds_xsim.learn.runs import TrainingRequest
 from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import CurvePoint, Training
-from mbds_xsim.learn.trainings import TrainingRequest, carry, planned, watched
+from mbds_xsim.learn.trainings import carry, planned, watched
 from mbds_xsim.learn.window import Motions
 from mbds_xsim.report.bar import TrainingBar
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -247,7 +248,7 @@ def test_a_curve_that_was_left_over_is_not_the_runs(
     """Its model was removed, so that it is trained anew; the bar begins at the beginning."""
     _carry(ask())
     (run,) = (r for r in planned(ask(out="other")).runs)
-    run = dataclasses.replace(run, out=ask().out.absolute())
+    run = dataclasses.replace(run, request=ask())
     run.path.unlink()
     told = []
     monkeypatch.setattr(Deaf, "reached", lambda *words, **more: told.append((words, more)))
@@ -504,7 +505,10 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),
         (["ONE", "--on", "all"], "--on: all needs data of at least 2 engines"),
         (["ONE", "COPY"], "are both 2pendulum of mujoco native; give one of them"),
-        (["ONE", "OTHER"], "the seed of pybullet is not that of mujoco, so their trajectories"),
+        (
+            ["ONE", "OTHER"],
+            "pybullet-native.h5: seed 1, unlike mujoco-native.h5; domains must",
+        ),
         (
             ["DATA", "--profile", "light"],
             "is called 'light'; did you mean 'lite'? There are: smoke, lite,",

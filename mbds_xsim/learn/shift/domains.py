@@ -214,7 +214,10 @@ def solve_domain(
     path = directory() / "shift" / "truth" / f"{_key(test, batch)}.npz"
     arrays = read_sealed(path) if cache else None
     if arrays is None:
-        answers = run_tasks(_tasks(test, batch, cache), workers=workers)
+        quiet = test.quiet[:, : batch.steps]
+        parts = [slice(k, k + _TOGETHER) for k in range(0, len(batch), _TOGETHER)]
+        tasks = [Task(_solved, (test.scene, batch[part], quiet[part], cache)) for part in parts]
+        answers = run_tasks(tasks, workers=workers)
         crashes = [answer.reason for answer in answers if isinstance(answer, Crash)]
         if crashes:
             return None, f"the reference solution failed: {crashes[0]}"
@@ -236,12 +239,6 @@ def read_reference(path: Path) -> ReferenceFrames:
         msg = f"{path}: cannot be read; run again"
         raise InputError(msg)
     return ReferenceFrames(**arrays)
-
-
-def _tasks(test: Paired, batch: Batch, cache: bool) -> list[Task]:
-    parts = [slice(k, k + _TOGETHER) for k in range(0, len(batch), _TOGETHER)]
-    quiet = test.quiet[:, : batch.steps]
-    return [Task(_solved, (test.scene, batch[part], quiet[part], cache)) for part in parts]
 
 
 def _solved(scene: Scene, batch: Batch, quiet: Array, cache: bool) -> ReferenceFrames:

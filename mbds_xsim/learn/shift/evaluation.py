@@ -6,13 +6,14 @@ Floors are what the engines, the noise and chaos alone make of identical starts.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mbds_xsim.base.safe_text import csv_text
 from mbds_xsim.learn.particles import EXPLODED, LOST, RolloutFigures, measure
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values
@@ -129,6 +130,8 @@ def _cell(
     exploded = np.logical_or.accumulate(error > evaluation.largest, axis=1)[:, evaluation.at]
     time, never = valid_time(error, scene.length, scene.clock.frame)
     begun = ~np.isnan(error[:, 0])
+    one_step = figures.one_step[rows]
+    one_step = one_step[~np.isnan(one_step)]
     return ErrorCell(
         *key,
         known=_counts(~np.isnan(at)),
@@ -138,7 +141,7 @@ def _cell(
         median=values(median(at)),
         energy=values(median(figures.energy[rows][:, evaluation.at])),
         gap=values(median(figures.gap[rows][:, evaluation.at])),
-        one_step=_mean(figures.one_step[rows]),
+        one_step=float(one_step.mean()) if len(one_step) and np.isfinite(one_step).all() else None,
         valid_s=float(np.median(time[begun])) if begun.any() else None,
         never_lost=int((never & begun).sum()),
         curve=values(median(error)) if key[-1] == INTERVALS[0] else (),
@@ -158,28 +161,50 @@ def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, NDAr
 
 def median(figures: Array) -> Array:
     """Over the known trajectories, frame by frame; NaN where there is none."""
-    medians = np.full(figures.shape[1], np.nan)
-    known = ~np.isnan(figures).all(axis=0)
-    # Where two infinite values meet in the middle their mean is none.
-    with np.errstate(invalid="ignore"):
-        medians[known] = np.nanmedian(figures[:, known], axis=0)
-    return medians
+    return _over_known(np.nanmedian, figures)
 
 
 def known_mean(figures: Array) -> Array:
     """Over the known trajectories, frame by frame; NaN where there is none."""
-    known = ~np.isnan(figures)
-    total = np.where(known, figures, 0.0).sum(axis=0)
-    return np.asarray(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
+    return _over_known(np.nanmean, figures)
+
+
+def _over_known(statistic: Callable[..., Array], figures: Array) -> Array:
+    result = np.full(figures.shape[1], np.nan)
+    known = ~np.isnan(figures).all(axis=0)
+    with np.errstate(invalid="ignore"):  # where two infinite values meet in the middle
+        result[known] = statistic(figures[:, known], axis=0)
+    return result
 
 
 def _counts(flags: NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(flags.sum(axis=0).tolist())
 
 
-def _mean(numbers: Array) -> float | None:
-    known = numbers[~np.isnan(numbers)]
-    return float(known.mean()) if len(known) and np.isfinite(known).all() else None
+def to_csv(evaluations: Sequence[Evaluation]) -> bytes:
+    """Write a row for every trajectory, so that statistics can be redone.
+
+    `inf` is a lost prediction, empty what is not known.
+    """
+    frames = list(dict.fromkeys(f for evaluation in evaluations for f in evaluation.frames))
+    kinds = ("squared_error_m2", "energy_error", "constraint_gap_m")
+    head = ["scene", "model", "training", "seed", "test", "trajectory", "interval", "one_step_m2"]
+    head += [f"{kind}_t{frame}" for kind in kinds for frame in frames]
+    rows = (row for evaluation in evaluations for row in _raw(evaluation, frames))
+    return csv_text([head, *rows]).encode()
+
+
+def _raw(evaluation: Evaluation, frames: Sequence[int]) -> Iterator[list[object]]:
+    for key, figures in evaluation.rolled():
+        series = np.stack([figures.error, figures.energy, figures.gap])
+        shown = np.full((*series.shape[:2], len(frames)), np.nan)
+        there = np.array(frames) <= series.shape[-1]
+        shown[..., there] = series[..., np.array(frames)[there] - 1]
+        for row, number in enumerate(evaluation.test.index.tolist()):
+            interval = INTERVALS[1 + number % (len(INTERVALS) - 1)]
+            raw = [figures.one_step[row], *shown[:, row].ravel()]
+            texts = ["" if np.isnan(value) else f"{value:.9g}" for value in raw]
+            yield [evaluation.test.scene.name, *key, number, interval, *texts]
 
 
 def oracles(domains: Sequence[Domain], horizon: int) -> dict[tuple[str, str], RolloutFigures]:

@@ -139,10 +139,9 @@ def study(
             **test.left_out,
             **({} if solved else {REFERENCE: reason}),
             **{f"{RESTART} {name}": why for name, why in refused.items()},
-            **_lost(evaluation),
-            **_absent(evaluation),
+            **_left_out(evaluation),
         },
-        models=tuple(map(_facts, models)),
+        models=tuple(msgspec.convert(model, ModelFacts, from_attributes=True) for model in models),
         kept=len(models) - figures.tested,
     )
     return ShiftStudy(
@@ -159,7 +158,9 @@ def _shift(
 ) -> Shift:
     """Say what was measured and what follows from it."""
     test, draws = evaluation.test, Draws(evaluation)
-    gaps = tuple(gaps_of(evaluation, draws, *(_mean(evaluation, floor) for floor in floors)))
+    unknown = np.full(len(evaluation.frames), np.nan)
+    means = [unknown if f is None else known_mean(evaluation.counted(f)) for f in floors]
+    gaps = tuple(gaps_of(evaluation, draws, *means))
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -200,8 +201,8 @@ def _frame_of(frames: tuple[int, ...], chosen: int | None) -> int:
     return chosen
 
 
-def _lost(evaluation: Evaluation) -> dict[str, str]:
-    """Say which engines did not go on from which domains."""
+def _left_out(evaluation: Evaluation) -> dict[str, str]:
+    """Say which engines did not go on from which domains, and why models are not there."""
     reasons = {}
     for (engine, test), figures in evaluation.restarted.items():
         lost = (figures.error > evaluation.largest).any(axis=1)
@@ -210,25 +211,10 @@ def _lost(evaluation: Evaluation) -> dict[str, str]:
                 f"lost in {lost.sum()} of {len(figures.error)} trajectories; there the distance of "
                 "the published motions stands in"
             )
+    for name in sorted(set(trainable()) - set(evaluation.models)):
+        why = refusal(name, evaluation.test.graph)
+        reasons[name] = why or "no trained model of it was given"
     return reasons
-
-
-def _absent(evaluation: Evaluation) -> dict[str, str]:
-    """Say of models that are not there whether they could be."""
-    names = sorted(set(trainable()) - set(evaluation.models))
-    graph = evaluation.test.graph
-    return {n: refusal(n, graph) or "no trained model of it was given" for n in names}
-
-
-def _mean(evaluation: Evaluation, error: Array | None) -> Array:
-    """Over the known trajectories at the frames; NaN where there is nothing."""
-    if error is None:
-        return np.full(len(evaluation.frames), np.nan)
-    return known_mean(evaluation.counted(error))
-
-
-def _facts(model: TrainedModel) -> ModelFacts:
-    return ModelFacts(**{name: getattr(model, name) for name in ModelFacts.__struct_fields__})
 
 
 @dataclass(frozen=True, eq=False)
