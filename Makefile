@@ -8,6 +8,9 @@ SCENE ?= 3ladder
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
+# Many short processes import the package: it is compiled once, also where that is switched off.
+unexport PYTHONDONTWRITEBYTECODE
+
 comma = ,
 
 # One at a time: the reports take times.

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.steps import careful_step, nearest_step
-from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.spin import idle_axes
@@ -146,7 +145,7 @@ class MuJoCo(Adapter):
         longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
         mechanism = Mechanism.of(scene)
         options: dict[str, float | bool] = {}
-        if has_only_balls(mechanism):
+        if mechanism.has_only_balls:
             options["impact_steps"] = 1
         elif scene.contacts and abs(mechanism.sphere_offset).max() < _CENTRED:
             options["contact_hardness"] = _WHEEL_HARDNESS

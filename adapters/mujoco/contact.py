@@ -38,7 +38,6 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.simulate.claims import ContactLaw
@@ -258,6 +257,8 @@ def impact_law(restitution: float, steps: int) -> ImpactLaw:
     A restitution so small that no damper gives it in so many steps gets an impact of one step.
     """
     if steps > 1:
+        from scipy.optimize import brentq  # takes long to import
+
         stiffness = (math.pi / steps) ** 2
 
         def excess(damping: float) -> float:

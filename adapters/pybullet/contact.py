@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Ground
@@ -102,7 +101,7 @@ class BulletContact:
         self._names = [body.name for body in mechanism.scene.bodies]
         self._pair = ground
         moments = np.linalg.eigvalsh(mechanism.inertia)
-        even = has_only_balls(mechanism) and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
+        even = mechanism.has_only_balls and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
         turns = law.turns and ground.friction > 0.0 and not even
         self._yielding = Yielding(mechanism) if turns else None
         self._set_solver(law, step)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.checks import Finding
 from mbds_xsim.measure.campaign import ReferenceOutcome
-from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
@@ -64,7 +63,7 @@ def contact_findings(
     if not scene.contacts or scene.gravity[2] >= 0.0:
         return []
     mechanism = Mechanism.of(scene)
-    pieces = _ball_pieces if has_only_balls(mechanism) else _flight_pieces
+    pieces = _ball_pieces if mechanism.has_only_balls else _flight_pieces
     return [*pieces(mechanism, motion, exact), *_momenta(exact, method, momentum)]
 
 

@@ -13,7 +13,6 @@ from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, consistency, unsettled
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, Running, Watch, step_task
 from mbds_xsim.reference import FirstImpact
-from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure
@@ -105,7 +104,7 @@ def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:
     ends = reference.trajectory.failures
     if not scene.contacts:
         return [True] * len(ends)
-    balls = has_only_balls(Mechanism.of(scene))
+    balls = Mechanism.of(scene).has_only_balls
     return [not balls if end is None else _flies(end) for end in ends]
 
 

@@ -17,14 +17,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.scene.mechanism import Mechanism
-
 Array = NDArray[np.float64]
 
 STILL = 1e-12
 """Slip below which there is none [m/s]; rounding leaves 1e-15."""
-
-_CENTRED = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +92,6 @@ class Ball(Protocol):
     def keep_contact(self, motion: BallState, load: Load, limit: float) -> tuple[float, BallState]:
         """Slide or roll on the ground up to a change of the two, or a limit; also gives when."""
         ...
-
-
-def has_only_balls(mechanism: Mechanism) -> bool:
-    """Whether every body is free and has one contact sphere, around its centre of mass."""
-    scene = mechanism.scene
-    return (
-        not (scene.joints or scene.distance_links or scene.springs)
-        and sorted(mechanism.sphere_body) == list(range(mechanism.body_count))
-        and bool(np.abs(mechanism.sphere_offset).max() <= _CENTRED)
-    )
 
 
 def flown(motion: BallState, load: Load, t: float) -> BallState:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
-from mbds_xsim.reference.ball import has_only_balls
 from mbds_xsim.reference.bouncing import march_balls
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.first_impact import FirstImpact
@@ -109,7 +108,7 @@ def integrate(
 ) -> Marched:
     """Integrate states under a batch's inputs with the method that suits the scene."""
     mechanism, inputs = Mechanism.of(scene), Inputs(batch.force, batch.torque)
-    if scene.contacts and has_only_balls(mechanism):
+    if scene.contacts and mechanism.has_only_balls:
         return march_balls(mechanism, start, inputs, progress=progress)
     dynamics, frame = dynamics_of(mechanism), scene.clock.frame
     method = march_stiff if is_stiff(dynamics, start, inputs, frame) else march

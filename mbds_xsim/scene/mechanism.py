@@ -27,6 +27,8 @@ JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
 WORLD_INDEX = -1
 
+_CENTRED = 1e-9  # [m]
+
 # The joints that constrain most stay in the tree, so that loops are closed by the joints that
 # engines close best.
 _CUT_LAST: dict[str, int] = {"fixed": 0, "slider": 1, "hinge": 2, "ball": 3}
@@ -131,6 +133,16 @@ class Mechanism:
     def body_count(self) -> int:
         """Number of bodies."""
         return len(self.mass)
+
+    @property
+    def has_only_balls(self) -> bool:
+        """Whether every body is free and has one contact sphere, around its centre of mass."""
+        scene = self.scene
+        return (
+            not (scene.joints or scene.distance_links or scene.springs)
+            and sorted(self.sphere_body) == list(range(self.body_count))
+            and bool(np.abs(self.sphere_offset).max() <= _CENTRED)
+        )
 
     @staticmethod
     def of(scene: Scene) -> Mechanism:

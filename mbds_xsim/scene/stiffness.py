@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.scene.assembly import assemble
-from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -46,6 +44,10 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     mechanism = Mechanism.of(scene)
     if not mechanism.springs:
         return 0.0, 0.0
+    # Their scipy takes longer to import than most runs, and few scenes have springs.
+    from mbds_xsim.scene.assembly import assemble
+    from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
+
     start = assemble(mechanism)
     root = _inverse_mass_root(mechanism, start)
     still = np.zeros_like(start.position)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from mbds_xsim.simulate.adapter import Adapter
 from tests.cli.conftest import CommandLine
 
 _ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
@@ -46,6 +47,13 @@ def test_studies_of_engines_do_without_torch() -> None:
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 
     assert "torch" not in _loaded(f"import {modules}")
+
+
+def test_the_process_of_an_engine_does_without_scipy(adapter: Adapter) -> None:
+    """A validation starts dozens of them, and scipy takes longer to import than an engine."""
+    load = f"registry.load_adapter({adapter.name!r})"
+
+    assert "scipy" not in _loaded(f"from mbds_xsim.simulate import registry, timed; {load}")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
