@@ -8,8 +8,8 @@ from itertools import product
 from mbds_xsim.scene.sampling_terms import Levels, Throw
 from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, Budget, ContactSphere, Particle, Scene
 
-from .grid import Cell, Point, neighbours
 from .paper import GROUND, NOISE, SOURCE
+from .particles import Cell, Point, neighbours
 
 SPACING = 2.0 * PARTICLE_RADIUS
 """Between neighbouring particles, which touch [m]."""

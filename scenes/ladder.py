@@ -7,6 +7,8 @@ import math
 from mbds_xsim.scene.sampling_terms import Levels, Turn, Wind
 from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
+from .paper import NOISE, SMOOTH_SOURCE
+
 ROD = 0.1
 """Length of a massless rope rod [m]."""
 RODS_PER_RUNG = 6
@@ -14,8 +16,6 @@ HALF_WIDTH = 0.3
 """Distance of a rope from the middle [m]."""
 RUNG_PARTICLES = (-0.2, -0.1, 0.0, 0.1, 0.2)
 """Their y in the rung [m]; its massless ends reach the ropes."""
-NOISE = 0.1
-"""Standard deviation of the noise force on a particle [N]."""
 _SIDES = {"left": -HALF_WIDTH, "right": HALF_WIDTH}
 
 
@@ -44,7 +44,7 @@ def ladder(rungs: int) -> Scene:
     return Scene(
         name=f"{rungs}ladder",
         description=f"rope ladder of {rungs} rungs, {rods} massless rods of {ROD} m a side",
-        source="MBDS paper (particles, gravity, frames); geometry and intervals: mbds-xsim",
+        source=SMOOTH_SOURCE,
         bodies=tuple(bodies),
         joints=tuple(joints),
         length=ROD * rods,

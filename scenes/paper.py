@@ -1,4 +1,4 @@
-"""What the scenes with contact take from the paper."""
+"""What the scenes take from the paper, and what they say of it."""
 
 from __future__ import annotations
 
@@ -20,3 +20,5 @@ SOURCE = (
     "MBDS paper (particles, gravity, frames, friction, damping ratio); geometry, intervals and "
     "reading the damping ratio as restitution: mbds-xsim"
 )
+SMOOTH_SOURCE = "MBDS paper (particles, gravity, frames); geometry and intervals: mbds-xsim"
+"""Of scenes without contact."""

@@ -7,9 +7,8 @@ from itertools import product
 from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels
 from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Joint, Particle, Scene
 
-from .grid import Edge, Point, neighbours, ties
 from .paper import GROUND, NOISE, SOURCE
-from .wheel import PARTICLES, wheel, wheel_edges
+from .particles import PARTICLES, Edge, Point, neighbours, ties, wheel, wheel_edges
 
 LENGTHS = (-0.4, -0.2, 0.0, 0.2, 0.4)
 WIDTHS = (-0.15, 0.15)

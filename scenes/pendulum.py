@@ -7,10 +7,10 @@ import math
 from mbds_xsim.scene.sampling_terms import Levels, Swing
 from mbds_xsim.scene.scene import Body, Joint, Particle, Scene
 
+from .paper import NOISE, SMOOTH_SOURCE
+
 ROD = 0.5
 """Length of a massless rod [m]."""
-NOISE = 0.1
-"""Standard deviation of the noise force on a particle [N]."""
 
 
 def pendulum(links: int) -> Scene:
@@ -30,7 +30,7 @@ def pendulum(links: int) -> Scene:
     return Scene(
         name=f"{links}pendulum",
         description=f"{links} massless rods of {ROD} m, each with one particle at its lower end",
-        source="MBDS paper (particles, gravity, frames); geometry and intervals: mbds-xsim",
+        source=SMOOTH_SOURCE,
         bodies=bodies,
         joints=joints,
         length=ROD * links,

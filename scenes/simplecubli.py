@@ -15,9 +15,8 @@ from mbds_xsim.scene.scene import (
     Scene,
 )
 
-from .grid import Cell, Edge, Point, neighbours, ties
 from .paper import GROUND, NOISE, SOURCE
-from .wheel import PARTICLES, wheel, wheel_edges
+from .particles import PARTICLES, Cell, Edge, Point, neighbours, ties, wheel, wheel_edges
 
 SIDE = 0.4
 """Of the cube through its corner particles [m]."""

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base import isolate
-from mbds_xsim.base.interruption import held_back
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.process import held_back
 from mbds_xsim.simulate import registry
 
 
@@ -104,7 +104,7 @@ def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 _PARENT = """
-from mbds_xsim.base.interruption import held_back
+from mbds_xsim.base.process import held_back
 from mbds_xsim.base.isolate import Task, run_tasks
 code = "import os, time; open({told!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 run_tasks([Task(exec, (code,))])
@@ -141,7 +141,7 @@ def test_interrupted_in_the_midst_of_a_step_it_ends_and_leaves_no_task(
 
 _INTERRUPTED = """
 import signal, subprocess, time
-from mbds_xsim.base.interruption import held_back
+from mbds_xsim.base.process import held_back
 from mbds_xsim.base.isolate import Task, run_tasks
 
 

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim.base.steps import careful_step, nearest_step
-from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.adapter import Settings, careful_step, nearest_step
 
 INTERVALS = st.floats(1e-6, 10.0)
 

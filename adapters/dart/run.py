@@ -9,13 +9,13 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from types import TracebackType
 
 import dartpy
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.process import redirected
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
@@ -80,7 +80,7 @@ class DartRun(Run):
         start_q, start_u = self._start(batch)
         q = np.full((len(batch), batch.steps + 1, model.coordinate_count), np.nan)
         u = np.full_like(q, np.nan)
-        with _error_reduction(self._error_reduction), _CaughtWarnings() as caught:
+        with _error_reduction(self._error_reduction), _caught_warnings() as caught:
             failures = tuple(
                 self._roll(batch, row, start_q[row], start_u[row], q[row], u[row], caught)
                 for row in range(len(batch))
@@ -101,7 +101,7 @@ class DartRun(Run):
         start_u: Array,
         q: Array,
         u: Array,
-        caught: _CaughtWarnings,
+        caught: _Warnings,
     ) -> Failure | None:
         """Fill q and u (frame, coordinate) with one trajectory."""
         skeleton, printed = self._model.skeleton, caught.size()
@@ -185,33 +185,26 @@ class DartRun(Run):
         vars(self).clear()
 
 
-class _CaughtWarnings:
-    """What DART prints in a `with` block: C++ writes past Python, so stderr goes to a file."""
+@contextlib.contextmanager
+def _caught_warnings() -> Iterator[_Warnings]:
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file, redirected((2,), file.fileno()):
+        yield _Warnings(file.fileno())
 
-    def __enter__(self) -> _CaughtWarnings:
-        sys.stderr.flush()
-        self._saved = os.dup(2)
-        self._file = tempfile.TemporaryFile()
-        os.dup2(self._file.fileno(), 2)
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        os.dup2(self._saved, 2)
-        os.close(self._saved)
-        self._file.close()
+class _Warnings:
+    """What DART prints, by the descriptor of the file that it goes to."""
+
+    def __init__(self, file: int) -> None:
+        self._file = file
 
     def size(self) -> int:
         """Number of bytes printed so far."""
-        return os.fstat(self._file.fileno()).st_size
+        return os.fstat(self._file).st_size
 
     def first_since(self, size: int) -> str:
         """Give the first line printed after so many bytes, without its colours."""
-        line = os.pread(self._file.fileno(), 400, size).decode(errors="replace").partition("\n")[0]
+        line = os.pread(self._file, 400, size).decode(errors="replace").partition("\n")[0]
         return re.sub(r"\x1b\[[0-9;]*m", "", line).strip()
 
 

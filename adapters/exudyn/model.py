@@ -5,9 +5,10 @@ Rigid bodies have six coordinates each and are held together by constraints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, final
 
 import exudyn
 import numpy as np
@@ -56,61 +57,90 @@ class MassProperties:
     """Acting on each body [m/s²], shape (body, 3)."""
 
 
-class Formulation(Protocol):
+class Formulation(ABC):
     """A mechanism in Exudyn's terms.
 
     `names` are those that the listing leaves behind, among them `mbs` and, body by body, `frames`:
     markers at the centres of mass, parallel to the native frames.
     """
 
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
+
+    @final
     def statements(self) -> Iterator[str]:
         """Lines that build the model, after `HEAD`."""
+        yield from self.bodies()
+        for spring in self.mechanism.springs:
+            yield (
+                f"springs.append(mbs.CreateSpringDamper({self.ends(spring)}, "
+                f"referenceLength={spring.length!r}, stiffness={spring.stiffness!r}, "
+                f"damping={spring.damping!r}))"
+            )
+        yield from loads_listing(self.mechanism)
 
+    @abstractmethod
+    def bodies(self) -> Iterator[str]:
+        """Lines that make bodies, joints, distance links and `frames`."""
+
+    @abstractmethod
+    def ends(self, pair: PointPair) -> str:
+        """Write the ends of a spring."""
+
+    @abstractmethod
     def graphics(self) -> Iterator[str]:
         """Lines that give bodies something to be seen by, where the engine draws nothing."""
 
+    @abstractmethod
     def marker(self, body: int, point: Array) -> str:
         """Write a marker at a point of a body's native frame, parallel to it."""
 
+    @abstractmethod
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
         """Coordinates and velocities of body states, each of shape (…, coordinate)."""
 
+    @abstractmethod
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
         """Body states of coordinates and velocities."""
 
+    @abstractmethod
     def held(self, names: Mapping[str, Any]) -> MassProperties:
         """Read mass properties back."""
 
+    @abstractmethod
     def anchors(self, names: Mapping[str, Any], com: Array, turn: Array) -> Array:
         """Anchors in the parent and in the child, in W as the bodies are, shape (joint, 2, 3)."""
 
+    @abstractmethod
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
 
 
-class RigidBodies:
+class RigidBodies(Formulation):
     """Coordinates: displacement from the reference position and rotation vector of each body.
 
     Their velocities are the body's velocity in W and its angular velocity in its own frame.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism = mechanism
-
-    def statements(self) -> Iterator[str]:
-        mechanism = self._mechanism
+    def bodies(self) -> Iterator[str]:
+        mechanism = self.mechanism
         for k in range(mechanism.body_count):
             yield from _body(mechanism, k)
         for joint in mechanism.joints:
             yield from _joint(joint)
         for link in mechanism.distances:
-            yield f"mbs.CreateDistanceConstraint({_ends(link)}, distance={link.length!r})"
-        yield from springs_listing(mechanism, _ends)
-        yield from loads_listing(mechanism)
+            yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
+
+    def ends(self, pair: PointPair) -> str:
+        first, second = (point.tolist() for point in pair.in_body)
+        return (
+            f"itemNumbers=[{', '.join(map(_item, pair.bodies))}], "
+            f"localPosition0={first!r}, localPosition1={second!r}"
+        )
 
     def graphics(self) -> Iterator[str]:
-        parts: dict[int, list[str]] = {body: [] for body in range(self._mechanism.body_count)}
-        for shape in shapes(self._mechanism):
+        parts: dict[int, list[str]] = {body: [] for body in range(self.mechanism.body_count)}
+        for shape in shapes(self.mechanism):
             begin, *ends = shape.points
             parts[shape.body].append(
                 f"graphics.Cylinder({begin!r}, {ends[0]!r}, {shape.radius!r})"
@@ -119,7 +149,7 @@ class RigidBodies:
             )
         yield "import exudyn.graphics as graphics"
         yield ""
-        size = 2.0 * THIN * self._mechanism.scene.length
+        size = 2.0 * THIN * self.mechanism.scene.length
         yield f"container.visualizationSettings.connectors.defaultSize = {size!r}"
         for body, drawn in parts.items():
             made = ", ".join(drawn)
@@ -132,7 +162,7 @@ class RigidBodies:
         )
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
-        shift = bodies.position - self._mechanism.com
+        shift = bodies.position - self.mechanism.com
         spin = rotation.rotate(rotation.conjugate(bodies.native), bodies.angular_velocity)
         return _joined(shift, rotation.to_vector(bodies.native)), _joined(bodies.velocity, spin)
 
@@ -140,7 +170,7 @@ class RigidBodies:
         shift, vector = _parted(coordinates)
         velocity, spin = _parted(velocities)
         native = rotation.from_vector(vector)
-        position = self._mechanism.com + shift
+        position = self.mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
 
     def held(self, names: Mapping[str, Any]) -> MassProperties:
@@ -161,7 +191,7 @@ class RigidBodies:
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         mbs, axes = names["mbs"], []
-        for placed, number in zip(self._mechanism.joints, names["joints"], strict=True):
+        for placed, number in zip(self.mechanism.joints, names["joints"], strict=True):
             joint = mbs.GetObject(number)
             if joint["objectType"] in _AXIS_COLUMN:
                 marker = mbs.GetMarker(joint["markerNumbers"][0])
@@ -194,14 +224,6 @@ def _joint(joint: PlacedJoint) -> Iterator[str]:
     )
 
 
-def _ends(pair: PointPair) -> str:
-    first, second = (point.tolist() for point in pair.in_body)
-    return (
-        f"itemNumbers=[{', '.join(map(_item, pair.bodies))}], "
-        f"localPosition0={first!r}, localPosition1={second!r}"
-    )
-
-
 def _item(body: int) -> str:
     return "ground" if body == WORLD_INDEX else f"bodies[{body}]"
 
@@ -226,16 +248,6 @@ def _joined(first: Array, second: Array) -> Array:
 def _parted(values: Array) -> tuple[Array, Array]:
     parts = values.reshape(*values.shape[:-1], -1, 6)
     return parts[..., :3], parts[..., 3:]
-
-
-def springs_listing(mechanism: Mechanism, ends: Callable[[PointPair], str]) -> Iterator[str]:
-    """Lines that make `springs`, their ends as the model writes them."""
-    for spring in mechanism.springs:
-        yield (
-            f"springs.append(mbs.CreateSpringDamper({ends(spring)}, "
-            f"referenceLength={spring.length!r}, stiffness={spring.stiffness!r}, "
-            f"damping={spring.damping!r}))"
-        )
 
 
 def loads_listing(mechanism: Mechanism) -> Iterator[str]:

@@ -13,14 +13,14 @@ from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_li
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
-from .model import MassProperties, inertia_text, loads_listing, springs_listing
+from .model import Formulation, MassProperties, inertia_text
 
 Array = NDArray[np.float64]
 
 _TYPES = {"hinge": "RevoluteZ", "slider": "PrismaticZ"}
 
 
-class KinematicTree:
+class KinematicTree(Formulation):
     """Coordinates: the angle or displacement of each link of the spanning tree.
 
     Exudyn puts a link's frame at its joint; here its z axis is the joint's, so that one joint
@@ -28,11 +28,11 @@ class KinematicTree:
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism = mechanism
+        super().__init__(mechanism)
         self._order = [link.body for link in mechanism.links]
 
-    def statements(self) -> Iterator[str]:
-        mechanism = self._mechanism
+    def bodies(self) -> Iterator[str]:
+        mechanism = self.mechanism
         yield "links = []"
         for link in mechanism.links:
             yield from self._link(link)
@@ -40,11 +40,9 @@ class KinematicTree:
         yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r})"
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
-        yield from springs_listing(mechanism, self._ends)
-        yield from loads_listing(mechanism)
 
     def _link(self, link: Link) -> Iterator[str]:
-        mechanism, joint = self._mechanism, _joint(link)
+        mechanism, joint = self.mechanism, _joint(link)
         frame, above = _frame(joint), np.eye(3)
         offset, parent = joint.anchor, -1
         if link.parent != WORLD_INDEX:
@@ -65,14 +63,14 @@ class KinematicTree:
 
     def marker(self, body: int, point: Array) -> str:
         number = self._order.index(body)
-        joint = _joint(self._mechanism.links[number])
+        joint = _joint(self.mechanism.links[number])
         back = _frame(joint).T
         return (
             "mbs.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=tree, "
             f"linkNumber={number}, localHT={_placed(back, back @ (point - joint.in_child))}))"
         )
 
-    def _ends(self, pair: PointPair) -> str:
+    def ends(self, pair: PointPair) -> str:
         markers = ", ".join(
             f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition={at.tolist()}))"
             if body == WORLD_INDEX
@@ -82,19 +80,19 @@ class KinematicTree:
         return f"itemNumbers=[{markers}]"
 
     def from_bodies(self, bodies: BodyStates) -> tuple[Array, Array]:
-        links = to_links(self._mechanism, bodies)
+        links = to_links(self.mechanism, bodies)
         return links.coordinate, links.rate
 
     def to_bodies(self, coordinates: Array, velocities: Array) -> BodyStates:
         still = np.zeros((*coordinates.shape, 3))
         turn = np.broadcast_to(rotation.IDENTITY, (*coordinates.shape, 4))
         links = LinkStates(turn, still, coordinates, velocities, still, still)
-        return to_bodies(self._mechanism, links)
+        return to_bodies(self.mechanism, links)
 
     def held(self, names: Mapping[str, Any]) -> MassProperties:
         tree = names["mbs"].GetObject(names["tree"])
         back = self._back(names)
-        link = [self._order.index(body) for body in range(self._mechanism.body_count)]
+        link = [self._order.index(body) for body in range(self.mechanism.body_count)]
         inertia = np.array([np.array(tree["linkInertiasCOM"][k]) for k in link])
         markers = [names["mbs"].GetMarker(frame) for frame in names["frames"]]
         off = np.array([tree["linkCOMs"][k] for k in link]) - [m["localPosition"] for m in markers]
@@ -110,7 +108,7 @@ class KinematicTree:
         frames = turn @ np.swapaxes(self._back(names), -1, -2)
         origin = {
             link.body: com[link.body] - frames[link.body] @ tree["linkCOMs"][k]
-            for k, link in enumerate(self._mechanism.links)
+            for k, link in enumerate(self.mechanism.links)
         }
 
         def ends(link: Link) -> tuple[Array, Array]:
@@ -119,11 +117,11 @@ class KinematicTree:
                 above = origin[link.parent] + frames[link.parent] @ above
             return above, origin[link.body]
 
-        return joint_anchors(self._mechanism, ends)
+        return joint_anchors(self.mechanism, ends)
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)
-        return joint_axes(self._mechanism, lambda link: link_frames[link.body][:, 2])
+        return joint_axes(self.mechanism, lambda link: link_frames[link.body][:, 2])
 
     def _back(self, names: Mapping[str, Any]) -> Array:
         """Native frames as seen in link frames, from the markers; shape (body, 3, 3)."""

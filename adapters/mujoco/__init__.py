@@ -8,12 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.steps import careful_step, nearest_step
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.stiffness import spring_step
-from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
 from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW, HARDEST, Impact

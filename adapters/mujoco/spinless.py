@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,27 +10,14 @@ from numpy.typing import NDArray
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.spin import STILL, spin_about
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
+from mbds_xsim.simulate.adapter import Readback, Run
+
+from .run import ModelRun
 
 Array = NDArray[np.float64]
 
 _BENT = 1.0
 """Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
-
-
-class _Spinless(Protocol):
-    """A run without spin."""
-
-    @property
-    def size(self) -> ModelSize: ...
-
-    def simulate(self, batch: Batch) -> tuple[Trajectory, Array]: ...
-
-    def readback(self, batch: Batch) -> Readback: ...
-
-    def native(self, batch: Batch) -> str: ...
-
-    def close(self) -> None: ...
 
 
 class SpinlessRun(Run):
@@ -45,7 +31,7 @@ class SpinlessRun(Run):
     """
 
     def __init__(
-        self, mechanism: Mechanism, idle: Array, spinless: _Spinless, load: Callable[[], Run]
+        self, mechanism: Mechanism, idle: Array, spinless: ModelRun, load: Callable[[], Run]
     ) -> None:
         self._mechanism, self._idle = mechanism, idle
         self._spinless, self._load = spinless, load

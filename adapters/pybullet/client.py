@@ -8,21 +8,14 @@ import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from mbds_xsim.base.process import redirected
+
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Send file descriptors 1 and 2 to nowhere: Bullet writes past Python's streams."""
-    saved = [os.dup(1), os.dup(2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
+    """Let nobody hear what Bullet says."""
+    with open(os.devnull, "wb") as nowhere, redirected((1, 2), nowhere.fileno()):
         yield
-    finally:
-        for number, copy in zip((1, 2), saved, strict=True):
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
 
 
 with _silent():  # it prints its build time

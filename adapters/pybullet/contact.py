@@ -20,8 +20,9 @@ https://github.com/bulletphysics/bullet3
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from mbds_xsim.scene.scene import Ground
 from mbds_xsim.simulate.claims import ContactLaw
 
 from .client import Client, Constant
+from .parts import FREEDOMS
 
 Array = NDArray[np.float64]
 
@@ -60,30 +62,28 @@ _GROUND, _SPHERE, _GROUNDS = 1, 2, 15
 _EVEN = 1e-9
 # Factors of anisotropic friction that reflect the axes of friction at the ground's own x axis.
 _REFLECTION = [1.0, -1.0, 1.0]
-_RATES = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
-
-
-@dataclass(frozen=True)
-class Law:
-    """How the engine resolves contact."""
-
-    recovery: float
-    """Time in which an overlap is pushed out [s]; Bullet's ERP is the step over it."""
-    threshold: float
-    """Approach speed below which nothing bounces [m/s]."""
-    reach: float
-    """Gap from which on a contact acts on the velocities [m]."""
-    slop: float
-    """Overlap that counts as none [m]."""
-    turns: bool
-    """Whether the axes of friction are turned."""
+# Steps of free fall that still count as rest.
+_FALLS = 4.0
 
 
 class BulletContact:
-    """The ground, and the spheres of a mechanism on it."""
+    """The ground, and the spheres of a mechanism on it.
+
+    Args:
+        client: The connection.
+        mechanism: With contact spheres.
+        ground: Coefficients of the pairs.
+        options: The adapter's, by name.
+        step: [s]
+    """
 
     def __init__(
-        self, client: Client, mechanism: Mechanism, ground: Ground, law: Law, step: float
+        self,
+        client: Client,
+        mechanism: Mechanism,
+        ground: Ground,
+        options: Mapping[str, Any],
+        step: float,
     ) -> None:
         if ground.friction > _FRICTION_CAP:
             msg = (
@@ -102,38 +102,44 @@ class BulletContact:
         self._pair = ground
         moments = np.linalg.eigvalsh(mechanism.inertia)
         even = mechanism.has_only_balls and np.ptp(moments, axis=-1).max() <= _EVEN * moments.max()
-        turns = law.turns and ground.friction > 0.0 and not even
+        turns = options["friction_axes"] and ground.friction > 0.0 and not even
         self._yielding = Yielding(mechanism) if turns else None
-        self._set_solver(law, step)
+        self._set_solver(options, step)
         bodies = np.unique(self._body).tolist() if turns else [int(self._body[0])]
-        self._planes = [self._lay_ground(law, k) for k in range(min(len(bodies), _GROUNDS))]
+        self._planes = [
+            self._lay_ground(float(options["contact_reach"]), k)
+            for k in range(min(len(bodies), _GROUNDS))
+        ]
         self._ground = {body: k % len(self._planes) for k, body in enumerate(bodies)}
         self._filter = client.function("setCollisionFilterGroupMask")
         self._turn_ground = client.put
 
-    def _set_solver(self, law: Law, step: float) -> None:
-        if law.recovery < step:
+    def _set_solver(self, options: Mapping[str, Any], step: float) -> None:
+        recovery = float(options["contact_recovery"])
+        if recovery < step:
             msg = (
-                f"option contact_recovery of pybullet: got {law.recovery:g} s, allowed is the step "
+                f"option contact_recovery of pybullet: got {recovery:g} s, allowed is the step "
                 f"{step:g} s or longer"
             )
             raise InputError(msg)
+        fastest = _FALLS * math.hypot(*self._mechanism.scene.gravity) * step  # at rest
+        threshold = float(options["bounce_threshold"]) or fastest
         self._client.build(
             "setPhysicsEngineParameter",
-            contactERP=step / law.recovery,
-            restitutionVelocityThreshold=law.threshold,
-            contactSlop=law.slop,
+            contactERP=step / recovery,
+            restitutionVelocityThreshold=threshold,
+            contactSlop=float(options["contact_slop"]),
             enableConeFriction=1,
         )
 
-    def _lay_ground(self, law: Law, number: int) -> int:
+    def _lay_ground(self, reach: float, number: int) -> int:
         build = self._client.build
         shape = build("createCollisionShape", Constant("GEOM_PLANE"), planeNormal=[0, 0, 1])
         plane = build("createMultiBody", 0.0, shape)
         # The smaller threshold of two bodies holds for their contact: the ground's is enough.
         build(
             "changeDynamics", plane, -1, lateralFriction=1.0, restitution=1.0,
-            contactProcessingThreshold=law.reach,
+            contactProcessingThreshold=reach,
         )  # fmt: skip
         if self._yielding:
             self._client.note("is turned once a frame, by half the angle of the friction's axes")
@@ -258,7 +264,7 @@ class Yielding:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self._mechanism = mechanism
-        sizes = [_RATES[link.joint.kind] if link.joint else 6 for link in mechanism.links]
+        sizes = [FREEDOMS[link.joint.kind] if link.joint else 6 for link in mechanism.links]
         ends = np.cumsum(sizes)
         self._count = int(ends[-1])
         self._plan = [

@@ -8,7 +8,7 @@ Quaternions are xyzw in Bullet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
 from .contact import BulletContact
-from .parts import LinkAddress, Multibody, split
+from .parts import FREEDOMS, Multibody, split
 
 Array = NDArray[np.float64]
 
@@ -43,29 +43,22 @@ _JOINT_TYPES = {
 }
 
 
-@dataclass(frozen=True)
-class Damping:
-    """Bullet's drag on every link, as its user sets it [1/s]."""
-
-    linear: float
-    angular: float
-
-
-@dataclass(frozen=True)
-class _Tie:
-    """A constraint that closes a joint."""
-
-    joint: int
-    number: int
-    ends: list[tuple[int, int]]
-    """Of the joint's parent, then child: the body, and which of the constraint's ends it is."""
-
-
 class Multibodies:
-    """The native model in one connection."""
+    """The native model in one connection.
+
+    Args:
+        client: The connection.
+        mechanism: Of the scene.
+        drag: Bullet's `linearDamping` and `angularDamping` on every link [1/s].
+        contact: The ground, if there is one.
+    """
 
     def __init__(
-        self, client: Client, mechanism: Mechanism, damping: Damping, contact: BulletContact | None
+        self,
+        client: Client,
+        mechanism: Mechanism,
+        drag: Mapping[str, float],
+        contact: BulletContact | None,
     ) -> None:
         self.client = client
         self.mechanism = mechanism
@@ -73,16 +66,18 @@ class Multibodies:
         self.parts, cut = split(mechanism)
         self.closures = (*mechanism.loops, *cut)
         self.principal = np.array([_principal_axes(tensor)[1] for tensor in mechanism.inertia])
-        self.places: dict[int, LinkAddress] = {}
+        self._places = {WORLD_INDEX: (-1, -1)}
         self._ids: list[int] = []
         self._links = {link.body: link for part in self.parts for link in part.links}
-        for number, part in enumerate(self.parts):
-            self._ids.append(self._add_part(part, damping))
+        for part in self.parts:
+            number = self._add_part(part, drag)
+            self._ids.append(number)
             if part.base != WORLD_INDEX:
-                self.places[part.base] = LinkAddress(number, -1)
-            for k, link in enumerate(part.links):
-                self.places[link.body] = LinkAddress(number, k)
-        self._ties: list[_Tie] = []
+                self._places[part.base] = (number, -1)
+            self._places |= {link.body: (number, k) for k, link in enumerate(part.links)}
+        # Of a joint's constraints: the number, and of the joint's parent, then child, the body and
+        # which of the constraint's ends it is.
+        self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
         rows = sum(self._close(joint) for joint in self.closures)
         self.size = ModelSize(
             sum(_coordinate_count(part) for part in self.parts), rows, len(mechanism.sphere_body)
@@ -101,10 +96,7 @@ class Multibodies:
 
     def address(self, body: int) -> tuple[int, int]:
         """Bullet's body number and link index; −1 of either is the world or the base."""
-        if body == WORLD_INDEX:
-            return -1, -1
-        place = self.places[body]
-        return self._ids[place.part], place.link
+        return self._places[body]
 
     def put(self, bodies: BodyStates) -> None:
         """Set the state; arrays of shape (body, 3|4), native rotations."""
@@ -212,11 +204,10 @@ class Multibodies:
         """As fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
         anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, told))
         info = self.client.function("getConstraintInfo")
-        for index in {tie.joint for tie in self._ties}:
+        for index, ties in self._ties.items():
             points = [
-                [_placed(told, end, np.array(info(tie.number)[6 + k])) for end, k in tie.ends]
-                for tie in self._ties
-                if tie.joint == index
+                [_placed(told, end, np.array(info(number)[6 + k])) for end, k in ends]
+                for number, ends in ties
             ]
             anchors[index] = np.mean(points, axis=0)
         return anchors
@@ -230,7 +221,7 @@ class Multibodies:
     def _dynamics(self, body: int) -> Any:
         return self.client.function("getDynamicsInfo")(*self.address(body))
 
-    def _add_part(self, part: Multibody, damping: Damping) -> int:
+    def _add_part(self, part: Multibody, drag: Mapping[str, float]) -> int:
         build = self.client.build
         mechanism = self.mechanism
         mass, com = mechanism.mass, mechanism.com
@@ -270,10 +261,7 @@ class Multibodies:
             # Without it Bullet numbers the links depth first.
             flags=Constant("URDF_MAINTAIN_LINK_ORDER"),
         )
-        build(
-            "changeDynamics", number, -1, linearDamping=damping.linear,
-            angularDamping=damping.angular, maxJointVelocity=SPEED_CAP,
-        )  # fmt: skip
+        build("changeDynamics", number, -1, **drag, maxJointVelocity=SPEED_CAP)
         name = [body.name for body in mechanism.scene.bodies]
         if part.base != WORLD_INDEX:
             self.client.note(f"{name[part.base]!r} is the base of {number}")
@@ -337,7 +325,8 @@ class Multibodies:
         )  # fmt: skip
         self.client.build("changeConstraint", number, maxForce=_IMPULSE_CAP)
         forwards = self.mechanism.joints[joint.index].child == joint.child
-        self._ties.append(_Tie(joint.index, int(number), ends if forwards else ends[::-1]))
+        tie = (int(number), ends if forwards else ends[::-1])
+        self._ties.setdefault(joint.index, []).append(tie)
         return rows
 
     def _carrier(self, body: int, point: Array) -> tuple[int, Array]:
@@ -377,9 +366,8 @@ def _principal_axes(tensor: Array) -> tuple[Array, Array]:
 
 
 def _coordinate_count(part: Multibody) -> int:
-    counts = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
     base = 0 if part.base == WORLD_INDEX else 6
-    return base + sum(counts[link.joint.kind] for link in part.links if link.joint is not None)
+    return base + sum(FREEDOMS[link.joint.kind] for link in part.links if link.joint is not None)
 
 
 def _axis(joint: PlacedJoint) -> list[float]:

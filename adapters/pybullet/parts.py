@@ -11,18 +11,11 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 # it reads and writes elsewhere (MAX_DEGREE_OF_FREEDOM in SharedMemoryPublic.h).
 COORDINATE_LIMIT = 128 - 7
 
+FREEDOMS = {"ball": 3, "hinge": 1, "slider": 1, "fixed": 0}
+"""Rates of a link's joint."""
 _COORDINATES = {"ball": 4, "hinge": 1, "slider": 1, "fixed": 1}
 # Joints that a constraint can replace, best first.
 _CUT_ORDER = {"ball": 0, "hinge": 1, "fixed": 2}
-
-
-@dataclass(frozen=True)
-class LinkAddress:
-    """Where a body is in Bullet's terms."""
-
-    part: int
-    link: int
-    """−1 is the base."""
 
 
 @dataclass(frozen=True)

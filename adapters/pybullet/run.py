@@ -13,22 +13,20 @@ from mbds_xsim.base import rotation
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Readback, Run, Settings
 from mbds_xsim.simulate.recording import first_failures, recorded, starts
 
 from .client import Client
-from .contact import BulletContact, Law
+from .contact import BulletContact
 from .loads import StepLoads
-from .model import RATES, SPEED_CAP, Damping, Multibodies
+from .model import RATES, SPEED_CAP, Multibodies
 
 Array = NDArray[np.float64]
 
 _BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
 _TURN_CAP = math.pi / 4
-# Steps of free fall that still count as rest.
-_FALLS = 4.0
 _SPRINGS = """
 import numpy as np
 
@@ -87,12 +85,14 @@ class PyBulletRun(Run):
             erp=float(options["erp"]),
             deterministicOverlappingPairs=1,
         )
-        damping = Damping(
-            float(options["linear_damping"]),
-            float(options["angular_damping"]),
+        drag = {
+            f"{kind}Damping": float(options[f"{kind}_damping"]) for kind in ("linear", "angular")
+        }
+        ground = scene.ground
+        self._contact = (
+            BulletContact(self._client, mechanism, ground, options, self._step) if ground else None
         )
-        self._contact = self._lay_ground(options)
-        self._model = Multibodies(self._client, mechanism, damping, self._contact)
+        self._model = Multibodies(self._client, mechanism, drag, self._contact)
         self._loads = StepLoads(self._client, self._model, mechanism)
         self._advance = self._client.function("stepSimulation")
         self._set_stepping(self._substeps)
@@ -102,19 +102,6 @@ class PyBulletRun(Run):
         self._turning = np.array([link.body for link in turning], dtype=np.int64)
         self._carrier = np.array([link.parent for link in turning], dtype=np.int64)
 
-    def _lay_ground(self, options: Mapping[str, Any]) -> BulletContact | None:
-        scene = self._mechanism.scene
-        if scene.ground is None:
-            return None
-        recovery, threshold, reach, slop = (
-            float(options[name])
-            for name in ("contact_recovery", "bounce_threshold", "contact_reach", "contact_slop")
-        )
-        threshold = threshold or _FALLS * math.hypot(*scene.gravity) * self._step
-        turns = bool(options["friction_axes"])
-        law = Law(recovery, threshold, reach, slop, turns)
-        return BulletContact(self._client, self._mechanism, scene.ground, law, self._step)
-
     def rollout(self, batch: Batch) -> Trajectory:
         shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
         told = np.full(shape, np.nan)
@@ -122,12 +109,8 @@ class PyBulletRun(Run):
         self._set_stepping(1 if each_step else self._substeps)
         for row in range(len(batch)):
             self._roll(batch, row, told[row], self._substeps if each_step else 1)
-        failures = first_failures(
-            self._bad(told),
-            lambda row, frame: self._trouble(self._model.states(told[row, frame])),
-            earliest=1,
-        )
         states = self._model.states(told)
+        failures = self._failures(told, states)
         copies = BodyStates(*(values.copy() for values in vars(states).values()))
         return recorded(self._mechanism, copies, failures)
 
@@ -155,15 +138,26 @@ class PyBulletRun(Run):
         start = starts(self._mechanism, batch[[row]])
         self._model.put(BodyStates(*(values[0] for values in vars(start).values())))
 
-    def _bad(self, told: Array) -> NDArray[np.bool_]:
-        """Find what went wrong, shape (trajectory, frame): Bullet never says it."""
-        state = self._model.states(told)
-        fine = np.isfinite(told).all(axis=(2, 3))
-        fine &= np.abs(told[..., RATES]).max(axis=(2, 3)) <= _BLOW_UP
-        fine &= self._turn(state) <= _TURN_CAP
+    def _failures(self, told: Array, state: BodyStates) -> tuple[Failure | None, ...]:
+        """Find what went wrong: Bullet never says it."""
+        finite = np.asarray(np.isfinite(told).all(axis=(2, 3)))
+        fastest = np.abs(told[..., RATES]).max(axis=(2, 3))
+        turn = self._turn(state)
+        fine = finite & (fastest <= _BLOW_UP) & (turn <= _TURN_CAP)
         if self._contact:
             fine &= self._contact.heights(state).min(axis=-1) >= 0.0
-        return ~fine
+
+        def reason(*at: int) -> str:
+            if not finite[at]:
+                return "the state is not finite"
+            if fastest[at] > _BLOW_UP:
+                return f"blow-up: {fastest[at]:.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
+            if turn[at] > _TURN_CAP:
+                return f"a body turns by {turn[at]:.3g} rad in a step, the engine cuts that at π/4"
+            assert self._contact is not None
+            return self._contact.trouble(self._model.states(told[at]))
+
+        return first_failures(~fine, reason, earliest=1)
 
     def _turn(self, state: BodyStates) -> Array:
         """Largest angle [rad] by which a body turns against its carrier in a step, shape (…)."""
@@ -171,19 +165,6 @@ class PyBulletRun(Run):
         carried = np.concatenate([rate, np.zeros_like(rate[..., :1, :])], axis=-2)
         relative = carried[..., self._turning, :] - carried[..., self._carrier, :]
         return np.asarray(self._step * np.linalg.norm(relative, axis=-1).max(axis=-1, initial=0.0))
-
-    def _trouble(self, state: BodyStates) -> str:
-        """Say what is wrong with a state."""
-        rates = np.concatenate([state.velocity, state.angular_velocity])
-        if not (np.isfinite(rates).all() and np.isfinite(state.position).all()):
-            return "the state is not finite"
-        fastest = np.abs(rates).max()
-        if fastest > _BLOW_UP:
-            return f"blow-up: {fastest:.3g} m/s or rad/s, the engine cuts at {SPEED_CAP:g}"
-        turn = self._turn(state)
-        if turn > _TURN_CAP:
-            return f"a body turns by {turn:.3g} rad in a step, the engine cuts that at π/4"
-        return self._contact.trouble(state) if self._contact else "a rotation is not finite"
 
     def _set_stepping(self, substeps: int) -> None:
         # Loads stay as they are over the sub-steps of one call.

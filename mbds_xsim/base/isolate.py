@@ -20,8 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from mbds_xsim.base.interruption import held_back
-from mbds_xsim.base.spent import Spent, memory_bytes
+from mbds_xsim.base.process import Spent, held_back, memory_bytes
 
 LIMIT = 3600.0
 """Longest that one piece of work may take where nothing else is asked for [s]."""

@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from types import TracebackType
 from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
 
 import numpy as np
@@ -28,6 +27,10 @@ from mbds_xsim.simulate.claims import (
 
 Array = NDArray[np.float64]
 Profile = Literal["native", "matched"]
+
+_REFINABLE = 4
+# What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
+_SHORTEST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -115,12 +118,7 @@ class Run(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     @abstractmethod
@@ -235,3 +233,19 @@ class Adapter(ABC):
     @abstractmethod
     def load(self, scene: Scene, settings: Settings) -> Run:
         """Build the native model. Called by `open` only, after its checks."""
+
+
+def nearest_step(frame: float, usual: float) -> float:
+    """Divide a frame [s] into equal steps as near as can be to a usual one [s]."""
+    return frame / max(1, round(frame / usual))
+
+
+def careful_step(frame: float, longest: float, fewest: int) -> float:
+    """Divide a frame [s] into `fewest` steps or more, none above the longest [s].
+
+    A longest step below 1 µs counts as 1 µs. A frame resolves the motion, so mechanisms faster
+    than the longest step foresees get finer steps. There are a multiple of four, which the
+    consistency check can make coarser.
+    """
+    count = max(fewest, math.ceil(frame / max(longest, _SHORTEST) - 1e-9))
+    return frame / (_REFINABLE * math.ceil(count / _REFINABLE))

@@ -7,7 +7,7 @@ Adapters that hold the spanning tree put its joints into the scene's order by `j
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.adapter import Readback, Settings
 
 Array = NDArray[np.float64]
+_Quantity = tuple[str, Array | None, Array, float, list[str]]
+"""What it is, as read and as wanted, the least scale of a difference, and the rows' names."""
 
 _TOLERANCE = 1e-9
 _MISSING = 1e-6
@@ -35,34 +37,16 @@ def compare(
     Figures are relative to the largest element of the expected array, or to the scene's length
     for positions.
     """
-    readback = _with_idle_spin(mechanism, batch, readback)
-    length = mechanism.scene.length
-    names = [body.name for body in mechanism.scene.bodies]
-    expected: list[tuple[str, Array | None, Array, float]] = [
-        ("mass [kg]", readback.mass, mechanism.mass, 0.0),
-        ("inertia [kg·m²]", readback.inertia, mechanism.inertia, 0.0),
-        ("start: centre of mass [m]", readback.com, batch.position[0], length),
-        ("start: velocity [m/s]", readback.velocity, batch.velocity[0], 1.0),
-        ("start: angular velocity [rad/s]", readback.angular_velocity, _spin(batch), 1.0),
-        ("start: orientation", _turn(readback, batch), batch.orientation[0], 1.0),
-    ]
     lines = []
-    for what, got, wanted, floor in expected:
-        if got is not None:
-            lines += _differences(what, got, wanted, max(floor, float(np.abs(wanted).max())), names)
-    if readback.gravity is not None:
-        gravity = np.array([mechanism.scene.gravity])
-        lines += _differences("gravity [m/s²]", readback.gravity[None], gravity, 1.0, ["W"])
+    for what, got, wanted, floor, names in _quantities(mechanism, batch, readback):
+        if got is not None and len(wanted):
+            lines += _differences(what, got, wanted, floor, names)
     off = 0.0 if readback.step is None else abs(readback.step - settings.step)
     if not off <= _TOLERANCE * settings.step:
         lines.append(f"step: got {readback.step:.9g} s, the settings say {settings.step:.9g} s")
     if readback.damping is not None and np.any(readback.damping):
         lines.append(f"damping: got up to {np.abs(readback.damping).max():g}, the scene has none")
-    lines += _axis_differences(mechanism, batch, readback)
-    lines += _anchor_differences(mechanism, batch, readback.anchor)
-    lines += _sphere_differences(mechanism, batch, readback.sphere)
-    lines += _spring_differences(mechanism, batch, readback.spring)
-    return lines + _contact(mechanism, readback)
+    return lines
 
 
 def joint_axes(
@@ -106,6 +90,92 @@ def joint_anchors(
     return anchors
 
 
+def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+    """Give everything that both sides hold."""
+    scene, length = mechanism.scene, mechanism.scene.length
+    bodies = [body.name for body in scene.bodies]
+    turned = _with_idle_spin(mechanism, batch, readback)
+    orientation = _turn(turned, batch)
+    yield "mass [kg]", turned.mass, mechanism.mass, 0.0, bodies
+    yield "inertia [kg·m²]", turned.inertia, mechanism.inertia, 0.0, bodies
+    yield "start: centre of mass [m]", turned.com, batch.position[0], length, bodies
+    yield "start: velocity [m/s]", turned.velocity, batch.velocity[0], 1.0, bodies
+    spin, wanted = turned.angular_velocity, batch.angular_velocity[0]
+    yield "start: angular velocity [rad/s]", spin, wanted, 1.0, bodies
+    yield "start: orientation", orientation, batch.orientation[0], 1.0, bodies
+    gravity = None if readback.gravity is None else readback.gravity[None]
+    yield "gravity [m/s²]", gravity, np.array([scene.gravity]), 1.0, ["W"]
+    yield from _of_joints(mechanism, batch, readback)
+    yield from _of_springs(mechanism, batch, readback)
+    yield from _of_contact(mechanism, batch, readback)
+
+
+def _of_joints(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+    native = np.concatenate([mechanism.native_rotation(batch.orientation[0]), [rotation.IDENTITY]])
+    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
+    axes = np.array([rotation.rotate(native[joint.parent], joint.axis) for joint in jointed])
+    names = [joint.name for joint in jointed]
+    yield "axis", _known(readback.joint_axis, axes), axes, 1.0, names
+    ends = [
+        (
+            _placed(mechanism, batch, j.parent, j.in_parent),
+            _placed(mechanism, batch, j.child, j.in_child),
+        )
+        for j in mechanism.joints
+    ]
+    names = [
+        f"{joint.name} in {mechanism.scene.bodies[end].name if end != WORLD_INDEX else WORLD}"
+        for joint in mechanism.joints
+        for end in (joint.parent, joint.child)
+    ]
+    wanted = np.array(ends)
+    got = _known(readback.anchor, wanted)
+    if got is not None and got.shape == wanted.shape:
+        got, wanted = got.reshape(-1, 3), wanted.reshape(-1, 3)
+    yield "anchor [m]", got, wanted, mechanism.scene.length, names
+
+
+def _of_springs(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+    names, wanted = [spring.name for spring in mechanism.springs], []
+    for spring in mechanism.springs:
+        first, second = (
+            _placed(mechanism, batch, *end)
+            for end in zip(spring.bodies, spring.in_body, strict=True)
+        )
+        wanted.append(spring.as_read(second - first))
+    yield from _columns("springs", _SPRING, readback.spring, np.array(wanted), names)
+
+
+def _of_contact(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
+    scene, ground = mechanism.scene, mechanism.scene.ground
+    if ground is None:
+        return
+    names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(scene.contacts)]
+    pairs = zip(mechanism.sphere_body.tolist(), mechanism.sphere_offset, strict=True)
+    places = np.array([_placed(mechanism, batch, body, offset) for body, offset in pairs])
+    got = _known(readback.sphere, places)
+    yield "centre of contact [m]", got, places, scene.length, names
+    pair = [(sphere.radius, ground.friction, ground.restitution) for sphere in scene.contacts]
+    wanted = np.array(pair)
+    yield from _columns("contact", _PAIR, _known(readback.contact, wanted), wanted, names)
+
+
+def _columns(
+    what: str, columns: tuple[str, ...], got: Array | None, wanted: Array, names: list[str]
+) -> Iterator[_Quantity]:
+    """Part a table of coefficients, shape (item, column); each has a scale of its own."""
+    if got is None or got.shape != wanted.shape:
+        yield what, got, wanted, 0.0, names
+        return
+    for k, column in enumerate(columns):
+        yield column, got[:, [k]], wanted[:, [k]], 0.0, names
+
+
+def _known(got: Array | None, wanted: Array) -> Array | None:
+    """Take what an engine cannot tell, NaN, for what is wanted."""
+    return got if got is None or got.shape != wanted.shape else np.where(np.isnan(got), wanted, got)
+
+
 def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> Readback:
     """Add what an engine may leave out: how bodies that never spin would do so.
 
@@ -131,97 +201,10 @@ def _with_idle_spin(mechanism: Mechanism, batch: Batch, readback: Readback) -> R
     )
 
 
-def _spin(batch: Batch) -> Array:
-    return batch.angular_velocity[0]
-
-
 def _turn(readback: Readback, batch: Batch) -> Array:
     """Orientations as read, with the sign of the expected ones (q and −q are one rotation)."""
     sign = np.sign(np.sum(readback.orientation * batch.orientation[0], axis=-1, keepdims=True))
     return readback.orientation * np.where(sign == 0, 1.0, sign)
-
-
-def _differences(what: str, got: Array, wanted: Array, scale: float, names: list[str]) -> list[str]:
-    if got.shape != wanted.shape:
-        return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
-    off = np.abs(got - wanted).reshape(len(wanted), -1).max(axis=1) / scale
-    if np.all(off <= _TOLERANCE):
-        return []
-    worst = int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))
-    return [
-        f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
-        f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= _TOLERANCE))} differ)"
-    ]
-
-
-def _contact(mechanism: Mechanism, readback: Readback) -> list[str]:
-    ground, got = mechanism.scene.ground, readback.contact
-    if got is None or ground is None:
-        return []
-    spheres = mechanism.scene.contacts
-    if got.shape != (len(spheres), 3):
-        return [f"contact: got shape {got.shape}, the scene has {len(spheres)} spheres"]
-    pair = [(sphere.radius, ground.friction, ground.restitution) for sphere in spheres]
-    names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(spheres)]
-    wanted = np.array(pair)
-    return _column_differences(_PAIR, np.where(np.isnan(got), wanted, got), wanted, names)
-
-
-def _spring_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
-    springs = mechanism.springs
-    if got is None or not springs:
-        return []
-    if got.shape != (len(springs), len(_SPRING)):
-        return [f"springs: got shape {got.shape}, the scene has {len(springs)}"]
-    wanted = np.zeros(got.shape)
-    for row, spring in zip(wanted, springs, strict=True):
-        ends = [
-            _placed(mechanism, batch, *end)
-            for end in zip(spring.bodies, spring.in_body, strict=True)
-        ]
-        apart = float(np.linalg.norm(ends[1] - ends[0]))
-        row[:] = spring.stiffness, spring.damping, spring.length, apart
-    return _column_differences(_SPRING, got, wanted, [spring.name for spring in springs])
-
-
-def _column_differences(
-    columns: tuple[str, ...], got: Array, wanted: Array, names: list[str]
-) -> list[str]:
-    """Compare coefficients, each with the largest of its kind, shape (item, column)."""
-    lines = []
-    for what, held, asked in zip(columns, got.T, wanted.T, strict=True):
-        scale = float(asked.max()) or 1.0
-        lines += _differences(what, held[:, None], asked[:, None], scale, names)
-    return lines
-
-
-def _anchor_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
-    if got is None or not mechanism.joints:
-        return []
-    wanted = np.array(
-        [
-            [
-                _placed(mechanism, batch, joint.parent, joint.in_parent),
-                _placed(mechanism, batch, joint.child, joint.in_child),
-            ]
-            for joint in mechanism.joints
-        ]
-    )
-    names = [
-        f"{joint.name} in {mechanism.scene.bodies[end].name if end != WORLD_INDEX else WORLD}"
-        for joint in mechanism.joints
-        for end in (joint.parent, joint.child)
-    ]
-    return _place_differences("anchor [m]", got, wanted, mechanism, names)
-
-
-def _sphere_differences(mechanism: Mechanism, batch: Batch, got: Array | None) -> list[str]:
-    if got is None or not mechanism.scene.contacts:
-        return []
-    pairs = list(zip(mechanism.sphere_body.tolist(), mechanism.sphere_offset, strict=True))
-    wanted = np.array([_placed(mechanism, batch, body, offset) for body, offset in pairs])
-    names = [f"sphere {k} on {sphere.body}" for k, sphere in enumerate(mechanism.scene.contacts)]
-    return _place_differences("centre of contact [m]", got, wanted, mechanism, names)
 
 
 def _placed(mechanism: Mechanism, batch: Batch, body: int, point: Array) -> Array:
@@ -232,30 +215,15 @@ def _placed(mechanism: Mechanism, batch: Batch, body: int, point: Array) -> Arra
     return np.asarray(batch.position[0, body] + rotation.rotate(turn, point))
 
 
-def _place_differences(
-    what: str, got: Array, wanted: Array, mechanism: Mechanism, names: list[str]
-) -> list[str]:
+def _differences(what: str, got: Array, wanted: Array, floor: float, names: list[str]) -> list[str]:
     if got.shape != wanted.shape:
         return [f"{what}: got shape {got.shape}, the scene has {wanted.shape}"]
-    told = np.where(np.isnan(got), wanted, got).reshape(-1, 3)
-    scale = max(mechanism.scene.length, float(np.abs(wanted).max()))
-    return _differences(what, told, wanted.reshape(-1, 3), scale, names)
-
-
-def _axis_differences(mechanism: Mechanism, batch: Batch, readback: Readback) -> list[str]:
-    jointed = [joint for joint in mechanism.joints if joint.kind in ("hinge", "slider")]
-    if readback.joint_axis is None or not jointed:
+    scale = max(floor, float(np.abs(wanted).max())) or 1.0
+    off = np.abs(got - wanted).reshape(len(wanted), -1).max(axis=1) / scale
+    if np.all(off <= _TOLERANCE):
         return []
-    if readback.joint_axis.shape != (len(jointed), 3):
-        return [f"axes: got shape {readback.joint_axis.shape}, the scene has {len(jointed)} joints"]
-    native = mechanism.native_rotation(batch.orientation[0])
-    lines = []
-    for joint, got in zip(jointed, readback.joint_axis, strict=True):
-        turn = rotation.IDENTITY if joint.parent == WORLD_INDEX else native[joint.parent]
-        wanted = rotation.rotate(turn, joint.axis)
-        if not np.isnan(got).any() and np.abs(got - wanted).max() > _TOLERANCE:
-            lines.append(
-                f"axis of {joint.name}: got {np.round(got, 9).tolist()}, the scene says "
-                f"{np.round(wanted, 9).tolist()}"
-            )
-    return lines
+    worst = int(np.nanargmax(np.where(np.isfinite(off), off, np.inf)))
+    return [
+        f"{what} of {names[worst]}: got {np.round(got[worst], 9).tolist()}, the scene says "
+        f"{np.round(wanted[worst], 9).tolist()} ({np.sum(~(off <= _TOLERANCE))} differ)"
+    ]

@@ -12,16 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from mbds_xsim import reference
-from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.checks.energy import energy_of
-from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import Clock, ContactSphere, Ground, Scene
-from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.scene.scene import Clock, ContactSphere, Ground
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for
@@ -29,6 +24,13 @@ from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
 from mbds_xsim.testing.straight_car import straight_run
+from tests.adapters.exact import (
+    Runs,
+    balldrop_followed,
+    ballscroll_followed,
+    cubli_followed,
+    cubli_loses_energy,
+)
 
 pytest.importorskip("exudyn")
 impact: Any = importlib.import_module("mbds_xsim_adapters.exudyn.contact")
@@ -62,51 +64,21 @@ CAREFUL = {
 """Finer than matched, for the laws that contact keeps to."""
 
 
-def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
-    chosen = settings or CAREFUL.get(scene.name) or settings_for(scene, ENGINE, "matched")
-    with ENGINE.open(scene, chosen) as run:
-        return run.rollout(batch)
-
-
-def alone(scene: Scene, settings: Settings | None = None) -> Trajectory:
-    """Run a scene that draws nothing."""
-    motion = rollout(scene, draw_batch(scene, [0]), settings)
-    assert motion.failures == (None,)
-    return motion
+_RUNS = Runs(ENGINE, CAREFUL)
+rollout, alone = _RUNS.rollout, _RUNS.alone
 
 
 @pytest.mark.parametrize("noise", [True, False])
 def test_ballscroll_follows_the_exact_solution(noise: bool) -> None:
-    scene = load_scene("ballscroll")
-    batch = draw_batch(scene, range(3), noise=noise)
-    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+    motion = ballscroll_followed(rollout, noise=noise)
 
-    error = np.linalg.norm(motion.position - exact.position, axis=-1)
-    assert motion.failures == (None,) * 3
-    assert error.max() < 1e-3
-    assert np.abs(motion.position[..., 2] - R).max() < 1e-5  # neither hops nor sinks
     assert np.abs(motion.position[..., 1]).max() < 1e-9
 
 
 @pytest.mark.parametrize("noise", [True, False])
 def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
-    scene = load_scene("balldrop")
-    batch = draw_batch(scene, range(6), noise=noise)
-    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+    motion = balldrop_followed(rollout, 6, noise=noise, apex=3e-3)
 
-    error = np.linalg.norm(motion.position - exact.position, axis=-1)[..., 0]
-    height = exact.position[..., 0, 2]
-    assert motion.failures == (None,) * 6
-    for row in range(6):
-        climbs = np.diff(exact.velocity[row, :, 0, 2]) > 0.5
-        first, second, third, *_ = (np.flatnonzero(climbs) + 1).tolist()
-        assert error[row, :first].max() < 1e-10
-        assert error[row, first:third].max() < 2e-2
-        apex, expected = (
-            values[row, first:second].max() - 5 * R
-            for values in (motion.position[..., 0, 2], height)
-        )
-        assert apex == pytest.approx(expected, rel=3e-3)
     assert motion.position[..., 2].min() > 5 * R - 5e-3
     assert np.abs(motion.position[..., 1]).max() < 1e-8
 
@@ -243,39 +215,11 @@ def test_an_elastic_ball_keeps_its_energy_over_many_bounces() -> None:
 
 
 def test_the_cubli_flies_as_the_reference_does_until_it_lands() -> None:
-    scene = load_scene("simplecubli")
-    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(3)).truncated(60)
-    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
-
-    assert motion.failures == (None,) * 3
-    for row, hit in enumerate(exact.failures):
-        assert hit is not None
-        until = slice(0, hit.frame)
-        places, expected = (
-            mechanism.particle_positions(one.position[row, until], one.orientation[row, until])
-            for one in (motion, exact)
-        )
-        assert np.abs(places - expected).max() < 1e-4
-        turn = rotation.multiply(
-            rotation.conjugate(exact.orientation[row, until]), motion.orientation[row, until]
-        )
-        assert np.abs(rotation.to_vector(turn)).max() < 2e-4
+    cubli_followed(rollout, frames=60, place=1e-4, turn=2e-4)
 
 
 def test_the_cubli_gains_no_energy_on_the_ground_and_stays_above_it() -> None:
-    """Without flywheel torques; the energy is compared where no corner touches."""
-    scene = load_scene("simplecubli")
-    batch = draw_batch(scene, range(3), noise=False, inputs=False)
-    motion = rollout(scene, batch)
-    gap = gaps(scene, motion).min(axis=-1)
-
-    assert motion.failures == (None,) * 3
-    assert gap.min() > -0.02 * scene.length
-    for row in range(len(batch)):
-        energy = energy_of(Record(scene, batch, motion)).total[row, gap[row] > 0]
-        rise = np.max(energy - np.minimum.accumulate(energy))
-        assert rise < 1e-4 * energy[0]
-        assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
+    cubli_loses_energy(rollout, 3, depth=0.02, rise=1e-4)
 
 
 def test_a_cubli_laid_down_stays_where_it_is() -> None:

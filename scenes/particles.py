@@ -1,17 +1,37 @@
-"""A wheel: a hub particle and a ring of twelve around it."""
+"""Bodies of particles: grids, wheels, and who is whose neighbour in them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
 from mbds_xsim.scene.scene import Body, Particle
 
-from .grid import Edge, Point
+Cell = tuple[int, int, int]
+Point = tuple[float, float, float]
+Edge = tuple[int, int]
 
 RING = 12
 PARTICLES = RING + 1
+
+
+def neighbours(cells: Sequence[Cell], *, apart: int = 1) -> list[Edge]:
+    """Pairs of cells whose coordinates differ by `apart` in all, numbered as the cells are."""
+    return [
+        (a, b)
+        for (a, here), (b, there) in combinations(enumerate(cells), 2)
+        if sum(abs(p - q) for p, q in zip(here, there, strict=True)) == apart
+    ]
+
+
+def ties(hub: int, point: Point, body: Sequence[Point]) -> list[Edge]:
+    """Edges from a hub to all the nearest of a body's particles, which are numbered from 0."""
+    distances = [math.dist(point, particle) for particle in body]
+    nearest = min(distances)
+    return [(k, hub) for k, distance in enumerate(distances) if distance < nearest + 1e-9]
 
 
 def wheel(name: str, hub: Point, axis: Point, first: Point, radius: float) -> Body:

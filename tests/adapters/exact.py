@@ -1,0 +1,116 @@
+"""What engines make of the paper's scenes with contact, held against their exact motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from mbds_xsim import reference
+from mbds_xsim.base import rotation
+from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.finding import Record
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.testing.contact_cases import RADIUS as R
+from mbds_xsim.testing.contact_cases import gaps
+
+Rollout = Callable[[Scene, Batch], Trajectory]
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Rollouts in an engine, at settings by scene where some are finer than the matched ones."""
+
+    engine: Adapter
+    careful: dict[str, Settings]
+
+    def rollout(self, scene: Scene, batch: Batch, settings: Settings | None = None) -> Trajectory:
+        own = settings or self.careful.get(scene.name)
+        with self.engine.open(scene, own or settings_for(scene, self.engine, "matched")) as run:
+            return run.rollout(batch)
+
+    def alone(self, scene: Scene, settings: Settings | None = None) -> Trajectory:
+        """Run a scene that draws nothing."""
+        motion = self.rollout(scene, draw_batch(scene, [0]), settings)
+        assert motion.failures == (None,)
+        return motion
+
+
+def ballscroll_followed(rollout: Rollout, *, noise: bool) -> Trajectory:
+    """Hold three starts against the exact motion: they neither hop nor sink."""
+    scene = load_scene("ballscroll")
+    batch = draw_batch(scene, range(3), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)
+    assert motion.failures == (None,) * 3
+    assert error.max() < 1e-3
+    assert np.abs(motion.position[..., 2] - R).max() < 1e-5
+    return motion
+
+
+def balldrop_followed(rollout: Rollout, starts: int, *, noise: bool, apex: float) -> Trajectory:
+    """Hold starts against the exact motion, and the height of the first rebound to `apex` of it."""
+    scene = load_scene("balldrop")
+    batch = draw_batch(scene, range(starts), noise=noise)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    error = np.linalg.norm(motion.position - exact.position, axis=-1)[..., 0]
+    height = exact.position[..., 0, 2]
+    assert motion.failures == (None,) * starts
+    for row in range(starts):
+        climbs = np.diff(exact.velocity[row, :, 0, 2]) > 0.5
+        first, second, third, *_ = (np.flatnonzero(climbs) + 1).tolist()
+        assert error[row, :first].max() < 1e-10
+        assert error[row, first:third].max() < 2e-2
+        rebound, expected = (
+            values[row, first:second].max() - 5 * R
+            for values in (motion.position[..., 0, 2], height)
+        )
+        assert rebound == pytest.approx(expected, rel=apex)
+    return motion
+
+
+def cubli_followed(rollout: Rollout, *, frames: int | None, place: float, turn: float) -> None:
+    """Hold three flights against the exact motion, up to the first impact."""
+    scene = load_scene("simplecubli")
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(3))
+    batch = batch.truncated(frames or batch.steps)
+    exact, motion = reference.solve(scene, batch, cache=False), rollout(scene, batch)
+
+    assert motion.failures == (None,) * 3
+    for row, hit in enumerate(exact.failures):
+        assert hit is not None
+        until = slice(0, hit.frame)
+        places, expected = (
+            mechanism.particle_positions(one.position[row, until], one.orientation[row, until])
+            for one in (motion, exact)
+        )
+        assert np.abs(places - expected).max() < place
+        turned = rotation.multiply(
+            rotation.conjugate(exact.orientation[row, until]), motion.orientation[row, until]
+        )
+        assert np.abs(rotation.to_vector(turned)).max() < turn
+
+
+def cubli_loses_energy(rollout: Rollout, starts: int, *, depth: float, rise: float) -> None:
+    """Without flywheel torques; the energy is compared where no corner touches."""
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, range(starts), noise=False, inputs=False)
+    motion = rollout(scene, batch)
+    gap = gaps(scene, motion).min(axis=-1)
+
+    assert motion.failures == (None,) * starts
+    assert gap.min() > -depth * scene.length
+    for row in range(starts):
+        energy = energy_of(Record(scene, batch, motion)).total[row, gap[row] > 0]
+        assert np.max(energy - np.minimum.accumulate(energy)) < rise * energy[0]
+        assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
