@@ -32,6 +32,9 @@ _REFINABLE = 4
 # What would need shorter steps is too dear for a preset: 20 000 a frame of 20 ms [s].
 _SHORTEST = 1e-6
 
+_MOST_STEPS = 10**9
+"""In a frame: engines count them in 32 bits, and this many take hours."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -46,11 +49,11 @@ class Settings:
     def substeps(self, frame: float) -> int:
         """Steps in a frame; raise InputError where the step does not divide it."""
         number = isinstance(self.step, SupportsFloat) and math.isfinite(self.step)
-        count = round(frame / self.step) if number and self.step > 0 else 0
+        count = round(frame / self.step) if number and self.step > frame / _MOST_STEPS else 0
         if count < 1 or abs(count * self.step - frame) > 1e-9 * frame:
             msg = (
                 f"step: got {self.step!r} s, allowed is the frame interval {frame} s divided by a "
-                "whole number"
+                f"whole number below {_MOST_STEPS:.0e}"
             )
             raise InputError(msg)
         return count
