@@ -24,6 +24,7 @@ def main() -> None:
     ends = (signal.SIGTERM,) if ignored else (signal.SIGTERM, signal.SIGINT)
     for number in ends:
         signal.signal(number, _end_at_once)
+    os.environ.pop("MPLBACKEND", None)  # pictures go into files, and a name of none ends the import
     import_module("mbds_xsim.commands")
     for number in ends:
         signal.signal(number, signal.default_int_handler)

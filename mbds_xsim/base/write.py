@@ -47,6 +47,9 @@ def read_result(path: Path, most: int = -1) -> bytes:
 
 def check_writable(path: Path, option: str) -> None:
     """Raise InputError, before long work, where `write_whole` would fail after it."""
+    if str(path) == "-":
+        msg = f"{option}: got -, but standard output is for --json alone; name a file"
+        raise InputError(msg)
     if path.is_dir():
         msg = f"{option}: cannot write {path}: it is a folder; name a file"
         raise InputError(msg)

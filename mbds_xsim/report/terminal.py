@@ -29,6 +29,8 @@ _PIPED = 160
 """Columns where nobody says how many there are."""
 _WIDE = 104
 """Columns of a terminal from which on whole tables fit."""
+_LEAST = 80
+"""Columns that a table takes at least: no figure is cut where a narrow terminal folds lines."""
 _SHORT = 32
 """Longest text of a column that is never folded."""
 SIGNS = {"pass": "✓", "warn": "!", "fail": "✗", "over": "✗"}
@@ -46,7 +48,7 @@ class Outlet(Console):
 
     def __init__(self, *, stderr: bool) -> None:
         super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False)
-        if not self.is_terminal and "COLUMNS" not in os.environ:
+        if self.width < 1 or (not self.is_terminal and "COLUMNS" not in os.environ):
             self.width = _PIPED  # a file has no edge to cut tables at
 
     def render(
@@ -119,7 +121,9 @@ def _print_table(table: Table, console: Console) -> None:
             cells[0] = Words("")
         above = row.cells[0].text
         grid.add_row(*cells, style=_STYLES[row.mark])
+    width, console.width = console.width, max(console.width, _LEAST)
     console.print(grid)
+    console.width = width
     _left_out(len(table.rows), table.most, "rows", console)
     for row in table.rows:
         if row.reasons:

@@ -142,3 +142,12 @@ def test_one_form_at_a_time(run: CommandLine) -> None:
 
     assert (ended.code, ended.out) == (2, "")
     assert "choose one of --toml, --native and --json" in ended.err
+
+
+def test_pictures_need_no_display_whatever_the_environment_says(
+    program: Callable[..., Any], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "of-another-program")
+    ended = program("show", "2pendulum", "--png", "a.png")
+    assert (ended.code, ended.err) == (0, "")
+    assert (here / "a.png").read_bytes().startswith(b"\x89PNG")

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from mbds_xsim.measure.result import Validation
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.report.terminal import print_report
+from mbds_xsim.report.terminal import Outlet, print_report
 from mbds_xsim.studies.validate.present import present
 from mbds_xsim.studies.validate.words import COLUMNS
 
@@ -28,6 +28,21 @@ def test_nothing_is_cut_off(case: Case, width: int) -> None:
 
     assert "…" not in text
     assert max(len(line) for line in text.splitlines()) <= width
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "20", "60"])
+def test_no_figure_is_cut_off_where_columns_are_few(
+    case: Case, columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    console = Outlet(stderr=False)
+    with console.capture() as capture:
+        print_report(present(case.validation), console)
+
+    wanted, shown = printed(case.validation, 80).splitlines(), capture.get().splitlines()
+    row = wanted[1 + next(k for k, line in enumerate(wanted) if "──" in line)]
+    assert row.split() in [line.split() for line in shown] or columns == "0"
+    assert capture.get().strip()
 
 
 def test_the_method_is_left_out_where_space_is_short(case: Case) -> None:
