@@ -185,7 +185,8 @@ def audit(
     Raises:
         InputError: The file, or what is told of it, cannot be used.
     """
-    from mbds_xsim.dataset.audit import Provenance, audit_file
+    from mbds_xsim.dataset.audit import audit_file
+    from mbds_xsim.dataset.foreign import Provenance
     from mbds_xsim.dataset.read import parse_numbers
 
     told = Provenance(

@@ -45,7 +45,8 @@ def audit(
     opened: shared.Opened = False,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
-    from mbds_xsim.dataset.audit import Provenance, audit_file
+    from mbds_xsim.dataset.audit import audit_file
+    from mbds_xsim.dataset.foreign import Provenance
     from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit.present import present

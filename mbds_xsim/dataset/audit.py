@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.checks import CHECKS, Finding, Record, audit
+from mbds_xsim.checks import Finding, Record, audited
 from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.overlap import penetration
-from mbds_xsim.dataset.foreign import Foreign, read_foreign
+from mbds_xsim.dataset.foreign import Foreign, Provenance, read_foreign
+from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.points import Points, recover
-from mbds_xsim.dataset.pooled import Pooled
 from mbds_xsim.measure.campaign import reference_of
-from mbds_xsim.measure.judge import error_findings
+from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -32,24 +33,15 @@ from mbds_xsim.simulate.claims import Method
 Array = NDArray[np.float64]
 
 _OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
-_MOVING = ("gap rate", "angle gap rate", "displacement")
-_SMOOTH = ("kinematics", "velocity lag", "energy", "momentum", "coefficients")
+_OF_VELOCITIES = (
+    "gap rate", "angle gap rate", "displacement", "kinematics", "velocity lag", "energy",
+    "momentum", "coefficients",
+)  # fmt: skip
+_OF_REFERENCE = ("error at 1 s", "error growth-weighted")
+_OF_CONTACT = tuple(CHECKS)[list(CHECKS).index("penetration") + 1 : -len(_OF_REFERENCE)]
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
 _SAME_START = 1e-12
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """What the user says; it goes before what the file says."""
-
-    index: tuple[int, ...] | None = None
-    seed: int | None = None
-    noise: bool | None = None
-    step_s: float | None = None
-    method_order: int | None = None
-    velocity_lag_s: float | None = None
-    contact_time_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,28 +81,60 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
     Raises:
         InputError: The file, or what is told of it, cannot be used.
     """
-    pooled, taken, not_checked = Pooled(), dict[str, None](), dict[str, str]()
+    found: dict[str, list[_Part]] = {}
+    taken, not_checked = dict[str, None](), dict[str, str]()
     first: _Case | None = None
     for foreign in read_foreign(path, scene):
         case = _Case.of(foreign, origin)
         first = first or case
-        pooled.add(case.batch, case.findings())
+        for finding in case.findings():
+            found.setdefault(finding.check, []).append(_Part.of(case.batch, finding))
         taken |= dict.fromkeys(case.taken)
         not_checked |= case.not_checked
     assert first is not None  # no trajectory is refused
-    start = _names_of(first, case) if case.named else "start: frame 0 of the file"
+    worst = [max(parts, key=lambda part: part.excess) for parts in found.values()]
+    reasons = tuple(line for part in worst for line in part.lines)
     return Audited(
         file=str(path),
         scene=foreign.scene.name,
-        verdict="fail" if pooled.reasons else "pass",
-        trajectories=foreign.total,
+        verdict="fail" if reasons else "pass",
+        trajectories=foreign.piece.total,
         steps=foreign.steps,
         frame_s=foreign.scene.clock.frame,
         given=tuple(foreign.arrays),
-        taken=(start, *taken),
-        findings=pooled.results,
-        reasons=pooled.reasons,
-        not_checked={name: why for name, why in not_checked.items() if name not in pooled.checks},
+        taken=(_start_taken(first, case), *taken),
+        findings=tuple(map(_pooled, worst, found.values())),
+        reasons=reasons,
+        not_checked={name: why for name, why in not_checked.items() if name not in found},
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What a check finds about some of the trajectories."""
+
+    excess: float
+    """Of the worst figure, less what the check cannot resolve."""
+    result: FindingResult
+    lines: list[str]
+    """Why it failed."""
+
+    @staticmethod
+    def of(batch: Batch, finding: Finding) -> _Part:
+        over = finding.figure[finding.worst] - finding.uncertainty[finding.worst]
+        excess = float(np.nan_to_num(over, nan=np.inf))
+        return _Part(excess, finding_result(batch, finding), failed_lines(batch, [finding]))
+
+
+def _pooled(worst: _Part, parts: list[_Part]) -> FindingResult:
+    """Give findings about some trajectories at a time as one about all of them."""
+    if len(parts) == 1:
+        return worst.result
+    return msgspec.structs.replace(
+        worst.result,
+        passed=all(part.result.passed for part in parts),
+        figures=tuple(figure for part in parts for figure in part.result.figures),
+        note="",  # told of some trajectories alone
     )
 
 
@@ -131,35 +155,36 @@ class _Case:
         """Settle starts and inputs."""
         origin = _completed(origin, foreign)
         taken: list[str] = []
-        index = _index(foreign, origin)
-        if index is None:
-            batch = _unnamed(foreign, taken)
-        else:
-            batch = _drawn(foreign, foreign.asked, index, origin)
-        return _Case(foreign, batch, index is not None, origin, taken, {})
+        named = origin.index is not None and origin.seed is not None
+        batch = _drawn(foreign, origin) if named else _unnamed(foreign, taken)
+        return _Case(foreign, batch, named, origin, taken, {})
 
-    @property
-    def states(self) -> dict[str, Array | None]:
-        """States of the bodies, as far as the file has them."""
-        return {key: self.foreign.arrays.get(f"body/{key}") for key in STATES}
+    @functools.cached_property
+    def points(self) -> Points:
+        """The scene's points."""
+        return Points.of(self.foreign.scene)
+
+    def rounding(self, *names: str) -> float:
+        """By how much numbers of some arrays may be rounded, those that are there."""
+        return max(self.foreign.piece.rounding.get(name, 0.0) for name in names)
 
     def findings(self) -> list[Finding]:
         """Run every check that the file allows."""
         arrays, found = self.foreign.arrays, list[Finding]()
         points = arrays.get("position")
         if "body/position" in arrays:
-            blur = {key: self.foreign.rounding.get(f"body/{key}", 0.0) for key in STATES}
-            found += self._of_bodies(self.states, max(blur.values()), blur["orientation"])
+            states = {key: arrays.get(f"body/{key}") for key in STATES}
+            blur = self.rounding(*(f"body/{key}" for key in STATES))
+            found += self._of_bodies(states, blur, self.rounding("body/orientation"))
             if points is not None:
-                found.append(self._points(points))
+                found.append(self._carried(points))
         elif points is not None:
             found += self._of_points(points, arrays.get("velocity"))
         if self.named:
             found += [*self._inputs(), *self._errors()]
         else:
             reason = "no --index and --seed: which start it is is not told"
-            for name in ("start", "error at 1 s", "error growth-weighted"):
-                self.not_checked[name] = reason
+            self.not_checked |= dict.fromkeys(("start", *_OF_REFERENCE), reason)
         return found
 
     def _of_bodies(
@@ -171,19 +196,12 @@ class _Case:
         against the start, which the points are.
         """
         method, step = self._method()
-        moving = states["velocity"] is not None
-        filled = self._trajectory(states)
-        if moving:
-            found = audit(
-                self.foreign.scene,
-                self.batch,
-                filled,
-                method,
-                step=step,
-                contact_time=self.origin.contact_time_s,
-            )
+        spread = self.origin.contact_time_s
+        trajectory = self._trajectory(states)
+        record = Record(self.foreign.scene, self.batch, trajectory, method, step, spread)
+        if states["velocity"] is not None:
+            found = audited(record)
         else:
-            record = Record(self.foreign.scene, self.batch, filled, method, step)
             maybe = [check(record) for check in _OF_POSITIONS]
             found = [finding for finding in maybe if finding is not None]
             self._leave_out("no velocities")
@@ -232,26 +250,22 @@ class _Case:
             return []
         drawn = self._trajectory({})
         parts = np.full((*position.shape[:2], 1), np.nan)
-        pairs = zip((position, velocity), Points.of(self.foreign.scene).motion(drawn), strict=True)
+        pairs = zip((position, velocity), self.points.motion(drawn), strict=True)
         off = [np.abs(got[:, 0] - own[:, 0]) for got, own in pairs if got is not None]
         parts[:, 0, 0] = np.stack([each.max(axis=(1, 2)) for each in off]).max(axis=0)
-        rounding = self.foreign.rounding
-        coarse = max(rounding["position"], rounding.get("velocity", 0.0))
-        return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=np.float64(coarse))]
+        coarse = self.rounding("position", "velocity")
+        return [Finding.of("start", "1", parts, budget=_SAME_START, uncertainty=coarse)]
 
-    def _points(self, position: Array) -> Finding:
+    def _carried(self, position: Array) -> Finding:
         """Hold particles against the bodies that carry them."""
-        points = Points.of(self.foreign.scene)
-        wanted, _ = points.motion(self._trajectory(self.states))
-        off = np.linalg.norm(position - wanted, axis=-1)
+        off = np.linalg.norm(position - self._positions(), axis=-1)
         scene = self.foreign.scene
-        names = tuple(scene.bodies[body].name for body in points.body)
+        names = tuple(scene.bodies[body].name for body in self.points.body)
         return Finding.of("particles", "m", off, budget=scene.budget.gap, names=names)
 
     def _leave_out(self, reason: str, *more: str) -> None:
-        touching = tuple(name for name in _CONTACT_CHECKS if self.foreign.scene.contacts)
-        for name in (*more, *_MOVING, *_SMOOTH, *touching):
-            self.not_checked[name] = reason
+        touching = _OF_CONTACT if self.foreign.scene.contacts else ()
+        self.not_checked |= dict.fromkeys((*more, *_OF_VELOCITIES, *touching), reason)
 
     def _method(self) -> tuple[Method | None, float | None]:
         """What is known of how it was made."""
@@ -275,27 +289,23 @@ class _Case:
             drawn = getattr(self.batch, key)
             off = np.abs(given - drawn).reshape(*given.shape[:2], -1).max(axis=2)
             scale = max(1.0, float(np.abs(drawn).max()))
-            rounding = self.foreign.rounding[f"input/{key}"] / scale
-            last = np.zeros((len(off), 1))
-            parts = np.concatenate([off / scale, last], axis=1)[:, :, None]
-            found.append(
-                Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=np.float64(rounding))
-            )
+            rounding = self.rounding(f"input/{key}") / scale
+            parts = np.pad(off / scale, ((0, 0), (0, 1)))[:, :, None]
+            found.append(Finding.of(key, "1", parts, budget=_SAME_INPUT, uncertainty=rounding))
         return found
 
     def _errors(self) -> list[Finding]:
         """Hold some of the trajectories against the reference, by their points."""
-        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))
+        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.piece.first)))
         if not rows:
             return []
         scene, batch = self.foreign.scene, self.batch[rows]
-        points = Points.of(scene)
         solved = reference_of(scene, batch, cache=True)
-        if self.foreign.total > _MOST_COMPARED:
+        if self.foreign.piece.total > _MOST_COMPARED:
             self.taken.append(
                 f"reference: compared with the first {_MOST_COMPARED} trajectories only"
             )
-        apart = self._positions()[rows] - points.motion(solved.trajectory)[0]
+        apart = self._positions()[rows] - self.points.motion(solved.trajectory)[0]
         error = np.sqrt(np.mean(np.sum(apart**2, axis=-1), axis=-1))
         found = error_findings(scene, batch, error, solved.trajectory, solved.growth)
         if all(finding.check != "error at 1 s" for finding in found):
@@ -309,12 +319,8 @@ class _Case:
         arrays = self.foreign.arrays
         if "body/position" not in arrays:
             return arrays["position"]
-        return Points.of(self.foreign.scene).motion(self._trajectory(self.states))[0]
-
-
-_CONTACT_CHECKS = tuple(
-    check.__name__.replace("_", " ") for check in CHECKS[CHECKS.index(penetration) + 1 :]
-)
+        states = {key: arrays.get(f"body/{key}") for key in STATES}
+        return self.points.motion(self._trajectory(states))[0]
 
 
 def _positional(scene: Scene) -> list[str]:
@@ -330,42 +336,34 @@ def _positional(scene: Scene) -> list[str]:
 
 
 def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
-    """Add what the file says where the user says nothing."""
-    said = {
-        field.name: foreign.facts.get(field.name)
-        for field in dataclasses.fields(origin)
-        if getattr(origin, field.name) is None
-    }
-    if origin.index is not None and origin.seed is None and said["seed"] is None:
-        said["seed"] = 0
-    return dataclasses.replace(origin, **said)
+    """Add what the file says where the user says nothing; of numbers those of its trajectories."""
+    first, total = foreign.piece.first, foreign.piece.total
+    said = {key: value for key, value in vars(origin).items() if value is not None}
+    if origin.index is not None:
+        if len(origin.index) != total:
+            msg = (
+                f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
+                f"{total}, one a trajectory"
+            )
+            raise InputError(msg)
+        said["index"] = origin.index[first : first + foreign.count]
+    default = {} if origin.index is None else {"seed": 0}
+    return Provenance(**(default | foreign.said | said))
 
 
-def _index(foreign: Foreign, origin: Provenance) -> list[int] | None:
-    """Numbers of the starts, where they are named: by the user, or with a seed by the file."""
-    if origin.index is None:
-        named = foreign.index is not None and origin.seed is not None
-        return foreign.index.tolist() if named and foreign.index is not None else None
-    if len(origin.index) != foreign.total:
-        msg = (
-            f"--index: got {len(origin.index)} numbers, allowed for {foreign.source} are "
-            f"{foreign.total}, one a trajectory"
-        )
-        raise InputError(msg)
-    return list(origin.index[foreign.first : foreign.first + foreign.count])
-
-
-def _names_of(first: _Case, last: _Case) -> str:
+def _start_taken(first: _Case, last: _Case) -> str:
     """Say which starts they are, from the first trajectory to the last."""
+    if not last.named:
+        return "start: frame 0 of the file"
     origin, ends = first.origin, (int(first.batch.index[0]), int(last.batch.index[-1]))
     noise = "with" if origin.noise is not False else "without"
-    numbers = f"{ends[0]}" if first.foreign.total == 1 else f"{ends[0]} … {ends[1]}"
+    numbers = f"{ends[0]}" if first.foreign.piece.total == 1 else f"{ends[0]} … {ends[1]}"
     return f"start and inputs: those of seed {origin.seed}, index {numbers}, {noise} noise"
 
 
-def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], origin: Provenance) -> Batch:
+def _drawn(foreign: Foreign, origin: Provenance) -> Batch:
     """Draw the starts; the file may have fewer frames, but the same ones."""
-    clock, own = scene.clock, foreign.scene.clock
+    clock, own = foreign.asked.clock, foreign.scene.clock
     if own.frame != clock.frame or own.steps > clock.steps:
         msg = (
             f"{foreign.source}: got {own.steps} steps of {own.frame:.6g} s, allowed for a start "
@@ -373,7 +371,8 @@ def _drawn(foreign: Foreign, scene: Scene, index: Sequence[int], origin: Provena
             "inputs are held; leave --index away, or record at the scene's frames"
         )
         raise InputError(msg)
-    batch = draw_batch(scene, index, seed=origin.seed or 0, noise=origin.noise is not False)
+    noise, index = origin.noise is not False, origin.index or ()
+    batch = draw_batch(foreign.asked, index, seed=origin.seed or 0, noise=noise)
     return batch.truncated(own.steps)
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from mbds_xsim.base.safe_text import in_markdown, sentence
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.hdf5 import open_hdf5
-from mbds_xsim.dataset.join import JOINT, causes
-from mbds_xsim.dataset.layout import FIELDS, FORMAT, SPLITS, SUFFIX, VERSION
+from mbds_xsim.dataset.join import causes
+from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION, variant_files
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -71,8 +71,7 @@ def descriptions(folder: Path) -> dict[str, bytes]:
     Raises:
         InputError: The data cannot be read.
     """
-    files = (path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT)
-    sets = [load_dataset(path) for path in files]
+    sets = [load_dataset(path) for path in variant_files(folder)]
     joint = folder / JOINT
     return {CARD: _card(sets, joint).encode(), CROISSANT: _croissant(sets, joint)}
 
@@ -175,17 +174,11 @@ def _each(sets: Sequence[Dataset], key: str) -> str:
 
 def _row(data: Dataset) -> str:
     attrs = in_markdown(data.attributes)
-    cells = (
-        f"`{data.path.name}`",
-        f"{attrs['engine']} {attrs['engine_version']}",
-        attrs["method"],
-        f"{attrs['step_s']:.6g}",
-        attrs["certification"],
-        attrs["count"],
-        attrs["published"],
-        attrs["rejected"],
+    return (
+        f"| `{data.path.name}` | {attrs['engine']} {attrs['engine_version']} | {attrs['method']} "
+        f"| {attrs['step_s']:.6g} | {attrs['certification']} | {attrs['count']} "
+        f"| {attrs['published']} | {attrs['rejected']} |\n"
     )
-    return f"| {' | '.join(map(str, cells))} |\n"
 
 
 def _rejections(data: Dataset) -> str:
@@ -237,44 +230,37 @@ def _croissant(sets: Sequence[Dataset], joint: Path) -> bytes:
 def _distribution(sets: Sequence[Dataset], joint: Path) -> Iterator[dict[str, Any]]:
     """The joined files, and the shards that they read from."""
     for path in (*(data.path for data in sets), joint):
-        yield {
-            "@type": "cr:FileObject",
-            "@id": path.name,
-            "name": path.name,
-            "contentUrl": path.name,
-            "contentSize": f"{path.stat().st_size} B",
-            "encodingFormat": _HDF5,
-            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        }
+        yield _node(
+            "FileObject",
+            path.name,
+            contentUrl=path.name,
+            contentSize=f"{path.stat().st_size} B",
+            encodingFormat=_HDF5,
+            sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        )
     for data in sets:
         folder = data.path.stem
-        yield {
-            "@type": "cr:FileSet",
-            "@id": f"{folder}-shards",
-            "name": f"{folder}-shards",
-            "description": f"the trajectories of {data.path.name}, which has their checksums",
-            "encodingFormat": _HDF5,
-            "includes": f"{folder}/*.h5",
-        }
+        yield _node(
+            "FileSet",
+            f"{folder}-shards",
+            description=f"the trajectories of {data.path.name}, which has their checksums",
+            encodingFormat=_HDF5,
+            includes=f"{folder}/*.h5",
+        )
 
 
 def _records(name: str, rows: Sequence[dict[str, str | int]]) -> dict[str, Any]:
     """Put a table into the metadata itself."""
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{name}/{key}",
-                "name": f"{name}/{key}",
-                "dataType": _TYPES[type(value)],
-            }
-            for key, value in rows[0].items()
-        ],
-        "data": [{f"{name}/{key}": value for key, value in row.items()} for row in rows],
-    }
+    fields = [
+        _node("Field", f"{name}/{key}", dataType=_TYPES[type(value)])
+        for key, value in rows[0].items()
+    ]
+    data = [{f"{name}/{key}": value for key, value in row.items()} for row in rows]
+    return _node("RecordSet", name, field=fields, data=data)
+
+
+def _node(kind: str, name: str, **more: Any) -> dict[str, Any]:
+    return {"@type": f"cr:{kind}", "@id": name, "name": name, **more}
 
 
 def _arrays() -> list[dict[str, str | int]]:

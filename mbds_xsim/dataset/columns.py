@@ -1,8 +1,9 @@
-"""A trajectory with a column for each of its numbers, as in CSV files."""
+"""A trajectory as a table: a line a frame, a column for each of its numbers, as in CSV files."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -12,15 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.points import Points
+from mbds_xsim.base.safe_text import on_a_line
+from mbds_xsim.dataset.layout import FIELDS
+from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
 TIME = "time"
-PER_STEP = ("input/force", "input/torque")
-"""Arrays of which a row acts from its frame to the next; that of the last frame means nothing."""
 _COMMENT = "#"
+_FORMS = {
+    "position": "p{}_{}",
+    "velocity": "p{}_v{}",
+    "body/position": "b{}_{}",
+    "body/orientation": "b{}_q{}",
+    "body/velocity": "b{}_v{}",
+    "body/angular_velocity": "b{}_w{}",
+    "input/force": "b{}_f{}",
+    "input/torque": "h{}_t",
+}
+"""Names of the columns of an array, of the number of a point, body or hinge and its component."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +42,7 @@ class Group:
     name: str
     """Of the array, as in `docs/dataset-layout.md`."""
     columns: NDArray[np.str_]
-    """In the shape of a frame of the array, (point or body or hinge, component)."""
+    """In the shape of a frame of the array: (point or body, component), or (hinge,)."""
 
     @property
     def span(self) -> str:
@@ -39,26 +51,21 @@ class Group:
         return f"{names[0]} … {names[-1]}" if len(names) > 1 else str(names[0])
 
 
+_TIME = Group(TIME, np.array(TIME))
+
+
 def groups(scene: Scene) -> list[Group]:
     """Give the columns that a scene's trajectory may have; those without numbers are left out."""
-    points = Points.of(scene)
-    axes = ["xyz"[k] for k in points.axes]
-    bodies, hinges = len(scene.bodies), len(points.mechanism.hinges)
-    table = (
-        ("position", "p{}_{}", len(points.body), axes),
-        ("velocity", "p{}_v{}", len(points.body), axes),
-        ("body/position", "b{}_{}", bodies, "xyz"),
-        ("body/orientation", "b{}_q{}", bodies, "wxyz"),
-        ("body/velocity", "b{}_v{}", bodies, "xyz"),
-        ("body/angular_velocity", "b{}_w{}", bodies, "xyz"),
-        ("input/force", "b{}_f{}", bodies, "xyz"),
-        ("input/torque", "h{}_t{}", hinges, [""]),
-    )
-    return [
-        Group(name, np.array([[form.format(k, c) for c in components] for k in range(count)]))
-        for name, form, count, components in table
-        if count
-    ]
+    sizes = axis_sizes(scene)
+    letters = {"xyz": "xyz", "wxyz": "wxyz", "axis": ["xyz"[k] for k in Points.of(scene).axes]}
+    found = []
+    for name, form in _FORMS.items():
+        shape = [sizes[axis] for axis in FIELDS[name].axes[2:]]
+        components = letters.get(FIELDS[name].axes[-1], [""])
+        columns = [form.format(k, c) for k in range(shape[0]) for c in components]
+        if columns:
+            found.append(Group(name, np.reshape(columns, shape)))
+    return found
 
 
 def _sort_columns(scene: Scene, got: list[str], source: str) -> list[Group]:
@@ -89,6 +96,8 @@ def read_csv(
 ) -> tuple[dict[str, NDArray[Any]], dict[str, float], dict[str, str]]:
     """Read rows of columns, and before them facts, as `# seed: 0`.
 
+    A row of inputs acts from its frame to the next: that of the last frame means nothing.
+
     Returns:
         Arrays, by how much the numbers of each may be rounded, and facts.
 
@@ -108,35 +117,21 @@ def read_csv(
         )
         raise InputError(msg)
     names = [name.strip() for name in rows[0]]
-    given = _sort_columns(scene, names, str(path))
-    per_step = {
-        str(name) for group in given if group.name in PER_STEP for name in group.columns.ravel()
-    }
-    values = {
-        name: _column(rows[1:], k, name, path, name in per_step) for k, name in enumerate(names)
-    }
-    arrays: dict[str, NDArray[Any]] = {TIME: values[TIME][0]}
-    rounding = {TIME: values[TIME][1]}
-    for group in given:
-        columns = [values[name] for name in group.columns.ravel().tolist()]
-        series = np.stack([numbers for numbers, _ in columns], axis=-1)
-        series = series.reshape(len(series), *group.columns.shape)
-        arrays[group.name] = series[:-1] if group.name in PER_STEP else series
-        rounding[group.name] = max(off for _, off in columns)
-    if "input/torque" in arrays:
-        arrays["input/torque"] = arrays["input/torque"][..., 0]
+    arrays, rounding = dict[str, NDArray[Any]](), dict[str, float]()
+    for group in (_TIME, *_sort_columns(scene, names, str(path))):
+        frames = rows[1:-1] if FIELDS[group.name].per_step else rows[1:]
+        read = [_column(frames, names.index(name), name, path) for name in group.columns.flat]
+        values = np.stack([numbers for numbers, _ in read], axis=-1)
+        arrays[group.name] = values.reshape(len(frames), *group.columns.shape)
+        rounding[group.name] = max(off for _, off in read)
     if "index" in facts:
         arrays["index"] = np.array([facts["index"]])
     return arrays, rounding, facts
 
 
-def _column(
-    rows: list[list[str]], place: int, name: str, path: Path, per_step: bool
-) -> tuple[Array, float]:
+def _column(rows: list[list[str]], place: int, name: str, path: Path) -> tuple[Array, float]:
     """Give the numbers of a column, and half a unit of the last digit that is written."""
     texts = [row[place].strip() if place < len(row) else "" for row in rows]
-    if per_step:
-        texts[-1] = "0"
     decimals = []
     for frame, text in enumerate(texts):
         try:
@@ -160,3 +155,21 @@ def rounding_of(values: NDArray[Any]) -> float:
     if values.dtype.kind != "f":
         return 0.0
     return float(np.finfo(values.dtype).eps / 2 * np.abs(values).max(initial=0.0))
+
+
+def csv_of(scene: Scene, arrays: Mapping[str, NDArray[Any]], facts: Mapping[str, Any]) -> bytes:
+    """Write what `read_csv` reads, with the shortest texts that read back as the same numbers."""
+    there = [_TIME, *(group for group in groups(scene) if group.name in arrays)]
+    lines = [f"{_COMMENT} {key}: {on_a_line(str(value))}" for key, value in facts.items()]
+    lines.append(",".join(str(name) for group in there for name in group.columns.flat))
+    return ("\n".join([*lines, *_lines(there, arrays)]) + "\n").encode()
+
+
+def _lines(there: list[Group], arrays: Mapping[str, NDArray[Any]]) -> Iterator[str]:
+    """Put columns side by side; inputs have nothing in the last frame."""
+    parts = [
+        arrays[group.name].astype(str).reshape(-1, group.columns.size).tolist() for group in there
+    ]
+    for frame in range(len(parts[0])):
+        cells = (part[frame] if frame < len(part) else [""] * len(part[0]) for part in parts)
+        yield ",".join(text for part in cells for text in part)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
-from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED
-from mbds_xsim.dataset.shard import LOG, make_shard, rejected_folder
+from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
+from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.measure.campaign import ProgressSink
 from mbds_xsim.measure.quick import searched
@@ -136,24 +136,15 @@ def estimate(
 ) -> Estimate:
     """Extrapolate what was measured: shards and trajectories cost what they cost, each alike."""
     shards = math.ceil(trajectories / variant.shard_size)
-    hours = size = None
-    if isinstance(answer, ShardCost):
-        audits = math.ceil(trajectories / AUDIT_EVERY)
-        seconds = shards * answer.shard_s + trajectories * answer.trajectory_s + audits * audit_s
-        hours = seconds / _HOUR
-        size = shards * answer.shard_bytes
-        size += trajectories * (answer.trajectory_bytes + _JOINED_BYTES)
-    return Estimate(
-        variant=variant.name,
-        method=variant.method.name,
-        step_s=variant.contender.settings.step,
-        measured=answer if isinstance(answer, ShardCost) else None,
-        failure=answer.reason if isinstance(answer, Crash) else "",
-        shards=shards,
-        core_hours=hours,
-        wall_hours=None if hours is None else hours / min(workers, shards),
-        bytes=size,
-    )
+    about = variant.name, variant.method.name, variant.contender.settings.step
+    if isinstance(answer, Crash):
+        return Estimate(*about, None, answer.reason, shards, None, None, None)
+    audits = math.ceil(trajectories / AUDIT_EVERY)
+    seconds = shards * answer.shard_s + trajectories * answer.trajectory_s + audits * audit_s
+    hours = seconds / _HOUR
+    size = shards * answer.shard_bytes
+    size += trajectories * (answer.trajectory_bytes + _JOINED_BYTES)
+    return Estimate(*about, answer, "", shards, hours, hours / min(workers, shards), size)
 
 
 def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
@@ -162,22 +153,20 @@ def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
     None of them is of the audit sample, which is measured by itself.
     """
     with tempfile.TemporaryDirectory() as folder:
-        first = AUDITED
-        _make(variant, Item(first, 1), Path(folder, "cold"))
-        one = _make(variant, Item(first, 1), Path(folder, "one"))
-        runs = [
-            _make(variant, Item(first + k * sample, sample), Path(folder, f"many{k}"))
-            for k in range(2)
-        ]
-        seconds = [float(run["seconds"]) for run in runs]
-        mean = float(np.mean(seconds))
-        each = max(mean - one["seconds"], 0.0) / max(sample - 1, 1)
+        out, first = Path(folder), AUDITED
+        _make(Item(variant, first, 1), out / "cold")
+        one = _make(Item(variant, first, 1), out / "one")
+        items = [Item(variant, first + k * sample, sample) for k in range(2)]
+        runs = [_make(item, out / f"many{item.first}") for item in items]
+        seconds, sizes = ([float(run[key]) for run in runs] for key in ("seconds", "bytes"))
+        mean, more = float(np.mean(seconds)), max(sample - 1, 1)
+        each = max(mean - one["seconds"], 0.0) / more
         each = min(each or mean / sample, mean / sample)
         alone = max(mean - sample * each, 0.0)
-        added = (float(np.mean([run["bytes"] for run in runs])) - one["bytes"]) / max(sample - 1, 1)
+        added = (float(np.mean(sizes)) - one["bytes"]) / more
         audit_s = None
         if audit:
-            audited = _make(variant, Item(0, AUDITED), Path(folder, "audit"))
+            audited = _make(Item(variant, 0, AUDITED), out / "audit")
             audit_s = max(audited["seconds"] - alone - AUDITED * each, 0.0)
     total = sum(run[stage] for run in runs for stage in STAGES) or 1.0
     return ShardCost(
@@ -193,12 +182,13 @@ def measure(variant: Variant, sample: int, audit: bool) -> ShardCost:
     )
 
 
-def _make(variant: Variant, item: Item, out: Path) -> dict[str, Any]:
+def _make(item: Item, out: Path) -> dict[str, Any]:
     """Make a shard and tell its processor time, its bytes, and what its log says."""
     begin = time.process_time()
-    make_shard(variant, item, out)
+    make_shard(item, out)
     seconds = time.process_time() - begin
-    folders = (variant.folder(out), rejected_folder(variant, out))
-    size = sum(file.stat().st_size for folder in folders for file in folder.glob("*.h5"))
-    facts: dict[str, Any] = json.loads((variant.folder(out) / LOG).read_text("utf-8"))
+    folder = item.path(out).parent
+    files = [*folder.glob("*.h5"), *rejected_folder(folder).glob("*.h5")]
+    size = sum(file.stat().st_size for file in files)
+    facts: dict[str, Any] = json.loads((folder / LOG).read_text("utf-8"))
     return {**facts, "seconds": seconds, "bytes": size}

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.safe_text import in_markdown, on_a_line
-from mbds_xsim.dataset.columns import TIME, groups
+from mbds_xsim.base.safe_text import in_markdown
+from mbds_xsim.dataset.columns import TIME, csv_of, groups
 from mbds_xsim.dataset.files import put
-from mbds_xsim.dataset.layout import FIELDS, SPLITS
+from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.measure.campaign import ProgressSink
@@ -177,39 +177,19 @@ def _npz(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tupl
 def _csv(data: Dataset, part: Dataset, rows: NDArray[np.int64]) -> Iterator[tuple[str, bytes]]:
     """A file a trajectory: facts, names of columns, a row a frame."""
     splits = _splits(data)
-    there = [group for group in groups(part.scene) if group.name in part]
-    names = [TIME, *(str(name) for group in there for name in group.columns.ravel())]
-    facts = {key: part.attributes[key] for key in _FACTS}
     for row in rows.tolist():
         number = int(part.index[row])
-        own: dict[str, Any] = {"index": number, **facts}
+        facts: dict[str, Any] = {"index": number, **{key: part.attributes[key] for key in _FACTS}}
         if splits:
-            own["split"] = SPLITS[splits[number]]
-        columns = [_texts(part.time)]
-        columns += [_texts(part[group.name][row]) for group in there]
-        lines = [f"# {key}: {on_a_line(str(value))}" for key, value in own.items()]
-        lines += [",".join(names), *_lines(columns, len(part.time))]
-        yield _csv_name(number), ("\n".join(lines) + "\n").encode()
+            facts["split"] = SPLITS[splits[number]]
+        arrays = {name: part[name][row] for name in MOTION if name in part}
+        yield _csv_name(number), csv_of(part.scene, {TIME: part.time, **arrays}, facts)
 
 
 def _splits(data: Dataset) -> Mapping[int, int]:
     if "split" not in data.small:
         return {}
     return dict(zip(data.index.tolist(), data.small["split"].tolist(), strict=True))
-
-
-def _texts(values: NDArray[Any]) -> list[list[str]]:
-    """Shortest texts that read back as the same numbers, a list a frame."""
-    flat = values.reshape(len(values), -1)
-    texts: list[list[str]] = flat.astype(str).tolist()
-    return texts
-
-
-def _lines(columns: list[list[list[str]]], frames: int) -> Iterator[str]:
-    """Put columns side by side; inputs have nothing in the last frame."""
-    for frame in range(frames):
-        cells = (part[frame] if frame < len(part) else [""] * len(part[0]) for part in columns)
-        yield ",".join(text for part in cells for text in part)
 
 
 _WRITERS = {"npz": _npz, "csv": _csv}

@@ -14,7 +14,7 @@ from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.files import locked, tidied
 from mbds_xsim.dataset.join import VariantCount, join
-from mbds_xsim.dataset.shard import rejected_folder
+from mbds_xsim.dataset.layout import rejected_folder
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.dataset.work import Carrier, ShardProgress, make, watched
 from mbds_xsim.measure.quick import searched
@@ -78,24 +78,23 @@ def generate(
     with locked(request.out):
         for variant in variants:
             check_same_draws(variant, request.out)
-        todo = [
-            (variant, item)
-            for variant in variants
-            for item in pending(variant, request.trajectories, request.out)
-        ]
-        missing = sum(item.count for _, item in todo)
+        todo = {
+            variant: pending(variant, request.trajectories, request.out) for variant in variants
+        }
+        missing = sum(item.count for items in todo.values() for item in items)
         total = request.trajectories * len(variants)
-        for variant in dict.fromkeys(variant for variant, _ in todo):
-            for line in _forewarnings(variant, todo, workers):
+        for items in filter(None, todo.values()):
+            for line in _forewarnings(items, workers):
                 progress.notice(line)
         progress.begin(total, total - missing)
         folders = [variant.folder(out) for variant in variants]
         written = {folder.parent for folder in folders}.union(
-            folders, (rejected_folder(variant, out) for variant in variants)
+            folders, map(rejected_folder, folders)
         )
         with tidied(written), watched(folders, progress):
             processes = core_count() if workers is None else workers
-            failures = make(todo, out, workers=processes, carry_out=carry_out)
+            every = [item for items in todo.values() for item in items]
+            failures = make(every, out, workers=processes, carry_out=carry_out)
         failed = {f"{v.scene.name} {v.name}": reason for v, reason in failures.items()}
         whole = [variant for variant in variants if variant not in failures]
         if not whole:
@@ -138,11 +137,9 @@ class _Found:
         self._progress.advance(1, 0)
 
 
-def _forewarnings(
-    variant: Variant, todo: list[tuple[Variant, Item]], workers: int | None
-) -> list[str]:
+def _forewarnings(items: list[Item], workers: int | None) -> list[str]:
     """Announce what will take minutes, from a few steps of the engine."""
-    count = sum(item.count for one, item in todo if one is variant)
+    count, variant = sum(item.count for item in items), items[0].variant
     scene, contender = variant.scene, variant.contender
     steps = count * scene.clock.duration / contender.settings.step
     work = Work(contender.name, contender.engine, contender.settings, steps)

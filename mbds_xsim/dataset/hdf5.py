@@ -1,4 +1,6 @@
-"""Data files as HDF5: read with suspicion, written in memory, with checksums of what they mean.
+"""Data files as HDF5: read with suspicion, held against the layout, written in memory.
+
+Checksums are of what a file means.
 
 Whatever is wrong with a file is said in one line that names it. The bytes of a file that is written
 follow from its content alone: no times, no paths, and a fixed file format. The library never writes
@@ -10,18 +12,25 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.layout import FIELDS, Field
+from mbds_xsim.dataset.layout import ATTRIBUTES, FIELDS, FORMAT, SHARED, VERSION, Field, attribute
+from mbds_xsim.dataset.points import axis_sizes
+from mbds_xsim.scene.scene import Scene
 
+_JOINT = (*SHARED, "kind", "count")
+_OPTIONAL = ("input/known_force",)
 _SMALL = 2**26  # bytes that any file may unpack to
 _DENSEST = 100  # times that what is larger may be packed; motions come to 5 at most
 
@@ -139,7 +148,87 @@ def _brief(error: Exception) -> str:
     return cause.removesuffix(")") if bracket else whole
 
 
-Datasets = Mapping[str, NDArray[Any]]
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Attributes of a data file.
+
+    Raises:
+        InputError: It is no data file, of a newer layout, or an attribute is missing or wrong.
+    """
+    with open_hdf5(path) as file:
+        found = plain(file.attrs)
+    if not _is(found.get("format"), FORMAT):
+        msg = f"{path} is HDF5, but no {FORMAT} file: its attribute 'format' does not say so"
+        raise InputError(msg)
+    if not isinstance(found.get("layout_version"), int) or found["layout_version"] > VERSION:
+        msg = (
+            f"{path} has layout version {found.get('layout_version')}, this program reads up to "
+            f"{VERSION}; install a newer mbds-xsim"
+        )
+        raise InputError(msg)
+    wanted = [key for key in ATTRIBUTES if key in _JOINT or not _is(found.get("kind"), "joint")]
+    line = f"{path}: attribute ", "; get the file again"
+    return found | {key: attribute(key, found, *line) for key in wanted}
+
+
+def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene:
+    """Read the scene that a file has as text.
+
+    Raises:
+        InputError: It is none.
+    """
+    try:
+        return msgspec.convert(tomllib.loads(text), Scene)
+    # The last are what the parser has for text that is none, numbers and brackets without end.
+    except (msgspec.ValidationError, TypeError, ValueError, RecursionError) as error:
+        msg = f"{path}: its attribute scene is no scene: {error}; {advice}"
+        raise InputError(msg) from error
+
+
+def check_fit(file: Any, path: Path, kind: str, scene: Scene | None) -> None:
+    """Raise InputError where the datasets are not those of the layout and the scene."""
+    wrong = next(misfits(file, kind, scene), None)
+    if wrong is not None:
+        msg = f"{path}: {wrong}; get it again, or generate it anew"
+        raise InputError(msg)
+
+
+def misfits(file: Any, kind: str, scene: Scene | None) -> Iterator[str]:
+    """Say of each dataset that is not as the layout has it what is wrong with it.
+
+    Args:
+        file: An open data file.
+        kind: Of the file.
+        scene: Decides the lengths of axes; None where the file has no trajectories.
+    """
+    sizes = {"two": 2} if scene is None else axis_sizes(scene)
+    for field in FIELDS.values():
+        if kind not in field.kinds:
+            continue
+        dataset = file.get(field.name)
+        if isinstance(dataset, h5py.Dataset) and dataset.shape is not None:
+            yield from _misfit(field, dataset, sizes)
+        elif dataset is not None or field.name not in _OPTIONAL:
+            yield f"layout: dataset {field.name} is missing"
+
+
+def _misfit(field: Field, dataset: Any, sizes: dict[str, int]) -> Iterator[str]:
+    """Compare one; an axis that nothing has decided yet is as long as its first dataset's."""
+    for axis, size in zip(field.axes, dataset.shape, strict=False):
+        sizes.setdefault(axis, size)
+    wanted = tuple(sizes.get(axis, 0) for axis in field.axes)
+    if dataset.shape != wanted:
+        yield f"layout: {field.name} has the shape {dataset.shape}, not {wanted}"
+    is_text = h5py.check_string_dtype(dataset.dtype) is not None
+    if is_text != (field.dtype == "text") or not (
+        is_text or dataset.dtype == np.dtype(field.dtype)
+    ):
+        yield f"layout: {field.name} has the type {dataset.dtype}, not {field.dtype}"
+
+
+def _is(got: Any, wanted: str) -> bool:
+    return isinstance(got, str) and got == wanted
+
+
 Attributes = Mapping[str, Any]
 
 CONTENT = "content_sha256"
@@ -150,68 +239,80 @@ _ALIGNMENT = 64  # of datasets in a file, so that they can be mapped as arrays
 _GROWTH = 2**22  # bytes by which a file in memory grows
 
 
+@dataclass(frozen=True)
+class Virtual:
+    """A dataset that takes its rows, one after the other, from its namesakes in other files."""
+
+    like: NDArray[Any]
+    """An array of its type and shape, but for the number of rows."""
+    rows: Sequence[tuple[str, int]]
+    """Names of the files, from the folder of this one, and how many rows each has."""
+
+
+Datasets = Mapping[str, NDArray[Any] | Virtual]
+
+
 def encode(datasets: Datasets, attributes: Attributes) -> bytes:
-    """Give the bytes of the file."""
-    with NewFile() as new:
+    """Give the bytes of a file, with what the layout says of each dataset, and checksums."""
+    said: dict[str, dict[str, Any]] = {}
+    with h5py.File(
+        "new",
+        "w",
+        driver="core",
+        backing_store=False,
+        block_size=_GROWTH,
+        libver=("v110", "v110"),
+        alignment_threshold=_ALIGNMENT,
+        alignment_interval=_ALIGNMENT,
+    ) as file:
         for name in sorted(datasets):
-            new.put(FIELDS[name], datasets[name])
-        return new.finished(attributes)
+            field, values = FIELDS[name], datasets[name]
+            put = _put_virtual if isinstance(values, Virtual) else _put
+            about = {"axes": ", ".join(field.axes), "unit": field.unit, "meaning": field.meaning}
+            said[name] = about | put(file, field, values)
+            _put_attributes(file[name], said[name])
+        content = _digest({**said, "": attributes})
+        _put_attributes(file, {**attributes, CONTENT: content})
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
-class NewFile:
-    """An HDF5 file in memory that is being written."""
+def _put(file: Any, field: Field, values: Any) -> dict[str, Any]:
+    """Write a dataset; give its checksum, and what was rounded."""
+    more: dict[str, Any] = {}
+    if field.dtype == "text":
+        encoded = [str(text).encode() for text in values]
+        kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
+        stored: NDArray[Any] = np.array(encoded, dtype=kind)
+    else:
+        kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
+    if field.dtype == "<f4":
+        more["rounding"] = "to the nearest float32 of the float64 value"
+        more["largest_rounding"] = _largest(stored - values)
+    file.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
+    return {**more, SUM: _sum(stored)}
 
-    def __init__(self) -> None:
-        self.hdf5 = h5py.File(
-            "new",
-            "w",
-            driver="core",
-            backing_store=False,
-            block_size=_GROWTH,
-            libver=("v110", "v110"),
-            alignment_threshold=_ALIGNMENT,
-            alignment_interval=_ALIGNMENT,
-        )
-        self._said: dict[str, dict[str, Any]] = {}
 
-    def __enter__(self) -> NewFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.hdf5.close()
-
-    def put(self, field: Field, values: NDArray[Any]) -> None:
-        """Write a dataset, say what it is, and put its checksum."""
-        more: dict[str, Any] = {}
-        if field.dtype == "text":
-            encoded = [str(text).encode() for text in values]
-            kind = h5py.string_dtype("utf-8", max([1, *map(len, encoded)]))
-            stored: NDArray[Any] = np.array(encoded, dtype=kind)
-        else:
-            kind, stored = np.dtype(field.dtype), np.ascontiguousarray(values, dtype=field.dtype)
-        if field.dtype == "<f4":
-            more["rounding"] = "to the nearest float32 of the float64 value"
-            more["largest_rounding"] = _largest(stored - values)
-        self.hdf5.create_dataset(field.name, data=stored, dtype=kind, track_times=False)
-        self.describe(field, {**more, SUM: _sum(stored)})
-
-    def describe(self, field: Field, more: Attributes) -> None:
-        """Say on a dataset what it is."""
-        attributes = {
-            "axes": ", ".join(field.axes),
-            "unit": field.unit,
-            "meaning": field.meaning,
-            **more,
-        }
-        self._said[field.name] = plain(attributes)
-        _put_attributes(self.hdf5[field.name], attributes)
-
-    def finished(self, attributes: Attributes) -> bytes:
-        """Put the attributes of the file and its checksum; give its bytes."""
-        content = _digest({**self._said, "": plain(attributes)})
-        _put_attributes(self.hdf5, {**attributes, CONTENT: content})
-        self.hdf5.flush()
-        return bytes(self.hdf5.id.get_file_image())
+def _put_virtual(file: Any, field: Field, values: Any) -> dict[str, Any]:
+    """Write where the rows of a dataset are; where a file is missing it has no numbers."""
+    inner, dtype = values.like.shape[1:], values.like.dtype
+    space = h5py.h5s.create_simple((sum(count for _, count in values.rows), *inner))
+    # Low level, because `create_virtual_dataset` puts the time of the day into the file.
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_obj_track_times(False)
+    fill = {"f": np.nan, "u": 255, "i": -1}[dtype.kind]
+    creation.set_fill_value(np.array([fill], dtype=dtype))
+    name, first = field.name.encode(), 0
+    for path, count in values.rows:
+        if count:
+            space.select_hyperslab((first,) + (0,) * len(inner), (count, *inner))
+            source = h5py.h5s.create_simple((count, *inner))
+            creation.set_virtual(space, path.encode(), name, source)
+        first += count
+    space.select_all()
+    file.require_group(field.name.rpartition("/")[0] or "/")
+    h5py.h5d.create(file.id, name, h5py.h5t.py_create(dtype), space, dcpl=creation)
+    return {}
 
 
 def _largest(values: NDArray[Any]) -> float:
@@ -256,15 +357,15 @@ def check_content(path: Path, names: Collection[str] | None = None) -> str | Non
 
 
 def _content_of(file: Any) -> str:
-    found = {name: plain(dataset.attrs) for name, dataset in datasets_in(file).items()}
-    found[""] = plain(file.attrs)
-    found[""].pop(CONTENT, None)
-    return _digest(found)
+    found = {name: dataset.attrs for name, dataset in datasets_in(file).items()}
+    own = {key: value for key, value in file.attrs.items() if key != CONTENT}
+    return _digest({**found, "": own})
 
 
 def _digest(attributes: Mapping[str, Attributes]) -> str:
     """Checksum of the attributes of all datasets, their checksums among them, and of the file."""
-    return hashlib.sha256(json.dumps(attributes, sort_keys=True, default=repr).encode()).hexdigest()
+    texts = {name: plain(each) for name, each in attributes.items()}
+    return hashlib.sha256(json.dumps(texts, sort_keys=True, default=repr).encode()).hexdigest()
 
 
 def _sum(values: NDArray[Any]) -> str:

@@ -6,16 +6,35 @@ trajectory, and any window of frames of it, is one run of bytes that can be mapp
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from mbds_xsim.base.errors import InputError
+
+SUFFIX = ".h5"
+JOINT = f"joint{SUFFIX}"
+"""Name of the file that says which trajectories are valid in all variants of a scene."""
+
+
+def variant_files(folder: Path) -> list[Path]:
+    """Joined files of the variants of a scene."""
+    return [path for path in sorted(folder.glob(f"*{SUFFIX}")) if path.name != JOINT]
+
+
+def rejected_folder(folder: Path) -> Path:
+    """Where the trajectories are that do not pass, beside the folder of the shards of a variant."""
+    return folder.parents[1] / "rejected" / folder.parent.name / folder.name
+
 
 FORMAT = "mbds-xsim data"
 VERSION = 1
 """Of the layout. A reader refuses what is newer; a new optional dataset does not raise it."""
-SUFFIX = ".h5"
 
 
 @dataclass(frozen=True)
@@ -36,6 +55,11 @@ class Field:
     def per_trajectory(self) -> bool:
         """Whether the first axis counts trajectories, so that shards are joined along it."""
         return self.axes[0] == "trajectory"
+
+    @property
+    def per_step(self) -> bool:
+        """Whether it has values for the steps between frames, which are one fewer."""
+        return "step" in self.axes
 
 
 _WHOLE = ("trajectory", "frame")
@@ -118,8 +142,25 @@ _FIELDS = (
 FIELDS = {field.name: field for field in _FIELDS}
 """Datasets by name, in the order of the layout."""
 
+MOTION = tuple(
+    field.name
+    for field in _FIELDS
+    if field.axes[1:2] in (("frame",), ("step",)) and field.name != "input/known_force"
+)
+"""Datasets that hold motions and what drives them."""
+
 Kind = Literal["text", "truth", "natural", "number", "positive"]
 """Of an attribute."""
+
+_LARGEST = float(np.finfo(np.float64).max)
+_KINDS: dict[Kind, tuple[str, Any]] = {
+    "text": ("text", str),
+    "truth": ("true or false", bool),
+    "natural": ("a whole number from 0", Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]),
+    "number": ("a finite number", Annotated[float, msgspec.Meta(ge=-_LARGEST, le=_LARGEST)]),
+    "positive": ("a positive number", Annotated[float, msgspec.Meta(gt=0, le=_LARGEST)]),
+}
+"""What is allowed of each, in words and as a type."""
 
 ATTRIBUTES: dict[str, Kind] = {
     "kind": "text",
@@ -150,6 +191,30 @@ ATTRIBUTES: dict[str, Kind] = {
     "mbds_xsim_version": "text",
 }
 """Attributes of a file beside its format, layout and checksum."""
+
+
+def attribute(
+    key: str, given: Mapping[str, Any], where: str, advice: str = "", *, strict: bool = True
+) -> Any:
+    """Give one of the attributes, or of a trajectory's numbers "index", in its type.
+
+    Args:
+        key: Of the attribute.
+        given: What there is.
+        where: What the line begins with if it is wrong.
+        advice: What it ends with.
+        strict: Whether it must have its type; else a text or a number of another type may say it.
+
+    Raises:
+        InputError: There is none, or it is another than allowed.
+    """
+    words, kind = _KINDS[ATTRIBUTES.get(key, "natural")]
+    try:
+        return msgspec.convert(given.get(key), kind, strict=strict)
+    except msgspec.ValidationError:
+        got = repr(given[key])[:60] if key in given else "none"
+        raise InputError(f"{where}{key}: got {got}, allowed is {words}{advice}") from None
+
 
 SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
 """Attributes that are alike in all variants of a scene in one folder."""

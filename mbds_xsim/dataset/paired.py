@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
-from mbds_xsim.dataset.series import Series
+from mbds_xsim.dataset.series import PairedSeries, Series
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES
 
@@ -22,48 +22,6 @@ Numbers = NDArray[np.int64]
 
 STARTS = tuple(f"start/{name}" for name in STATES)
 _SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PairedSeries:
-    """A dataset of trajectories in several engines, shape (trajectory, engine, …).
-
-    It is indexed as an array, by trajectories first; only these are read.
-    """
-
-    members: tuple[Series, ...]
-    rows: tuple[Numbers, ...]
-    """Of each engine: the row of each trajectory."""
-
-    def __repr__(self) -> str:
-        return f"<{self.members[0].name}: {self.dtype} of shape {self.shape}>"
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the whole."""
-        return (len(self), len(self.members), *self.members[0].shape[1:])
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the values."""
-        return self.members[0].dtype
-
-    def __len__(self) -> int:
-        return len(self.rows[0])
-
-    def __getitem__(self, key: Any) -> NDArray[Any]:
-        """Give what an array of the whole would give."""
-        trajectories, *rest = key if isinstance(key, tuple) and key else (key,)
-        chosen = np.arange(len(self))[trajectories]
-        pairs = zip(self.members, self.rows, strict=True)
-        taken = np.stack([one[rows[np.atleast_1d(chosen)]] for one, rows in pairs], axis=1)
-        if chosen.ndim == 0:
-            return np.asarray(taken[(0, *rest)])
-        own = slice(None) if isinstance(trajectories, slice) or not rest else np.arange(len(taken))
-        return np.asarray(taken[(own, *rest)])
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        return (self[k] for k in range(len(self)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +65,7 @@ class PairedData:
         values = [one[name] for one in self.files.values()]
         series = tuple(value for value in values if isinstance(value, Series))
         if series:
-            return PairedSeries(series, self.rows)
+            return PairedSeries.of(series, self.rows)
         per_trajectory = FIELDS[name].per_trajectory
         whole = np.asarray(values[0])
         return whole[self.rows[0]] if per_trajectory else whole

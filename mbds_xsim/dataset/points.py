@@ -61,6 +61,24 @@ class Points:
         }
 
 
+def axis_sizes(scene: Scene) -> dict[str, int]:
+    """Lengths of the axes of the layout that the scene decides."""
+    points = Points.of(scene)
+    return {
+        "frame": scene.clock.steps + 1,
+        "step": scene.clock.steps,
+        "body": len(scene.bodies),
+        "point": len(points.body),
+        "axis": len(points.axes),
+        "hinge": len(points.mechanism.hinges),
+        "edge": len(scene.edges),
+        "static": len(scene.anchors),
+        "xyz": 3,
+        "wxyz": 4,
+        "two": 2,
+    }
+
+
 _COINCIDENT = 1e-9  # of the scene's length
 
 
@@ -83,18 +101,6 @@ class Recovered:
     """Bodies whose orientation, about a line at least, the points do not tell."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What is known of a body: own points, and joints that sit on another body's point."""
-
-    offset: Array
-    """From its centre of mass in the native frame [m], shape (known, 3)."""
-    source: NDArray[np.int64]
-    """Number of the point; −1: fixed in W."""
-    place: Array
-    """Of those fixed in W [m], shape (known, 3)."""
-
-
 def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
     """Fit rigid bodies to points by least squares (Kabsch), and twists to their velocities.
 
@@ -112,30 +118,18 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
     speed = None if velocity is None else _lifted(points, velocity, np.zeros((len(points.body), 3)))
     fixed = np.zeros((0, 3)) if scene.dimension == 3 else np.array([[0.0, 1.0, 0.0]])
     fits = [_fit(_known(points, body), fixed, place, speed) for body in range(len(scene.bodies))]
-
-    def stacked(key: str) -> Array:
-        return np.stack([getattr(fit, key) for fit in fits], axis=2)
-
-    moving = speed is not None
-    pairs = zip(scene.bodies, fits, strict=True)
+    *arrays, determined = zip(*fits, strict=True)
+    position, native, drift, rate, residual = (np.stack(each, axis=2) for each in arrays)
     return Recovered(
-        position=stacked("position"),
-        orientation=mechanism.body_orientation(stacked("native")),
-        velocity=stacked("velocity") if moving else None,
-        angular_velocity=stacked("rate") if moving else None,
-        residual=stacked("residual"),
-        undetermined=tuple(body.name for body, fit in pairs if not fit.determined),
+        position=position,
+        orientation=mechanism.body_orientation(native),
+        velocity=None if velocity is None else drift,
+        angular_velocity=None if velocity is None else rate,
+        residual=residual,
+        undetermined=tuple(
+            body.name for body, sure in zip(scene.bodies, determined, strict=True) if not sure
+        ),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    position: Array
-    native: Array
-    velocity: Array
-    rate: Array
-    residual: Array
-    determined: bool
 
 
 def _lifted(points: Points, values: Array, rest: Array) -> Array:
@@ -143,6 +137,12 @@ def _lifted(points: Points, values: Array, rest: Array) -> Array:
     whole = np.broadcast_to(rest, (*values.shape[:-1], 3)).copy()
     whole[..., points.axes] = values
     return whole
+
+
+_Known = tuple[Array, NDArray[np.int64], Array]
+"""Points whose place in a body is known, own ones and joints on another body's point: the offset
+from its centre of mass in the native frame [m], shape (known, 3); the number of the point, −1 where
+it is fixed in W; the place of those [m], shape (known, 3)."""
 
 
 def _known(points: Points, body: int) -> _Known:
@@ -162,9 +162,7 @@ def _known(points: Points, body: int) -> _Known:
             offset.append(here)
             source.append(found)
             place.append(there)
-    return _Known(
-        np.array(offset).reshape(-1, 3), np.array(source, dtype=int), np.reshape(place, (-1, 3))
-    )
+    return np.reshape(offset, (-1, 3)), np.array(source, dtype=int), np.reshape(place, (-1, 3))
 
 
 def _point_at(points: Points, mechanism: Mechanism, body: int, offset: Array) -> int | None:
@@ -173,11 +171,19 @@ def _point_at(points: Points, mechanism: Mechanism, body: int, offset: Array) ->
     return int(found[0]) if len(found) else None
 
 
-def _fit(known: _Known, fixed: Array, place: Array, speed: Array | None) -> _Fit:
-    """Fit one body; directions that stay fixed in it and in W are like points at no distance."""
-    given = np.where((known.source < 0)[:, None], known.place, place[..., known.source, :])
-    middle, centre = known.offset.mean(axis=0), given.mean(axis=-2)
-    arms = known.offset - middle
+def _fit(
+    known: _Known, fixed: Array, place: Array, speed: Array | None
+) -> tuple[Array, Array, Array, Array, Array, bool]:
+    """Fit one body; directions that stay fixed in it and in W are like points at no distance.
+
+    Returns:
+        Position, turn of the native frame, velocity, angular velocity, and residual; whether the
+        points determine them.
+    """
+    offset, source, held = known
+    given = np.where((source < 0)[:, None], held, place[..., source, :])
+    middle, centre = offset.mean(axis=0), given.mean(axis=-2)
+    arms = offset - middle
     reach = float(np.sqrt((arms**2).sum(axis=1).max(initial=0.0)))
     still = fixed * max(reach, 1e-12)
     spread = np.linalg.svd(np.concatenate([arms, still]), compute_uv=False)
@@ -186,14 +192,14 @@ def _fit(known: _Known, fixed: Array, place: Array, speed: Array | None) -> _Fit
     turn = _nearest_turn(np.einsum("...ki,kj->...ij", inside, arms) + still.T @ still)
     native = rotation.from_matrix(turn)
     position = centre - rotation.rotate(native, middle)
-    apart = given - position[..., None, :] - rotation.rotate(native[..., None, :], known.offset)
+    apart = given - position[..., None, :] - rotation.rotate(native[..., None, :], offset)
     residual = np.linalg.norm(apart, axis=-1).max(axis=-1)
     velocity = rate = np.zeros_like(position)
     if speed is not None:
-        moved = np.where((known.source < 0)[:, None], 0.0, speed[..., known.source, :])
+        moved = np.where((source < 0)[:, None], 0.0, speed[..., source, :])
         rate = _twist(inside, still, moved - moved.mean(axis=-2, keepdims=True))
         velocity = moved.mean(axis=-2) + rotation.cross(rate, position - centre)
-    return _Fit(position, native, velocity, rate, residual, determined)
+    return position, native, velocity, rate, residual, determined
 
 
 def _nearest_turn(covariance: Array) -> Array:

@@ -12,9 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.dataset.hdf5 import CONTENT, check_content, open_hdf5, values_of
+from mbds_xsim.dataset.hdf5 import (
+    CONTENT,
+    attributes_of,
+    check_content,
+    check_fit,
+    open_hdf5,
+    scene_of,
+    values_of,
+)
 from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX
-from mbds_xsim.dataset.proof import attributes_of, check_fit, scene_of
 from mbds_xsim.dataset.series import MappedFile, Series, Windows
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory

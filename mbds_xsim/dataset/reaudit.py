@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +15,10 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import EngineMissing, InputError, UnknownName
 from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows
-from mbds_xsim.dataset.hdf5 import open_hdf5
-from mbds_xsim.dataset.layout import CHECKS
-from mbds_xsim.dataset.points import Points
-from mbds_xsim.dataset.proof import attributes_of, misfits, scene_of
+from mbds_xsim.dataset.hdf5 import attributes_of, misfits, open_hdf5, scene_of
+from mbds_xsim.dataset.layout import CHECKS, MOTION
 from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.shard import derived
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import STATES, Trajectory
 from mbds_xsim.simulate.adapter import Settings
@@ -28,6 +28,7 @@ from mbds_xsim.simulate.timed import simulate
 
 _SAME_DRAW = 1e-12  # relative; what another processor's sine may differ by
 _SAME_FIGURE = 1e-6  # of the figure, or of what is allowed
+_SOURCES = {"interval": "index mod 3", "time": "that of the scene's frames"}
 _ROUNDED = 2.0**-23  # of float32, relative: the nearest of two neighbours
 _SAME_MOTION = 1e-6  # of a state's scale; rounding that chaos has amplified
 _SAME_AT_FIRST = 1e-10  # the same, up to the frame _EARLY
@@ -63,7 +64,7 @@ def reaudit(path: Path, report: FileReport, resimulated: int, seed: int) -> None
     if report.problems:
         return
     data = load_dataset(path)
-    for check in (_numbers, _draws, _orientations, _points, _checks):
+    for check in (_numbers, _derived, _orientations, _checks):
         report.problems += check(data)
     if report.kind == "shard" and min(resimulated, len(data)):
         _simulate_again(data, report, min(resimulated, len(data)), seed)
@@ -78,38 +79,45 @@ def _numbers(data: Dataset) -> Iterator[str]:
         index[0] < first or index[-1] >= first + count or (np.diff(index) < 1).any()
     ):
         yield f"index: not ascending from {first} to {first + count - 1}"
-    if not np.array_equal(data["interval"][:], index % 3):
-        yield "interval: not index mod 3"
     own = "published" if attrs["kind"] == "shard" else "rejected"
     if attrs[own] != len(index) or attrs["published"] + attrs["rejected"] != count:
         yield f"counts: {own} is {attrs[own]} with {len(index)} trajectories of {count} here"
     clock = data.scene.clock
     if (attrs["steps"], attrs["frame_s"]) != (clock.steps, clock.frame):
         yield "clock: steps and frame_s are not the scene's"
-    time = clock.frame * np.arange(clock.steps + 1)
-    if not np.allclose(data.time, time, rtol=1e-12, atol=0):
-        yield "time: not that of the scene's frames"
 
 
-def _draws(data: Dataset) -> Iterator[str]:
-    """Starts and inputs must be those of seed and index: so engines are paired."""
-    attrs, batch = data.attributes, data.batch()
-    drawn = draw_batch(
-        data.scene, data.index.tolist(), seed=attrs["seed"], noise=bool(attrs["noise"])
-    )
-    for key in drawn.__dataclass_fields__:
-        wanted, got = getattr(drawn, key), getattr(batch, key)
-        if len(data) and not _close(got, wanted, _SAME_DRAW):
+def _derived(data: Dataset) -> Iterator[str]:
+    """Whatever follows from the scene, from seed and index, and from the states of the bodies.
+
+    Starts and inputs must be those of seed and index: so engines are paired.
+    """
+    attrs, scene = data.attributes, data.scene
+    drawn = draw_batch(scene, data.index.tolist(), seed=attrs["seed"], noise=attrs["noise"])
+    frames = scene.clock.frame * np.arange(scene.clock.steps + 1, dtype=np.float64)
+    motion = dataclasses.replace(data.trajectory(), time=frames)
+    for name, wanted in derived(scene, drawn, motion, attrs["seed"]).items():
+        off = _off(data[name][:], wanted) if name in data else np.zeros(0, dtype=bool)
+        if not off.any():
+            continue
+        group, _, key = name.rpartition("/")
+        if group in ("start", "input"):
             yield f"pairing: {key} is not what seed {attrs['seed']} and index give"
-    if "input/known_force" in data and len(data):
-        known = draw_batch(data.scene, data.index.tolist(), seed=attrs["seed"], noise=False)
-        if not _close(data["input/known_force"][:], known.force, _SAME_DRAW):
-            yield "pairing: known_force is not what seed and index give"
+        elif name in MOTION:
+            row = np.argwhere(off)[0][0]
+            yield f"{name}: not that of the bodies, first of trajectory {data.index[row]}"
+        else:
+            yield f"{name}: not {_SOURCES.get(name, 'that of the scene')}"
 
 
-def _close(got: NDArray[np.float64], wanted: NDArray[np.float64], relative: float) -> bool:
-    scale = max(1.0, float(np.abs(wanted).max(initial=0.0)))
-    return bool((np.abs(got - wanted) <= relative * scale).all())
+def _off(got: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where values are others, but for rounding and what another processor's sine may do."""
+    if got.dtype.kind != "f":
+        return np.asarray(got != wanted)
+    near = _SAME_DRAW * max(1.0, float(np.abs(wanted).max(initial=0.0)))
+    allowed = _ROUNDED * np.abs(wanted) + 1e-14 if got.dtype == np.float32 else near
+    same = (got == wanted) | (np.abs(got - wanted) <= allowed)
+    return np.asarray(~(same | (np.isnan(got) & np.isnan(wanted))))
 
 
 def _orientations(data: Dataset) -> Iterator[str]:
@@ -123,22 +131,6 @@ def _orientations(data: Dataset) -> Iterator[str]:
             f"{data.index[row]}; what is learned from it would see a jump"
         )
         return
-
-
-def _points(data: Dataset) -> Iterator[str]:
-    """Positions and velocities of the particles follow from the bodies' states."""
-    points = Points.of(data.scene)
-    for name, wanted in zip(
-        ("position", "velocity"), points.motion(data.trajectory()), strict=True
-    ):
-        got = data[name][:]
-        off = np.abs(got - wanted) > _ROUNDED * np.abs(wanted) + 1e-14
-        if off.any() or not np.array_equal(np.isnan(got), np.isnan(wanted)):
-            row = int(np.flatnonzero((off | (np.isnan(got) != np.isnan(wanted))).any((1, 2, 3)))[0])
-            yield f"{name}: not that of the bodies, first of trajectory {data.index[row]}"
-    for name, values in points.graph().items():
-        if not np.array_equal(data[name][:], values):
-            yield f"{name}: not that of the scene"
 
 
 def _checks(data: Dataset) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import mmap
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,28 +111,35 @@ def _stamp(path: Path) -> Stamp:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Series:
-    """A dataset of trajectories, over all shards, mapped from the files' bytes.
+Indices = NDArray[np.int64]
 
-    It is indexed as an array: `series[3]`, `series[-1]`, `series[10:20, ::5]`, `series[[4, 2]]`,
-    `series[mask]`. One trajectory is mapped, and cannot be written to; several are read.
+
+class Rows(ABC):
+    """A dataset of trajectories that is indexed as an array, reading only the rows asked for.
+
+    As in `series[3]`, `series[-1]`, `series[10:20, ::5]`, `series[[4, 2]]`, `series[mask]`.
     """
 
-    parts: tuple[MappedFile, ...]
     name: str
     like: NDArray[Any]
     """An array of its type and shape without a trajectory."""
 
+    @abstractmethod
+    def __len__(self) -> int:
+        """Count trajectories."""
+
+    @abstractmethod
+    def _one(self, row: int) -> NDArray[Any]:
+        """Give one trajectory, by a row from 0 on."""
+
+    @abstractmethod
+    def _take(self, rows: Indices) -> NDArray[Any]:
+        """Read some trajectories, in the shape of their rows."""
+
     def __repr__(self) -> str:
         return f"<{self.name}: {self.dtype} of shape {self.shape}>"
 
-    @functools.cached_property
-    def first(self) -> NDArray[np.int64]:
-        """First row of each shard, then the number of rows."""
-        return np.concatenate([[0], np.cumsum([part.rows for part in self.parts])])
-
-    @functools.cached_property
+    @property
     def shape(self) -> tuple[int, ...]:
         """Of the whole."""
         return (len(self), *self.like.shape[1:])
@@ -146,14 +154,14 @@ class Series:
         """Type of the values."""
         return self.like.dtype
 
-    def __len__(self) -> int:
-        return int(self.first[-1])
-
     def __getitem__(self, key: Any) -> NDArray[Any]:
-        """Give what an array of the whole would give, reading only the trajectories asked for."""
+        """Give what an array of the whole would give."""
         rows, *rest = key if isinstance(key, tuple) and key else (key,)
         if isinstance(rows, int | np.integer) and not isinstance(rows, bool):
-            one = self._one(int(rows))
+            if not -len(self) <= rows < len(self):
+                msg = f"row {rows} of {len(self)}"
+                raise IndexError(msg)
+            one = self._one(int(rows) % len(self))
             return one[None][(0, *rest)] if rest else one
         chosen = np.arange(len(self))[rows] if isinstance(rows, slice | list | np.ndarray) else None
         if chosen is None or (rest and chosen.ndim != 1):
@@ -166,39 +174,83 @@ class Series:
         return taken[(own, *rest)]
 
     def __iter__(self) -> Iterator[NDArray[Any]]:
-        for shard in range(len(self.parts)):
-            yield from self.shard(shard)
+        return (self[row] for row in range(len(self)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Read the whole."""
         if copy is False:
             msg = f"{self.name}: an array of the whole is a copy of what is in the files"
             raise ValueError(msg)
-        whole = np.concatenate([self.shard(k) for k in range(len(self.parts))])
+        whole = self._take(np.arange(len(self)))
         return whole if dtype is None else whole.astype(dtype)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Series(Rows):
+    """A dataset of trajectories, over all shards, mapped from the files' bytes.
+
+    One trajectory is mapped, and cannot be written to; several are read.
+    """
+
+    parts: tuple[MappedFile, ...]
+    name: str
+    like: NDArray[Any]
+
+    @functools.cached_property
+    def first(self) -> Indices:
+        """First row of each shard, then the number of rows."""
+        return np.concatenate([[0], np.cumsum([part.rows for part in self.parts])])
+
+    def __len__(self) -> int:
+        return int(self.first[-1])
 
     def shard(self, k: int) -> NDArray[Any]:
         """Map one shard, shape (trajectory, frame, …); it cannot be written to."""
         return self.parts[k].values(self.name, self.like)
 
+    def shard_of(self, rows: Any) -> Any:
+        """Number of the shard of each row."""
+        return np.searchsorted(self.first, rows, side="right") - 1
+
     def _one(self, row: int) -> NDArray[Any]:
-        if not -len(self) <= row < len(self):
-            msg = f"row {row} of {len(self)}"
-            raise IndexError(msg)
-        row %= len(self)
-        shard = int(np.searchsorted(self.first, row, side="right")) - 1
+        shard = int(self.shard_of(row))
         return self.shard(shard)[row - self.first[shard]]
 
-    def _take(self, rows: NDArray[np.int64]) -> NDArray[Any]:
+    def _take(self, rows: Indices) -> NDArray[Any]:
         found = np.empty((*rows.shape, *self.like.shape[1:]), self.dtype)
-        shard = np.searchsorted(self.first, rows, side="right") - 1
+        shard = self.shard_of(rows)
         for k in np.unique(shard):
             here = shard == k
             found[here] = self.shard(int(k))[rows[here] - self.first[k]]
         return found
 
 
-Indices = NDArray[np.int64]
+@dataclass(frozen=True, eq=False, repr=False)
+class PairedSeries(Rows):
+    """A dataset of trajectories in several engines, shape (trajectory, engine, …)."""
+
+    name: str
+    like: NDArray[Any]
+    members: tuple[Series, ...]
+    rows: tuple[Indices, ...]
+    """Of each engine: the row of each trajectory."""
+
+    @staticmethod
+    def of(members: tuple[Series, ...], rows: tuple[Indices, ...]) -> PairedSeries:
+        """Put the same dataset of several engines side by side."""
+        one = members[0]
+        like = np.empty((0, len(members), *one.shape[1:]), one.dtype)
+        return PairedSeries(one.name, like, members, rows)
+
+    def __len__(self) -> int:
+        return len(self.rows[0])
+
+    def _one(self, row: int) -> NDArray[Any]:
+        return self._take(np.array([row]))[0]
+
+    def _take(self, rows: Indices) -> NDArray[Any]:
+        pairs = zip(self.members, self.rows, strict=True)
+        return np.stack([one[own[rows]] for one, own in pairs], axis=rows.ndim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +297,7 @@ class Windows:
             msg = f"window {wrong[0]} of {len(self)}"
             raise IndexError(msg)
         row, frame = self.where(numbers)
-        shard = np.searchsorted(self.series[0].first, row, side="right") - 1
+        shard = self.series[0].shard_of(row)
         return tuple(self._gather(series, shard, row, frame) for series in self.series)
 
     def __getitem__(self, number: int) -> tuple[NDArray[Any], ...]:

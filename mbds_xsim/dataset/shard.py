@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from mbds_xsim.base import isolate
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows, limit_faults
-from mbds_xsim.dataset.hdf5 import Datasets, encode
-from mbds_xsim.dataset.layout import CHECKS, FIELDS, sampled
+from mbds_xsim.dataset.hdf5 import encode
+from mbds_xsim.dataset.layout import CHECKS, FIELDS, rejected_folder, sampled
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.sampling_terms import Wind
+from mbds_xsim.scene.sampling_terms import INTERVALS, Wind
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Failure, Trajectory
 from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.timed import simulate
@@ -35,18 +36,17 @@ Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
 
 
-def make_shards(
-    variant: Variant, work: Sequence[tuple[Item, Crashes]], out: Path, claims: Path
-) -> None:
+def make_shards(work: Mapping[Item, Crashes], out: Path, claims: Path) -> None:
     """Make those of some shards that no other process has claimed, one after the other."""
-    for item, crashes in work:
-        if claim(claims, variant, item):
+    for item, crashes in work.items():
+        if claim(claims, item):
             isolate.begin()  # the limit is one shard's
-            make_shard(variant, item, out, crashes=crashes)
+            make_shard(item, out, crashes=crashes)
 
 
-def claim(claims: Path, variant: Variant, item: Item) -> bool:
+def claim(claims: Path, item: Item) -> bool:
     """Take a shard, unless another process was first: who makes the file, makes the shard."""
+    variant = item.variant
     name = f"{folder_name(variant.scene.name)} {variant.name} {item.first}"
     try:
         (claims / name).touch(exist_ok=False)
@@ -55,13 +55,13 @@ def claim(claims: Path, variant: Variant, item: Item) -> bool:
     return True
 
 
-def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | None = None) -> None:
+def make_shard(item: Item, out: Path, *, crashes: Crashes | None = None) -> None:
     """Make one shard; when its file is there it is complete.
 
     Raises:
         InputError: It cannot be written.
     """
-    watch = _Watch()
+    watch, variant = _Watch(), item.variant
     batch = draw_batch(variant.scene, item.indices, seed=variant.seed, noise=variant.noise)
     watch.lap("draw_s")
     trajectory, misbuilt = _simulated(variant, batch, crashes or {})
@@ -73,12 +73,14 @@ def make_shard(variant: Variant, item: Item, out: Path, *, crashes: Crashes | No
     counts = {"published": int(passed.sum()), "rejected": int((~passed).sum())}
     attributes = {**variant.recipe, "first": item.first, "count": item.count, **counts}
     datasets = _datasets(variant, batch, trajectory, verdict)
-    path = variant.folder(out) / item.file_name
+    path = item.path(out)
     if not passed.all():
         reasons = np.array([verdict.reason(int(row)) for row in np.flatnonzero(~passed)])
         rejected = {**_rows(datasets, ~passed), "reason": reasons}
-        aside = rejected_folder(variant, out) / item.file_name
-        put(aside, encode(rejected, {**attributes, "kind": "rejected"}))
+        put(
+            rejected_folder(path.parent) / item.file_name,
+            encode(rejected, {**attributes, "kind": "rejected"}),
+        )
     put(path, encode(_rows(datasets, passed), {**attributes, "kind": "shard"}))
     watch.lap("write_s")
     _log(path.parent, {"first": item.first, "count": item.count, **counts, **watch.laps})
@@ -88,11 +90,6 @@ def try_out(variant: Variant, indices: Sequence[int]) -> None:
     """Simulate some trajectories, to see whether they end the process."""
     batch = draw_batch(variant.scene, indices, seed=variant.seed, noise=variant.noise)
     simulate(variant.scene, batch, variant.contender.engine, variant.contender.settings)
-
-
-def rejected_folder(variant: Variant, out: Path) -> Path:
-    """Where what does not pass is kept."""
-    return out / "rejected" / variant.folder(out).relative_to(out)
 
 
 class _Watch:
@@ -152,34 +149,41 @@ def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> CheckTabl
 def _datasets(
     variant: Variant, batch: Batch, trajectory: Trajectory, verdict: CheckTable
 ) -> dict[str, NDArray[Any]]:
-    points = Points.of(variant.scene)
-    position, velocity = points.motion(trajectory)
-    found: dict[str, NDArray[Any]] = {
+    return {
+        **derived(variant.scene, batch, trajectory, variant.seed),
         "index": batch.index,
-        "interval": batch.index % 3,
-        "time": trajectory.time,
-        "position": position,
-        "velocity": velocity,
-        "input/force": batch.force,
-        "input/torque": batch.torque,
         "check/name": np.array(list(CHECKS)),
         "check/unit": np.array(list(CHECKS.values())),
         "check/figure": verdict.figure,
         "check/allowed": verdict.allowed,
         "check/frame": verdict.frame,
+        **{f"body/{key}": getattr(trajectory, key) for key in STATES},
+    }
+
+
+def derived(
+    scene: Scene, batch: Batch, trajectory: Trajectory, seed: int
+) -> dict[str, NDArray[Any]]:
+    """Give the datasets that follow from a scene, what was drawn, and the motion of its bodies."""
+    points = Points.of(scene)
+    position, velocity = points.motion(trajectory)
+    found = {
+        "interval": batch.index % len(INTERVALS),
+        "time": trajectory.time,
+        "position": position,
+        "velocity": velocity,
+        **{f"start/{key}": getattr(batch, key) for key in STATES},
+        "input/force": batch.force,
+        "input/torque": batch.torque,
         **points.graph(),
     }
-    for key in STATES:
-        found[f"body/{key}"] = getattr(trajectory, key)
-        found[f"start/{key}"] = getattr(batch, key)
-    scene = variant.scene
     if scene.forces or any(isinstance(term, Wind) for term in scene.sampling):
-        known = draw_batch(variant.scene, batch.index.tolist(), seed=variant.seed, noise=False)
+        known = draw_batch(scene, batch.index.tolist(), seed=seed, noise=False)
         found["input/known_force"] = known.force
     return found
 
 
-def _rows(datasets: Datasets, rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _rows(datasets: Mapping[str, NDArray[Any]], rows: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Some of the trajectories, with what belongs to all."""
     return {
         name: values[rows] if FIELDS[name].per_trajectory and not rows.all() else values

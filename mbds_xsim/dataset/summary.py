@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.dataset.join import cause_of, causes
-from mbds_xsim.dataset.layout import SPLITS
+from mbds_xsim.dataset.layout import ATTRIBUTES, SPLITS, rejected_folder
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.scene.sampling_terms import INTERVALS
 
@@ -87,12 +88,9 @@ def summary_of(data: Dataset) -> Summary:
     by = causes(rejected, names)
     if attrs["kind"] == "rejected":
         by = Counter(map(cause_of, data.small["reason"]))
-    same = (
-        "kind", "engine", "engine_version", "profile", "certification", "method", "step_s",
-        "options", "seed", "noise", "mbds_xsim_version", "numpy_version", "published", "rejected",
-        "dimension", "steps", "frame_s",
-    )  # fmt: skip
+    own = {field.name for field in dataclasses.fields(Summary)} - {"scene"}
     return Summary(
+        **{key: attrs[key] for key in own & ATTRIBUTES.keys()},
         file=str(data.path),
         scene=scene.name,
         description=scene.description,
@@ -104,7 +102,6 @@ def summary_of(data: Dataset) -> Summary:
         figures=tuple(_ranges(data)),
         shards=len(data.files),
         bytes=sum(file.stat().st_size for file in files),
-        **{key: attrs[key] for key in same},
     )
 
 
@@ -113,7 +110,7 @@ def rejected_beside(data: Dataset) -> Path:
     folder = data.path.absolute().with_suffix("")
     if data.attributes["kind"] != "joined":
         return folder
-    return folder.parents[1] / "rejected" / folder.parent.name / folder.name
+    return rejected_folder(folder)
 
 
 def counts_of(data: Dataset) -> dict[str, dict[str, int]]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
-from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Contender
@@ -23,24 +23,6 @@ _SHARD_BYTES = 2**25  # of motion; a worker holds some ten times as much
 _MOST = 300
 _BODY_BYTES = 13 * 8  # of a body in a frame
 _POINT_BYTES = 2 * 3 * 4
-
-
-@dataclass(frozen=True)
-class Item:
-    """One shard: trajectories first … first + count − 1."""
-
-    first: int
-    count: int
-
-    @property
-    def file_name(self) -> str:
-        """Name of the shard's file."""
-        return f"{self.first:010d}{SUFFIX}"
-
-    @property
-    def indices(self) -> range:
-        """Numbers of its trajectories."""
-        return range(self.first, self.first + self.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +92,34 @@ class Variant:
         """Shards of the trajectories 0 … trajectories − 1."""
         size = self.shard_size
         for first in range(0, trajectories, size):
-            yield Item(first, min(size, trajectories - first))
+            yield Item(self, first, min(size, trajectories - first))
 
     def folder(self, out: Path) -> Path:
         """Where its shards are."""
         return out / folder_name(self.scene.name) / self.name
+
+
+@dataclass(frozen=True)
+class Item:
+    """One shard of a variant: trajectories first … first + count − 1."""
+
+    variant: Variant
+    first: int
+    count: int
+
+    @property
+    def file_name(self) -> str:
+        """Name of the shard's file."""
+        return f"{self.first:010d}{SUFFIX}"
+
+    @property
+    def indices(self) -> range:
+        """Numbers of its trajectories."""
+        return range(self.first, self.first + self.count)
+
+    def path(self, out: Path) -> Path:
+        """Where its file is."""
+        return self.variant.folder(out) / self.file_name
 
 
 def folder_name(scene_name: str) -> str:
@@ -141,7 +146,7 @@ def pending(variant: Variant, trajectories: int, out: Path) -> list[Item]:
     return [
         item
         for item in items
-        if item.file_name not in there or not _is_complete(variant, item, folder)
+        if item.file_name not in there or not _is_complete(item, item.path(out))
     ]
 
 
@@ -160,11 +165,10 @@ def check_same_draws(variant: Variant, out: Path) -> None:
                 raise InputError(msg)
 
 
-def _is_complete(variant: Variant, item: Item, folder: Path) -> bool:
+def _is_complete(item: Item, path: Path) -> bool:
     """Whether a file is this shard; a shorter one, of a smaller set, is made anew."""
-    path = folder / item.file_name
     found = _attributes(path)
-    for key, wanted in variant.recipe.items():
+    for key, wanted in item.variant.recipe.items():
         if found.get(key) != wanted:
             msg = (
                 f"{path} was made otherwise: {_difference(key, found.get(key), wanted)}; name "

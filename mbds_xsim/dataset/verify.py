@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import secrets
 import time
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
@@ -17,10 +19,17 @@ from mbds_xsim.base.frame import frame_of
 from mbds_xsim.base.isolate import LIMIT, Crash, Task, run_tasks
 from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
-from mbds_xsim.dataset.hdf5 import CONTENT, check_content, open_hdf5, refuse_other, values_of
-from mbds_xsim.dataset.join import JOINT, valid_numbers
-from mbds_xsim.dataset.layout import FIELDS, SPLITS, SUFFIX, split_of
-from mbds_xsim.dataset.proof import attributes_of
+from mbds_xsim.dataset.hdf5 import (
+    CONTENT,
+    attributes_of,
+    check_content,
+    datasets_in,
+    open_hdf5,
+    refuse_other,
+    values_of,
+)
+from mbds_xsim.dataset.join import Shard, joined, joint_datasets
+from mbds_xsim.dataset.layout import SPLITS, SUFFIX, rejected_folder
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.measure.campaign import ProgressSink
@@ -194,20 +203,20 @@ def _recheck_joined(path: Path, report: FileReport) -> None:
     attributes = attributes_of(path)
     with open_hdf5(path) as file:
         index, split = file["index"][()], file["split"][()]
-        report.problems += [*_shards(path, file, attributes), *_virtual(file)]
-    if not np.array_equal(split, split_of(index, attributes["count"])):
-        report.problems.append("split: not the one of the index")
-    report.problems += _rejected(path, index, attributes["count"])
+        report.problems += _shards(path, file, attributes)
+        if not report.problems:
+            shards = [Shard(path.parent / name) for name in values_of(file["shard/file"])]
+            report.problems += _differences(file, joined(shards, attributes["count"], {}))
+    report.problems += _counts(path, index, attributes)
     counts = zip(SPLITS, np.bincount(split, minlength=len(SPLITS)), strict=True)
     report.notes.append(", ".join(f"{name} {count}" for name, count in counts))
     report.trajectories = len(index)
 
 
 def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
-    """Its shards must be there, be the ones that were joined, and make up its index."""
-    parts = []
-    names, rows = values_of(file["shard/file"]), file["shard/rows"][()]
-    for name, count, content in zip(names, rows, values_of(file["shard/content"]), strict=True):
+    """Its shards must be there, and be the ones that were joined."""
+    names = values_of(file["shard/file"])
+    for name, content in zip(names, values_of(file["shard/content"]), strict=True):
         part = path.parent / name
         if not part.is_file():
             yield f"shard {name} is missing"
@@ -218,21 +227,44 @@ def _shards(path: Path, file: Any, attributes: dict[str, Any]) -> Iterator[str]:
         differing = [k for k in attributes if k not in _OWN and other.get(k) != attributes[k]]
         if differing:
             yield f"shard {name} was made otherwise: {', '.join(differing)}"
-        with open_hdf5(part) as shard:
-            parts.append(shard["index"][()])
-        if len(parts[-1]) != count:
-            yield f"shard {name} has {len(parts[-1])} trajectories, not {count}"
-    index, drawn = file["index"][()], attributes["count"]
-    if not parts or not np.array_equal(np.concatenate(parts), index):
+    if not len(names):
         yield "index: not that of the shards"
-    published = attributes["published"]
+
+
+def _differences(file: Any, content: bytes) -> Iterator[str]:
+    """Say which datasets are not those of a file that joins the same shards."""
+    with h5py.File(io.BytesIO(content)) as wanted:
+        for name, dataset in datasets_in(wanted).items():
+            got = file.get(name)
+            if not isinstance(got, h5py.Dataset) or _form(got) != _form(dataset):
+                yield f"{name}: does not join the shards"
+            elif got.dtype != dataset.dtype:
+                yield f"{name}: has the type {got.dtype}, not {dataset.dtype}"
+            elif dataset.is_virtual and _sources(got) != _sources(dataset):
+                yield f"{name}: takes its rows from elsewhere than the shards"
+            elif not dataset.is_virtual and not np.array_equal(got[()], dataset[()]):
+                yield f"{name}: not that of the shards"
+
+
+def _form(dataset: Any) -> tuple[bool, tuple[int, ...]]:
+    return dataset.is_virtual, dataset.shape
+
+
+def _sources(dataset: Any) -> list[tuple[Any, ...]]:
+    """File, dataset, first and last place of each part that a virtual dataset is made of."""
+    parts = dataset.virtual_sources() if dataset.size else []
+    return [
+        (part.file_name, part.dset_name.strip("/"), *part.vspace.get_select_bounds())
+        for part in parts
+    ]
+
+
+def _counts(path: Path, index: Any, attributes: dict[str, Any]) -> Iterator[str]:
+    """What is published and what is rejected must make up what was drawn, each once."""
+    drawn, published = attributes["count"], attributes["published"]
     if published != len(index) or published + attributes["rejected"] != drawn:
         yield "counts: published and rejected do not make up count"
-
-
-def _rejected(path: Path, index: Any, drawn: int) -> Iterator[str]:
-    """What is published and what is rejected must make up what was drawn, each once."""
-    folder = path.parents[1] / "rejected" / path.parent.name / path.stem
+    folder = rejected_folder(path.absolute().with_suffix(""))
     if not folder.is_dir():
         return
     parts = [index]
@@ -243,61 +275,21 @@ def _rejected(path: Path, index: Any, drawn: int) -> Iterator[str]:
         yield f"published and rejected trajectories do not make up 0 to {drawn - 1}"
 
 
-def _virtual(file: Any) -> Iterator[str]:
-    """Every dataset must take its rows from the shards, in order."""
-    names, rows = values_of(file["shard/file"]), file["shard/rows"][()]
-    ends = np.cumsum(rows)
-    wanted = [
-        (name, int(end - count), int(end) - 1)
-        for name, count, end in zip(names, rows, ends, strict=True)
-        if count
-    ]
-    for field in FIELDS.values():
-        if not field.per_trajectory or field.name in ("index", "split") or field.name not in file:
-            continue
-        dataset = file[field.name]
-        if not dataset.is_virtual or len(dataset) != ends[-1]:
-            yield f"{field.name}: does not join the shards"
-        elif dataset.dtype != np.dtype(field.dtype):
-            yield f"{field.name}: has the type {dataset.dtype}, not {field.dtype}"
-        elif 0 not in dataset.shape and _sources(dataset) != wanted:
-            yield f"{field.name}: takes its rows from elsewhere than the shards"
-
-
-def _sources(dataset: Any) -> list[tuple[str, int, int]]:
-    """File, first and last row of each source; empty where one is not a whole dataset."""
-    sources = []
-    for source in dataset.virtual_sources():
-        low, high = source.vspace.get_select_bounds()
-        whole = (*low[1:], *high[1:]) == (
-            *(0,) * (dataset.ndim - 1),
-            *(n - 1 for n in dataset.shape[1:]),
-        )
-        if not whole or f"/{source.dset_name}".replace("//", "/") != dataset.name:
-            return []
-        sources.append((source.file_name, low[0], high[0]))
-    return sources
-
-
 def _recheck_joint(path: Path, report: FileReport) -> None:
     """Check which trajectories are said to be valid in all variants beside a file."""
+    wanted = joint_datasets(path.parent)
     with open_hdf5(path) as file:
-        valid, names = file["valid"][()], values_of(file["variant"]).tolist()
-        in_all = file["valid_in_all"][()]
-    beside = sorted(p for p in path.parent.glob(f"*{SUFFIX}") if p.name != JOINT)
-    there = [other.stem for other in beside]
-    if there != names:
-        what = f"is about {', '.join(names)}; beside it are {', '.join(there)}"
-        report.problems.append(what)
+        found = {name: values_of(file[name]) for name in wanted}
+    if found["variant"].tolist() != wanted["variant"].tolist():
+        about, beside = (", ".join(sets["variant"]) for sets in (found, wanted))
+        report.problems.append(f"is about {about}; beside it are {beside}")
     else:
         report.problems += [
-            f"valid: not what {other.name} holds"
-            for other, stored in zip(beside, valid, strict=True)
-            if not np.array_equal(valid_numbers(other)[: len(stored)], stored)
+            f"{name}: not what the data sets beside it give"
+            for name, values in wanted.items()
+            if not np.array_equal(found[name], values)
         ]
-    if not np.array_equal(in_all, valid.all(axis=0)):
-        report.problems.append("valid_in_all: not what the variants have in common")
-    report.trajectories = int(in_all.sum())
+    report.trajectories = int(found["valid_in_all"].sum())
 
 
 def _recheck_card(path: Path, report: FileReport) -> None:
@@ -331,25 +323,23 @@ def _tell_differing(report: FileReport, differing: list[str], wanted: dict[str, 
 
 
 def _differing_entries(metadata: dict[str, Any], wanted: dict[str, Any]) -> Iterator[str]:
+    """Hold entries against those of the data, those about files one by one."""
     for key, value in wanted.items():
+        listed = metadata.get(key)
         if key not in metadata:
             yield f"{key} is missing"
-        elif key == _FILES and isinstance(metadata[key], list):
-            yield from _differing_files(metadata[key], value)
-        elif metadata[key] != value:
-            yield f"{key}: not what the data give"
-
-
-def _differing_files(listed: list[Any], wanted: list[dict[str, Any]]) -> Iterator[str]:
-    """Hold names, sizes and checksums of the files against the files."""
-    for node in wanted:
-        same = [one for one in listed if isinstance(one, dict) and one.get("@id") == node["@id"]]
-        if same == [node]:
-            continue
-        what = ", ".join(key for key in node if not same or same[0].get(key) != node[key])
-        yield f"{_FILES}: {node['@id']}: {what}: not what the data give"
-    if len(listed) != len(wanted):
-        yield f"{_FILES}: lists {len(listed)} files, here are {len(wanted)}"
+        elif key != _FILES or not isinstance(listed, list):
+            if listed != value:
+                yield f"{key}: not what the data give"
+        else:
+            named = {str(one.get("@id")): one for one in reversed(listed) if isinstance(one, dict)}
+            for node in value:
+                there = named.get(node["@id"], {})
+                if there != node:
+                    what = ", ".join(each for each in node if there.get(each) != node[each])
+                    yield f"{_FILES}: {node['@id']}: {what}: not what the data give"
+            if len(listed) != len(value):
+                yield f"{_FILES}: lists {len(listed)} files, here are {len(value)}"
 
 
 _CHECKS: dict[str, Callable[[Path, FileReport], None]] = {

@@ -19,8 +19,6 @@ _TRAJECTORY_TIMEOUT = 600.0  # [s]
 _TRIES = 2
 _FEW = 5
 
-Job = tuple[Variant, Item]
-
 
 class Carrier(Protocol):
     """What carries tasks out: `mbds_xsim.base.isolate.run_tasks`, or a cluster."""
@@ -35,7 +33,9 @@ class Carrier(Protocol):
         """Give one answer a task, or a `Crash`; in the order of the tasks."""
 
 
-def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) -> dict[Variant, str]:
+def make(
+    items: Sequence[Item], out: Path, *, workers: int, carry_out: Carrier
+) -> dict[Variant, str]:
     """Make shards; those that are there when this ends abnormally are complete.
 
     Each process makes shards of one variant, the next that no other has claimed. Where one ends
@@ -46,34 +46,35 @@ def make(jobs: Sequence[Job], out: Path, *, workers: int, carry_out: Carrier) ->
         Of variants that cannot be made, why: a shard that cannot be written, or an engine that
         refuses the scene or always ends its process. The others are whole.
     """
-    todo = list(jobs)
-    tries: Counter[Job] = Counter()
-    crashes: dict[Job, Crashes] = {}
+    todo = list(items)
+    tries: Counter[Item] = Counter()
+    crashes: dict[Item, Crashes] = {}
     failed: dict[Variant, str] = {}
     idle = 0  # rounds in which processes ended before they came to anything
     while todo:
+        ended: dict[Variant, list[Crash]] = {item.variant: [] for item in todo}
         with _claims(out) as claims:
             tasks = list(_tasks(todo, crashes, out, claims, workers))
-            answers = carry_out(tasks, workers=workers)
-            for task, answer in zip(tasks, answers, strict=True):
-                if isinstance(answer, Crash) and answer.refused:
-                    failed.setdefault(task.arguments[0], answer.reason)
+            answers = carry_out([task for _, task in tasks], workers=workers)
+            for (variant, _), answer in zip(tasks, answers, strict=True):
+                if isinstance(answer, Crash):
+                    ended[variant].append(answer)
+                    if answer.refused:
+                        failed.setdefault(variant, answer.reason)
             left = [
-                (variant, item)
-                for variant, item in todo
-                if variant not in failed and not (variant.folder(out) / item.file_name).exists()
+                item for item in todo if item.variant not in failed and not item.path(out).exists()
             ]
-            guilty = [job for job in left if not claim(claims, *job)]
+            guilty = [item for item in left if not claim(claims, item)]
         idle = 0 if guilty or len(left) < len(todo) else idle + 1
         if idle > _TRIES:
-            failed[left[0][0]] = _despair(*left[0], tasks, answers)
-        for job in guilty:
-            tries[job] += 1
-            if tries[job] == _TRIES:
-                crashes[job] = _crashes(*job, workers, carry_out)
-            elif tries[job] > _TRIES:
-                failed.setdefault(job[0], _despair(*job, tasks, answers))
-        todo = [job for job in left if job[0] not in failed]
+            failed[left[0].variant] = _despair(left[0], ended)
+        for item in guilty:
+            tries[item] += 1
+            if tries[item] == _TRIES:
+                crashes[item] = _crashes(item, workers, carry_out)
+            elif tries[item] > _TRIES:
+                failed.setdefault(item.variant, _despair(item, ended))
+        todo = [item for item in left if item.variant not in failed]
     return failed
 
 
@@ -90,23 +91,25 @@ def _claims(out: Path) -> Iterator[Path]:
 
 
 def _tasks(
-    jobs: Sequence[Job], crashes: dict[Job, Crashes], out: Path, claims: Path, workers: int
-) -> Iterator[Task]:
-    for variant in dict.fromkeys(variant for variant, _ in jobs):
-        work = [(item, crashes.get((other, item), {})) for other, item in jobs if other is variant]
-        task = Task(make_shards, (variant, work, out, claims), variant.contender.limit)
-        yield from [task] * max(1, min(workers, len(work)))
+    todo: Sequence[Item], crashes: dict[Item, Crashes], out: Path, claims: Path, workers: int
+) -> Iterator[tuple[Variant, Task]]:
+    for variant in dict.fromkeys(item.variant for item in todo):
+        work = {item: crashes.get(item, {}) for item in todo if item.variant is variant}
+        task = Task(make_shards, (work, out, claims), variant.contender.limit)
+        yield from [(variant, task)] * max(1, min(workers, len(work)))
 
 
-def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> Crashes:
+def _crashes(item: Item, workers: int, carry_out: Carrier) -> Crashes:
     """Find the trajectories that end the engine's process, by halving.
 
     Where each of a few from all over the shard does, none of the others is tried.
     """
+    variant, most = item.variant, item.variant.contender.limit
 
     def tried(groups: list[list[int]]) -> list[tuple[list[int], str]]:
-        limits = [min(_TRAJECTORY_TIMEOUT * len(g), variant.contender.limit) for g in groups]
-        tasks = [Task(try_out, (variant, g), t) for g, t in zip(groups, limits, strict=True)]
+        tasks = [
+            Task(try_out, (variant, g), min(_TRAJECTORY_TIMEOUT * len(g), most)) for g in groups
+        ]
         answers = zip(groups, carry_out(tasks, workers=workers), strict=True)
         return [(group, one.reason) for group, one in answers if isinstance(one, Crash)]
 
@@ -126,9 +129,8 @@ def _crashes(variant: Variant, item: Item, workers: int, carry_out: Carrier) -> 
     return found
 
 
-def _despair(variant: Variant, item: Item, tasks: Sequence[Task], answers: Sequence[Any]) -> str:
-    own = [a for task, a in zip(tasks, answers, strict=True) if task.arguments[0] is variant]
-    reasons = [answer.reason for answer in own if isinstance(answer, Crash)]
+def _despair(item: Item, ended: dict[Variant, list[Crash]]) -> str:
+    reasons = [crash.reason for crash in ended[item.variant]]
     reason = reasons[0] if reasons else "its file is not where it was put"
     return f"the trajectories {item.first} to {item.indices[-1]} cannot be made: {reason}"
 

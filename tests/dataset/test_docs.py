@@ -58,7 +58,7 @@ def test_columns_of_an_audit_are_explained() -> None:
     table = page[page.index("| array |") : page.index("`time` and one of")]
     for group in groups(load_scene("particlecar")):
         row = next(line for line in table.splitlines() if f"`{group.name}`" in line)
-        assert f"`{group.columns[0, 0]}`" in row
+        assert f"`{group.columns.flat[0]}`" in row
     facts = page[page.index("| fact |") : page.index("**Inputs.**")]
     assert [fact for fact in FACTS if f"`{fact}`" not in facts] == []
 

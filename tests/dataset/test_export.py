@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.audit import Provenance, audit_file
+from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import LOST, Form, export
-from mbds_xsim.dataset.foreign import read_foreign
+from mbds_xsim.dataset.foreign import Provenance, read_foreign
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, load_dataset, parse_numbers
 from mbds_xsim.scene.file import read_scene
@@ -96,7 +96,7 @@ def test_csv_files_hold_the_same_bits(whole: Path, data: Dataset, tmp_path: Path
         stored = np.asarray(data[name][row], dtype=np.float64)
         read = found.arrays[name][0].astype(np.asarray(data[name]).dtype)
         np.testing.assert_array_equal(read, stored)
-    assert found.facts["seed"] == 0
+    assert found.said["seed"] == 0
 
 
 @pytest.mark.parametrize("form", ["npz", "csv"])

@@ -13,7 +13,7 @@ import pytest
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
-from mbds_xsim.dataset.layout import CHECKS, split_of
+from mbds_xsim.dataset.layout import CHECKS, rejected_folder, split_of
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
@@ -232,7 +232,7 @@ def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
 ) -> None:
     """2e-5 of the weight, at all steps alike; in the audit sample, and where one stands for all."""
     (contender,), _ = Choice.parse(engines="mujoco").contenders(rod)
-    variant, item = Variant(rod, contender, 0, True), Item(first, 6)
+    item = Item(Variant(rod, contender, 0, True), first, 6)
 
     def published(pull: float) -> int:
         def pulled(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
@@ -241,13 +241,13 @@ def test_a_pull_that_only_a_vanishing_step_shows_rejects_its_shard(
 
         for module in (shard, gate):
             monkeypatch.setattr(module, "simulate", pulled)
-        shard.make_shard(variant, item, tmp_path)
-        with h5py.File(variant.folder(tmp_path) / item.file_name) as file:
+        shard.make_shard(item, tmp_path)
+        with h5py.File(item.path(tmp_path)) as file:
             return int(file.attrs["published"])
 
     assert published(0.0) == 6
     assert published(2e-5) == 0
-    with h5py.File(shard.rejected_folder(variant, tmp_path) / item.file_name) as file:
+    with h5py.File(rejected_folder(item.path(tmp_path).parent) / item.file_name) as file:
         reasons = file["reason"].asstr()[()]
     for reason in reasons:  # no other check sees it
         assert all(part.startswith("together: consistency of ") for part in reason.split("; "))

@@ -12,8 +12,9 @@ import pytest
 
 import mbds_xsim
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.audit import Provenance, audit_file
+from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import export
+from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.summary import summaries
 from mbds_xsim.dataset.verify import recheck
 

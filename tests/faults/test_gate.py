@@ -168,10 +168,10 @@ def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(
     if change:
         fault = Fault("shard", "simplecubli", ("mujoco",), ("coefficients",), **change)
         adapter = Faulty(adapter, fault)
-    item = Item(_ROWS.start, len(_ROWS))
+    item = Item(variant, _ROWS.start, len(_ROWS))
     with mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter):
-        make_shard(variant, item, tmp_path)
-    with h5py.File(variant.folder(tmp_path) / item.file_name) as file:
+        make_shard(item, tmp_path)
+    with h5py.File(item.path(tmp_path)) as file:
         published = int(file.attrs["published"])
 
     assert published == (0 if change else len(_ROWS))

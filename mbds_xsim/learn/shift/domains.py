@@ -20,10 +20,9 @@ from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.write import write_whole
-from mbds_xsim.dataset.hdf5 import CONTENT
+from mbds_xsim.dataset.hdf5 import CONTENT, attributes_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read

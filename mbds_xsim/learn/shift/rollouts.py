@@ -25,8 +25,8 @@ import torch
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.versions import MODELS
+from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.dataset.proof import attributes_of
 from mbds_xsim.learn.device import process_count, put
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.particles import RolloutFigures, figures_on, measure, read_figures
