@@ -89,13 +89,12 @@ def drawn(graph: Graph, horizon: int, device: str) -> Sample:
     generator = torch.Generator().manual_seed(0)
     shape = (BATCH, HISTORY + horizon, graph.particle_count, 3)
     near = graph.reference[: graph.particle_count].float()
-    position = (torch.randn(shape, generator=generator) * 0.1 + near).to(device)
+    position = torch.randn(shape, generator=generator) * 0.1 + near
     force = torch.randn((BATCH, horizon, graph.body_count, 3), generator=generator)
     torque = torch.randn((BATCH, horizon, len(graph.mechanism.hinges)), generator=generator)
     start = Start(position[:, :HISTORY], torch.zeros_like(position[:, 0]))
     after = position[:, HISTORY:]
-    inputs = KnownInputs(force.to(device), torque.to(device))
-    return Sample(start, inputs, after, torch.zeros_like(after))
+    return Sample(start, KnownInputs(force, torque), after, torch.zeros_like(after)).to(device)
 
 
 def step(model: LearnedModel, graph: Graph, recipe: Recipe, device: str) -> Work:
@@ -137,16 +136,7 @@ def starts(name: str, models: list[LearnedModel], device: str) -> list[Known]:
     settings = settings_for(scene, load_adapter("mujoco"), "matched")
     motion = simulate(scene, batch, "mujoco", settings).trajectory
     given = [known_start(model, motion, batch).truncated(FRAMES) for model in models]
-    return [moved(each, device) for each in given]
-
-
-def moved(known: Known, device: str) -> Known:
-    start, inputs = known.start, known.inputs
-    body = None if start.body is None else start.body.to(device)
-    return Known(
-        Start(start.history.to(device), start.velocity.to(device), body),
-        KnownInputs(inputs.force.to(device), inputs.torque.to(device)),
-    )
+    return [each.to(device) for each in given]
 
 
 def main() -> None:

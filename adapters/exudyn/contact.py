@@ -73,18 +73,18 @@ _ELASTIC = 1.0 - 1e-3
 _CHANGE = 1.0 / 3.0
 _REACHING = """
 
-def told(kind):  # of the spheres' centres
+def outputs(kind):  # of the spheres' centres
     kind = getattr(exu.OutputVariableType, kind)
     return np.array([mbs.GetMarkerOutput(number, kind) for number in spheres])
 
 
 def gaps():  # heights of the spheres' lowest points
-    return told("Position")[:, 2] - {radii!r}
+    return outputs("Position")[:, 2] - {radii!r}
 
 
 def may_touch(duration):  # whether a sphere can get to the ground within a time
-    speed = np.maximum(0.0, -told("Velocity")[:, 2])
-    pull = {gravity!r} + np.sum(told("AngularVelocity") ** 2, axis=1) * {arms!r}
+    speed = np.maximum(0.0, -outputs("Velocity")[:, 2])
+    pull = {gravity!r} + np.sum(outputs("AngularVelocity") ** 2, axis=1) * {arms!r}
     return bool(np.any(gaps() < {reach!r} * duration * (speed + pull * duration)))
 
 """
@@ -165,7 +165,7 @@ class TouchingSpheres:
 
     def __init__(self, mechanism: Mechanism, names: Mapping[str, Any]) -> None:
         self._mbs, self._contacts = names["mbs"], names["contacts"]
-        self._told, self._gaps = names["told"], names["gaps"]
+        self._outputs, self._gaps = names["outputs"], names["gaps"]
         self._radius = mechanism.sphere_radius
 
     def sunk(self) -> bool:
@@ -174,7 +174,7 @@ class TouchingSpheres:
 
     def memory(self) -> Array:
         """What the contacts' nodes hold where they know of no impact, from the state as it is."""
-        velocity, spin = self._told("Velocity"), self._told("AngularVelocity")
+        velocity, spin = self._outputs("Velocity"), self._outputs("AngularVelocity")
         slip_x = velocity[:, 0] - spin[:, 1] * self._radius
         slip_y = velocity[:, 1] + spin[:, 0] * self._radius
         none = np.zeros_like(slip_x)
@@ -182,11 +182,11 @@ class TouchingSpheres:
 
     def centers(self) -> Array:
         """In W as the model stands [m], shape (sphere, 3)."""
-        return np.asarray(self._told("Position"))
+        return np.asarray(self._outputs("Position"))
 
     def coefficients(self) -> Array:
         """Radius, friction and the restitution that is delivered, shape (sphere, 3)."""
-        held = [self._mbs.GetObject(number) for number in self._contacts]
+        contacts = [self._mbs.GetObject(number) for number in self._contacts]
         return np.array(
             [
                 (
@@ -195,7 +195,7 @@ class TouchingSpheres:
                     # Model 0 has a damper alone.
                     delivered(contact["restitutionCoefficient"]) if contact["impactModel"] else 0.0,
                 )
-                for contact in held
+                for contact in contacts
             ]
         )
 

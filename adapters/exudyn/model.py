@@ -104,7 +104,7 @@ class Formulation(ABC):
         """Body states of coordinates and velocities."""
 
     @abstractmethod
-    def held(self, names: Mapping[str, Any]) -> MassProperties:
+    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
         """Read mass properties back."""
 
     @abstractmethod
@@ -173,7 +173,7 @@ class RigidBodies(Formulation):
         position = self.mechanism.com + shift
         return BodyStates(position, native, velocity, rotation.rotate(native, spin))
 
-    def held(self, names: Mapping[str, Any]) -> MassProperties:
+    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
         bodies = [names["mbs"].GetObject(number) for number in names["bodies"]]
         return MassProperties(
             mass=np.array([body["mass"] for body in bodies]),

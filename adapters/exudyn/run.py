@@ -33,8 +33,8 @@ for _ in range({count}):
     next_frame()
 kinds = exu.OutputVariableType
 for body, frame in enumerate(frames):  # centre of mass, rotation matrix, velocity, angular velocity
-    told = (kinds.Position, kinds.RotationMatrix, kinds.Velocity, kinds.AngularVelocity)
-    print(body, *(mbs.GetMarkerOutput(frame, kind).tolist() for kind in told))
+    shown = (kinds.Position, kinds.RotationMatrix, kinds.Velocity, kinds.AngularVelocity)
+    print(body, *(mbs.GetMarkerOutput(frame, kind).tolist() for kind in shown))
 """
 
 
@@ -130,21 +130,21 @@ class ExudynRun(Run):
     def readback(self, batch: Batch) -> Readback:
         coordinates, velocities = self._start(batch[:1])
         self._put(coordinates[0], velocities[0])
-        held = self._model.held(self._names)
+        properties = self._model.mass_properties(self._names)
         turn = self._output("RotationMatrix").reshape(-1, 3, 3)
         spin = self._output("AngularVelocity")
-        arm = np.einsum("kij,kj->ki", turn, held.com)
+        arm = np.einsum("kij,kj->ki", turn, properties.com)
         com = self._output("Position") + arm
-        alike = not np.ptp(held.gravity, axis=0).any()
+        alike = not np.ptp(properties.gravity, axis=0).any()
         stepping = self._names["settings"].timeIntegration
         return Readback(
-            mass=held.mass,
-            inertia=held.inertia,
+            mass=properties.mass,
+            inertia=properties.inertia,
             com=com,
             orientation=self._mechanism.body_orientation(rotation.from_matrix(turn)),
             velocity=self._output("Velocity") + np.cross(spin, arm),
             angular_velocity=spin,
-            gravity=held.gravity[0] if alike else np.full(3, np.nan),
+            gravity=properties.gravity[0] if alike else np.full(3, np.nan),
             step=(stepping.endTime - stepping.startTime) / stepping.numberOfSteps,
             joint_axis=self._model.joint_axes(self._names, turn),
             damping=None,
@@ -156,8 +156,8 @@ class ExudynRun(Run):
 
     def _springs(self) -> Array:
         mbs, length = self._mbs, exudyn.OutputVariableType.Distance
-        held = [mbs.GetObject(number) for number in self._names["springs"]]
-        columns = [[s[key] for s in held] for key in ("stiffness", "damping", "referenceLength")]
+        springs = [mbs.GetObject(number) for number in self._names["springs"]]
+        columns = [[s[key] for s in springs] for key in ("stiffness", "damping", "referenceLength")]
         columns += [[mbs.GetObjectOutput(number, length) for number in self._names["springs"]]]
         return np.column_stack(columns)
 
@@ -173,9 +173,9 @@ class ExudynRun(Run):
         start = _START.format(coordinates=coordinates.tolist(), velocities=velocities.tolist())
         if self._spheres is not None:
             start += _MEMORY.format(memory=self._spheres.memory().tolist())
-        seen = "\n".join(self._model.graphics())
+        shapes = "\n".join(self._model.graphics())
         run = _RUN.format(count=self._mechanism.scene.clock.steps)
-        return f"{self._listing}\n{seen}\n{start}{run}"
+        return f"{self._listing}\n{shapes}\n{start}{run}"
 
     def close(self) -> None:
         self._names.clear()

@@ -89,7 +89,7 @@ class KinematicTree(Formulation):
         links = LinkStates(turn, still, coordinates, velocities, still, still)
         return to_bodies(self.mechanism, links)
 
-    def held(self, names: Mapping[str, Any]) -> MassProperties:
+    def mass_properties(self, names: Mapping[str, Any]) -> MassProperties:
         tree = names["mbs"].GetObject(names["tree"])
         back = self._back(names)
         link = [self._order.index(body) for body in range(self.mechanism.body_count)]

@@ -107,8 +107,8 @@ class Frames:
     ) -> None:
         self._model, self._data, self._bodies = model, data, bodies
         self._roots = model.body_rootid[bodies]
-        self._told = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])
-        self._kept = tuple(np.full((count, frames, *told.shape), np.nan) for told in self._told)
+        self._live = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])
+        self._kept = tuple(np.full((count, frames, *part.shape), np.nan) for part in self._live)
 
     def keep(self, row: int, frame: int, *, placed: bool = False) -> None:
         """Keep the present state; bodies may be placed by its coordinates already."""
@@ -119,7 +119,7 @@ class Frames:
         mujoco.mj_comVel(model, data)
         at = row, frame
         place, turn, twist, centre = self._kept
-        place[at], turn[at], twist[at], centre[at] = self._told
+        place[at], turn[at], twist[at], centre[at] = self._live
 
     def states(self) -> BodyStates:
         """Give what was kept, of the scene's bodies."""
@@ -160,9 +160,9 @@ class Hanger:
         points = np.einsum("...bij,bj->...bi", turns, self._axes)
         # Matrices, because this is called with a few states at a time.
         for body, above, basis in self._joints:
-            held = above == WORLD_INDEX
-            parent = np.eye(3) if held else turns[..., above, :, :]
-            rate = np.zeros(3) if held else spin[..., above, :]
+            on_world = above == WORLD_INDEX
+            parent = np.eye(3) if on_world else turns[..., above, :, :]
+            rate = np.zeros(3) if on_world else spin[..., above, :]
             frame, point = parent @ basis, points[..., body, :]
             aside, ahead = (np.vecdot(point, frame[..., k])[..., None] for k in (1, 2))
             cosine = np.hypot(aside, ahead)

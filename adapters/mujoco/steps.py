@@ -117,7 +117,7 @@ class FinerNearGround:
         self._step = division * self._finer  # in the air
         # What is less above the ground than it falls in a finer step rattles and does not fly.
         self._lifted = float(np.linalg.norm(model.opt.gravity)) * self._finer**2
-        self._seen, self._gap, self._low, self._until = math.nan, np.empty(0), 0.0, -math.inf
+        self._left_at, self._gap, self._low, self._until = math.nan, np.empty(0), 0.0, -math.inf
         self.remark = (
             " This is the model near the ground. Where no sphere can come down to it, integrator "
             f"{integrator} and timestep {self._step:.9g} are set for a step."
@@ -127,7 +127,7 @@ class FinerNearGround:
     def frame(self, model: Any, data: Any) -> None:
         left = self._count
         # What the last frame left behind holds on, unless the state was put anew.
-        if data.time != self._seen:
+        if data.time != self._left_at:
             self._look(model, data)
         while left:
             aloft = self._aloft(model, data, left)
@@ -135,7 +135,7 @@ class FinerNearGround:
                 self._step_near(model, data)
                 aloft = 1
             left -= aloft
-        self._seen = data.time
+        self._left_at = data.time
 
     def _look(self, model: Any, data: Any) -> None:
         self._gap, self._low = self._spheres.gaps(model, data)

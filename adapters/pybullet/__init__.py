@@ -92,8 +92,8 @@ class PyBullet(Adapter):
         for link in mechanism.links:
             moved = _moved(mechanism, link)
             if moved < _LEAST:
-                held = f"PyBullet moves {_LEAST:.3g} or more"
-                return f"{scene.bodies[link.body].name!r} has {moved:.3g} kg or kg·m², {held}"
+                least = f"PyBullet moves {_LEAST:.3g} or more"
+                return f"{scene.bodies[link.body].name!r} has {moved:.3g} kg or kg·m², {least}"
         return ""
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:

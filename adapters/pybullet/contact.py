@@ -227,29 +227,29 @@ class BulletContact:
             f"{self._radius[sphere] - height[sphere]:.3g} m in the ground, deeper than its radius"
         )
 
-    def centers(self, address: Callable[[int], tuple[int, int]], told: Array) -> Array:
+    def centers(self, address: Callable[[int], tuple[int, int]], reading: Array) -> Array:
         """Centres of the spheres in W [m], at what `Multibodies.read` tells, (sphere, 3)."""
         shapes = self._client.function("getCollisionShapeData")
         places = np.empty((len(self._body), 3))
         for body in np.unique(self._body).tolist():
             # Bullet tells them in the inertial frame.
             local = np.array([shape[5] for shape in shapes(*address(body))])
-            turned = rotation.rotate(told[body, [6, 3, 4, 5]], local)
-            places[self._body == body] = told[body, :3] + turned
+            turned = rotation.rotate(reading[body, [6, 3, 4, 5]], local)
+            places[self._body == body] = reading[body, :3] + turned
         return places
 
     def readback(self, address: Callable[[int], tuple[int, int]]) -> Array:
         """Radius [m], friction and restitution of the pair as Bullet combines them, (sphere, 3)."""
-        told = np.empty((len(self._body), 3))
+        pairs = np.empty((len(self._body), 3))
         dynamics = self._client.function("getDynamicsInfo")
         shapes = self._client.function("getCollisionShapeData")
         plane = dynamics(self._planes[0], -1)
         for body in np.unique(self._body).tolist():
             rows = np.flatnonzero(self._body == body)
             info = dynamics(*address(body))
-            told[rows, 0] = [shape[3][0] for shape in shapes(*address(body))]
-            told[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
-        return told
+            pairs[rows, 0] = [shape[3][0] for shape in shapes(*address(body))]
+            pairs[rows, 1:] = info[1] * plane[1], info[5] * plane[5]
+        return pairs
 
 
 def _bits(ground: int, *bits: int) -> list[int]:

@@ -41,16 +41,16 @@ class StepLoads:
         loops = [joint.index in self._closures for joint in self._hinges]
         return bool(self._springs) or bool(torque[..., loops].any())
 
-    def apply(self, force: Array, torque: Array, told: Array) -> None:
+    def apply(self, force: Array, torque: Array, reading: Array) -> None:
         """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs.
 
         Args:
             force: In W on centres of mass [N].
             torque: About the hinges [N·m].
-            told: What `Multibodies.read` tells of the present state.
+            reading: What `Multibodies.read` tells of the present state.
         """
         for body in np.flatnonzero(force.any(axis=-1)).tolist():
-            self._push(body, force[body], told[body, :3])
+            self._push(body, force[body], reading[body, :3])
         turning = []
         for k in np.flatnonzero(torque).tolist():
             joint = self._hinges[k]
@@ -62,7 +62,7 @@ class StepLoads:
                 number, link = self._address(self._driven[joint.index])
                 self._drive(number, link, self._as_torque, force=float(torque[k]))
         if turning or self._springs:
-            state = self._model.states(told)
+            state = self._model.states(reading)
             for joint, moment in turning:
                 self._twist(joint, moment, state)
             for spring in self._springs:
@@ -70,8 +70,8 @@ class StepLoads:
 
     def springs(self, state: BodyStates) -> Array:
         """Give what `Readback.spring` tells."""
-        told = [pair.as_read(np.subtract(*_ends(pair, state)[0][::-1])) for pair in self._springs]
-        return np.array(told).reshape(-1, 4)
+        lines = [pair.as_read(np.subtract(*_ends(pair, state)[0][::-1])) for pair in self._springs]
+        return np.array(lines).reshape(-1, 4)
 
     def _push(self, body: int, force: Array, point: Array) -> None:
         if body != WORLD_INDEX:

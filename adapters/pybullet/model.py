@@ -135,26 +135,26 @@ class Multibodies:
 
     def read(self) -> Array:
         """What Bullet tells of every body, see `states`; shape (body, 13)."""
-        told = np.empty((self.mechanism.body_count, 13))
+        reading = np.empty((self.mechanism.body_count, 13))
         for number, base, links, bodies in self._readings:
             if base != WORLD_INDEX:
-                told[base] = self._base_state(number)
+                reading[base] = self._base_state(number)
             if bodies:
                 # Field 5, the link frame's rotation, comes back in single precision; 1 does not.
-                told[bodies] = [
+                reading[bodies] = [
                     (*link[0], *link[1], *link[6], *link[7])
                     for link in self._link_states(number, links, 1, 1)
                 ]
-        return told
+        return reading
 
-    def states(self, told: Array) -> BodyStates:
+    def states(self, reading: Array) -> BodyStates:
         """Body states of position, xyzw of the inertial frame, velocity and angular velocity.
 
         Args:
-            told: Of shape (…, body, 13).
+            reading: Of shape (…, body, 13).
         """
-        native = rotation.multiply(told[..., [6, 3, 4, 5]], rotation.conjugate(self.principal))
-        return BodyStates(told[..., 0:3], native, told[..., 7:10], told[..., 10:13])
+        native = rotation.multiply(reading[..., [6, 3, 4, 5]], rotation.conjugate(self.principal))
+        return BodyStates(reading[..., 0:3], native, reading[..., 7:10], reading[..., 10:13])
 
     def _base_state(self, number: int) -> list[float]:
         position, turn = self._base_pose(number)
@@ -190,7 +190,7 @@ class Multibodies:
 
         return joint_axes(self.mechanism, axis)
 
-    def _anchor(self, link: Link, told: Array) -> tuple[Array, Array] | None:
+    def _anchor(self, link: Link, reading: Array) -> tuple[Array, Array] | None:
         if link.body not in self._links:
             return None
         above = np.array(self.client.function("getJointInfo")(*self.address(link.body))[14])
@@ -198,15 +198,15 @@ class Multibodies:
         below = -rotation.rotate(
             self._into_principal(link.body), np.array(self._dynamics(link.body)[3])
         )
-        return _placed(told, link.parent, above), _placed(told, link.body, below)
+        return _placed(reading, link.parent, above), _placed(reading, link.body, below)
 
-    def anchors(self, told: Array) -> Array:
+    def anchors(self, reading: Array) -> Array:
         """As fixed in the parent and in the child, in W, shape (joint, 2, 3)."""
-        anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, told))
+        anchors = joint_anchors(self.mechanism, lambda link: self._anchor(link, reading))
         info = self.client.function("getConstraintInfo")
         for index, ties in self._ties.items():
             points = [
-                [_placed(told, end, np.array(info(number)[6 + k])) for end, k in ends]
+                [_placed(reading, end, np.array(info(number)[6 + k])) for end, k in ends]
                 for number, ends in ties
             ]
             anchors[index] = np.mean(points, axis=0)
@@ -348,11 +348,11 @@ class Multibodies:
         return np.asarray(rotation.conjugate(self.principal[body]))
 
 
-def _placed(told: Array, body: int, point: Array) -> Array:
+def _placed(reading: Array, body: int, point: Array) -> Array:
     """Place a point of an inertial frame in W, by what `Multibodies.read` tells."""
     if body == WORLD_INDEX:
         return point
-    return np.asarray(told[body, :3] + rotation.rotate(told[body, [6, 3, 4, 5]], point))
+    return np.asarray(reading[body, :3] + rotation.rotate(reading[body, [6, 3, 4, 5]], point))
 
 
 def _principal_axes(tensor: Array) -> tuple[Array, Array]:

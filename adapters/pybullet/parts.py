@@ -44,14 +44,14 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
         root[link.body] = link.body if starts else root[link.parent]
     parts = []
     for first in (link for link in mechanism.links if root[link.body] == link.body):
-        held = first.joint is not None and first.body not in cut
+        fixed = first.joint is not None and first.body not in cut
         parts.append(
             Multibody(
-                base=WORLD_INDEX if held else first.body,
+                base=WORLD_INDEX if fixed else first.body,
                 links=tuple(
                     link
                     for link in mechanism.links
-                    if root[link.body] == first.body and (held or link is not first)
+                    if root[link.body] == first.body and (fixed or link is not first)
                 ),
             )
         )

@@ -104,21 +104,21 @@ class PyBulletRun(Run):
 
     def rollout(self, batch: Batch) -> Trajectory:
         shape = (len(batch), batch.steps + 1, self._mechanism.body_count, 13)
-        told = np.full(shape, np.nan)
+        reading = np.full(shape, np.nan)
         each_step = self._loads.change_within_frame(batch.torque)
         self._set_stepping(1 if each_step else self._substeps)
         for row in range(len(batch)):
-            self._roll(batch, row, told[row], self._substeps if each_step else 1)
-        states = self._model.states(told)
-        failures = self._failures(told, states)
+            self._roll(batch, row, reading[row], self._substeps if each_step else 1)
+        states = self._model.states(reading)
+        failures = self._failures(reading, states)
         copies = BodyStates(*(values.copy() for values in vars(states).values()))
         return recorded(self._mechanism, copies, failures)
 
-    def _roll(self, batch: Batch, row: int, told: Array, calls: int) -> None:
+    def _roll(self, batch: Batch, row: int, reading: Array, calls: int) -> None:
         """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
         read, apply, advance = self._model.read, self._loads.apply, self._advance
         self._start(batch, row)
-        here = told[0] = read()
+        here = reading[0] = read()
         for k in range(batch.steps):
             force, torque = batch.force[row, k], batch.torque[row, k]
             if self._contact:
@@ -127,7 +127,7 @@ class PyBulletRun(Run):
                 apply(force, torque, here)
                 advance()
                 here = read()
-            told[k + 1] = here
+            reading[k + 1] = here
             # Written so that NaN counts as bad.
             if not np.abs(here[:, RATES]).max() <= _BLOW_UP:
                 return
@@ -138,10 +138,10 @@ class PyBulletRun(Run):
         start = starts(self._mechanism, batch[[row]])
         self._model.put(BodyStates(*(values[0] for values in vars(start).values())))
 
-    def _failures(self, told: Array, state: BodyStates) -> tuple[Failure | None, ...]:
+    def _failures(self, reading: Array, state: BodyStates) -> tuple[Failure | None, ...]:
         """Find what went wrong: Bullet never says it."""
-        finite = np.asarray(np.isfinite(told).all(axis=(2, 3)))
-        fastest = np.abs(told[..., RATES]).max(axis=(2, 3))
+        finite = np.asarray(np.isfinite(reading).all(axis=(2, 3)))
+        fastest = np.abs(reading[..., RATES]).max(axis=(2, 3))
         turn = self._turn(state)
         fine = finite & (fastest <= _BLOW_UP) & (turn <= _TURN_CAP)
         if self._contact:
@@ -155,7 +155,7 @@ class PyBulletRun(Run):
             if turn[at] > _TURN_CAP:
                 return f"a body turns by {turn[at]:.3g} rad in a step, the engine cuts that at π/4"
             assert self._contact is not None
-            return self._contact.trouble(self._model.states(told[at]))
+            return self._contact.trouble(self._model.states(reading[at]))
 
         return first_failures(~fine, reason, earliest=1)
 
@@ -175,8 +175,8 @@ class PyBulletRun(Run):
     def readback(self, batch: Batch) -> Readback:
         inertia = self._model.inertia()  # puts the model at its reference pose
         self._start(batch, 0)
-        told = self._model.read()
-        state = self._model.states(told)
+        reading = self._model.read()
+        state = self._model.states(reading)
         world = self._client.function("getPhysicsEngineParameters")()
         joint_axis = self._model.joint_axis()
         return Readback(
@@ -191,8 +191,8 @@ class PyBulletRun(Run):
             joint_axis=joint_axis,
             damping=self._model.damping(),
             contact=self._contact.readback(self._model.address) if self._contact else None,
-            sphere=self._contact.centers(self._model.address, told) if self._contact else None,
-            anchor=self._model.anchors(told),
+            sphere=self._contact.centers(self._model.address, reading) if self._contact else None,
+            anchor=self._model.anchors(reading),
             spring=self._loads.springs(state),
         )
 

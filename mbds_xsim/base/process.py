@@ -43,14 +43,14 @@ class Spent:
             return False
         self._last = now
         try:
-            state, cpu, self.bytes = self._told()
+            state, cpu, self.bytes = self._stat()
         except OSError:  # it has ended, or nothing tells
             state, cpu = "", self._cpu
         used, self._cpu = cpu - self._cpu, cpu
         self.seconds += min(used if state == "R" else passed, passed, _GAP)
         return True
 
-    def _told(self) -> tuple[str, float, int]:
+    def _stat(self) -> tuple[str, float, int]:
         """State, processor time [s] and resident memory [bytes]; see proc(5)."""
         text = (self._folder / "stat").read_text(errors="replace")
         words = text.rpartition(")")[2].split()
@@ -62,8 +62,8 @@ def memory_bytes() -> float:
     """Memory that this process and its children may have together."""
     bounds = [float(os.sysconf("SC_PHYS_PAGES") * _page())]
     for name in ("memory.max", "memory/memory.limit_in_bytes"):  # of a container
-        told = Path("/sys/fs/cgroup", name)
-        if told.is_file() and (text := told.read_text().strip()).isdigit():
+        limit = Path("/sys/fs/cgroup", name)
+        if limit.is_file() and (text := limit.read_text().strip()).isdigit():
             bounds.append(float(text))
     return min(bounds)
 

@@ -156,7 +156,7 @@ def _engine_row(name: str) -> EngineRow:
         coordinates=adapter.coordinates,
         methods=tuple(_method_row(method) for method in adapter.methods.values()),
         options={key: OptionRow(o.default, o.meaning) for key, o in adapter.options.items()},
-        limits=_told(adapter.limits),
+        limits=_in_words(adapter.limits),
         contact_law=adapter.contact_law,
         smallest=adapter.smallest,
     )
@@ -169,9 +169,9 @@ def _method_row(method: Method) -> MethodRow:
         order=method.order,
         loop_order=method.order if method.loop_order is None else method.loop_order,
         velocity_lag=method.velocity_lag,
-        refuses=_told(method.refuses),
+        refuses=_in_words(method.refuses),
     )
 
 
-def _told(refusals: Mapping[Feature, str]) -> dict[str, str]:
+def _in_words(refusals: Mapping[Feature, str]) -> dict[str, str]:
     return {feature.value: refusals[feature] for feature in Feature if feature in refusals}

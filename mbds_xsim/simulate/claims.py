@@ -145,8 +145,8 @@ class Option:
             return "true or false" if isinstance(self.default, bool) else "a text"
         kind = "a whole number" if isinstance(self.default, int) else "a finite number"
         bounds = {"more than": self.above, "at least": self.least, "at most": self.most}
-        told = [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
-        return ", ".join([kind, *([" and ".join(told)] if told else [])])
+        limits = [f"{word} {bound:g}" for word, bound in bounds.items() if bound is not None]
+        return ", ".join([kind, *([" and ".join(limits)] if limits else [])])
 
 
 @dataclass(frozen=True)

@@ -72,14 +72,14 @@ def _line(scene: Scene, work: Work, each: float | Crash) -> str:
     if isinstance(each, Crash):
         if not each.timed_out:
             return ""
-        told = f"at least {_duration(work.steps * _PATIENCE / (2 * _STEPS))}"
+        duration = f"at least {_duration(work.steps * _PATIENCE / (2 * _STEPS))}"
     elif work.steps * each > _LONG:
-        told = f"about {_duration(work.steps * each)}"
+        duration = f"about {_duration(work.steps * each)}"
     else:
         return ""
     return (
         f"{work.name} on {scene.name}: {work.steps:.2g} steps of {work.settings.step:.3g} s, "
-        f"{told} of processor time"
+        f"{duration} of processor time"
     )
 
 

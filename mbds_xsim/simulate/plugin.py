@@ -62,11 +62,11 @@ class _StandIn(Adapter):
     """Another package's adapter, by its claims."""
 
     point: ClassVar[EntryPoint]
-    told: ClassVar[str]
-    """Its version."""
+    installed: ClassVar[str]
+    """Version of the engine."""
 
     def version(self) -> str:
-        return self.told
+        return self.installed
 
     def settings(self, scene: Scene, profile: Profile) -> Settings:
         answer = _ask(_preset, self.point, scene, profile)
@@ -120,8 +120,8 @@ def _tried(point: EntryPoint) -> Adapter | str:
     if isinstance(answer, Crash):
         return f"{point.value} of the package {_owner(point)}: {answer.reason}"
     claims = {key: getattr(answer, key) for key in _Claims.__struct_fields__}
-    told = {"told": claims.pop("version"), "point": point}
-    adapter: Adapter = type(point.name, (_StandIn,), claims | told)()
+    more = {"installed": claims.pop("version"), "point": point}
+    adapter: Adapter = type(point.name, (_StandIn,), claims | more)()
     return adapter
 
 

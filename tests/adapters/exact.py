@@ -43,6 +43,15 @@ class Runs:
         assert motion.failures == (None,)
         return motion
 
+    def stepped(self, scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
+        """Run one start with so many steps a frame, with the preset's options but for some."""
+        preset = self.engine.settings(scene, "matched")
+        step, used = scene.clock.frame / substeps, {**preset.options, **options}
+        batch = draw_batch(scene, [0], noise=False)
+        motion = self.rollout(scene, batch, Settings(preset.method, step, used))
+        assert motion.failures == (None,)
+        return motion
+
 
 def ballscroll_followed(rollout: Rollout, *, noise: bool) -> Trajectory:
     """Hold three starts against the exact motion: they neither hop nor sink."""

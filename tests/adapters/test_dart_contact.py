@@ -20,16 +20,7 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import (
-    Body,
-    Clock,
-    ContactSphere,
-    Ground,
-    Inertia,
-    Scene,
-    Torque,
-    Vector,
-)
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene, Torque, Vector
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for

@@ -16,11 +16,7 @@ from mbds_xsim.checks import audit
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
-from mbds_xsim.scene.scene import (
-    Clock,
-    Ground,
-    Torque,
-)
+from mbds_xsim.scene.scene import Clock, Ground, Torque
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for

@@ -27,6 +27,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import ball, crate, gaps, rolling
+from tests.adapters.exact import Runs
 
 pytest.importorskip("pybullet")
 
@@ -57,13 +58,7 @@ def carefully(scene: Scene, batch: Batch) -> Trajectory:
         return run.rollout(batch)
 
 
-def simulate(scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
-    batch = draw_batch(scene, [0], noise=False)
-    chosen = {**ENGINE.settings(scene, "matched").options, **options}
-    with ENGINE.open(scene, Settings(METHOD, scene.clock.frame / substeps, chosen)) as run:
-        motion = run.rollout(batch)
-    assert motion.failures == (None,)
-    return motion
+simulate = Runs(ENGINE, {}).stepped
 
 
 def distance(one: Trajectory, other: Trajectory) -> Array:

@@ -26,12 +26,12 @@ from mbds_xsim.scene.scene import (
     Particle,
     Scene,
 )
-from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import ball, gaps
+from tests.adapters.exact import Runs
 
 pybullet: Any = pytest.importorskip("pybullet")
 
@@ -45,13 +45,7 @@ MU, E = 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)
 
 
-def simulate(scene: Scene, substeps: int = 100, **options: float) -> Trajectory:
-    batch = draw_batch(scene, [0], noise=False)
-    careful = {**ENGINE.settings(scene, "matched").options, **options}
-    with ENGINE.open(scene, Settings(METHOD, scene.clock.frame / substeps, careful)) as run:
-        motion = run.rollout(batch)
-    assert motion.failures == (None,)
-    return motion
+simulate = Runs(ENGINE, {}).stepped
 
 
 @pytest.mark.parametrize("name", CONTACT_SCENES)
