@@ -222,14 +222,14 @@ def table_of(
     """Make a table of plain texts and cells.
 
     Args:
-        columns: A plain text is the heading of a column of words, after `>` of one of figures.
+        columns: Columns or their headings, as in `columns_of`.
         rows: As many cells each.
         title: Stands above.
         note: Stands below.
         most: Rows that a terminal shows.
     """
     return Table(
-        tuple(map(column_of, columns)),
+        columns_of(*columns),
         tuple(Row(tuple(c if isinstance(c, Cell) else Cell(c) for c in row)) for row in rows),
         title,
         note,
@@ -237,8 +237,9 @@ def table_of(
     )
 
 
-def column_of(heading: Column | str) -> Column:
-    """Make a column of its heading: of words, after `>` of figures."""
-    if isinstance(heading, Column):
-        return heading
-    return Column(heading.removeprefix(">"), words=not heading.startswith(">"))
+def columns_of(*headings: Column | str) -> tuple[Column, ...]:
+    """Make columns of their headings: of words, or after `>` of figures."""
+    return tuple(
+        Column(h.removeprefix(">"), words=not h.startswith(">")) if isinstance(h, str) else h
+        for h in headings
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.report.markdown import table_text
 from mbds_xsim.simulate.catalogue import EngineRow, MethodRow, by_reason
 from mbds_xsim.simulate.claims import Feature
 
@@ -135,7 +135,7 @@ def _method(method: MethodRow, row: EngineRow) -> list[str]:
 
 def _table(head: list[str], lines: Iterable[list[str]]) -> str:
     rows = ([cell.replace("|", "\\|") for cell in line] for line in lines)
-    return "".join(f"{line}\n" for line in table_lines(head, rows))
+    return table_text(head, rows)
 
 
 def _code(names: list[str]) -> str:

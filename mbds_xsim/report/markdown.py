@@ -28,6 +28,11 @@ def table_lines(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> Itera
     yield from map(_line, rows)
 
 
+def table_text(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Lay out texts that are Markdown already, as `table_lines` does."""
+    return "".join(f"{line}\n" for line in table_lines(headings, rows))
+
+
 def _line(texts: Iterable[str]) -> str:
     return f"| {' | '.join(texts)} |"
 

@@ -272,7 +272,7 @@ def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case) -> N
     )
     assert "<figcaption>Error" not in page
     assert "starts in contact" in page
-    agrees = [words.COLUMNS[-1][1](r, case.validation).text for r in case.validation.engines]
+    agrees = [words.cells_of(r, case.validation)[-1].text for r in case.validation.engines]
     assert agrees == ["–"] * 3
 
 

@@ -10,7 +10,7 @@ from mbds_xsim.measure.result import Validation
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.terminal import Outlet, print_report
 from mbds_xsim.studies.validate.present import present
-from mbds_xsim.studies.validate.words import COLUMNS
+from mbds_xsim.studies.validate.words import cells_of
 
 from .conftest import Case
 
@@ -135,9 +135,7 @@ def test_text_that_looks_like_markup_is_printed_as_it_is(one_engine: Case) -> No
 
 
 def test_what_is_over_its_budget_has_a_sign_without_colours_too(case: Case) -> None:
-    cells = [
-        tell(result, case.validation) for result in case.validation.engines for _, tell in COLUMNS
-    ]
+    cells = [c for result in case.validation.engines for c in cells_of(result, case.validation)]
     over = [cell.text for cell in cells if cell.mark == "over"]
 
     text = printed(case.validation, 120)

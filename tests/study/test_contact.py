@@ -12,7 +12,7 @@ import pytest
 
 from mbds_xsim import cli
 from mbds_xsim.base import isolate
-from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.contact import study
@@ -119,7 +119,9 @@ def test_a_failure_counts_as_told() -> None:
 def test_figures_without_a_value_keep_the_reason() -> None:
     bench = ContactBench("dart", "native", "balldrop")
 
-    found = bench.measured("restitution", "1", np.array([np.nan, np.nan]), {}, "lost")
+    lost = np.full((1, 1, 1, 3), np.nan)
+    motion = Trajectory(np.zeros(1), lost, lost, lost, lost, (Failure(0, "lost"),))
+    found = bench.measured("restitution", "1", np.array([np.nan, np.nan]), motion)
 
     assert (found.value, found.low, found.note) == (None, None, "lost")
     assert LINES[0].show(found).text == "–"

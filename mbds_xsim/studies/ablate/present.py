@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
@@ -11,43 +11,25 @@ from mbds_xsim.studies.ablate import result as ablate_result
 from mbds_xsim.studies.ablate.result import Ablation, Size
 
 _MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
-_COLUMNS: tuple[tuple[Column, Callable[[ablate_result.Row], str]], ...] = (
-    (Column("effect", "what the scene models", words=True), lambda row: row.effect),
-    (Column("made", "dropped, or how much of it is left", words=True), lambda row: _made(row)),
-    (
-        Column("at 1 s", "RMS change of the particles at 1 s, worst of the low and medium starts"),
-        lambda row: quantity.length(row.change_1s_m),
+_COLUMNS = (
+    Column("effect", "what the scene models", words=True),
+    Column("made", "dropped, or how much of it is left", words=True),
+    Column("at 1 s", "RMS change of the particles at 1 s, worst of the low and medium starts"),
+    Column("median", "the same, median of these starts", narrow=False),
+    Column(
+        "overall",
+        "largest change over the whole comparison, divided by the growth of a disturbance, "
+        "worst of all starts",
     ),
-    (
-        Column("median", "the same, median of these starts", narrow=False),
-        lambda row: quantity.length(row.change_1s_median_m),
+    Column("median ", "the same, median of all starts", narrow=False),
+    Column("× floor", "the larger of the two changes over its floor"),
+    Column(
+        "× engines",
+        "the larger of the two changes over the disagreement between engines alone",
+        narrow=False,
     ),
-    (
-        Column(
-            "overall",
-            "largest change over the whole comparison, divided by the growth of a disturbance, "
-            "worst of all starts",
-        ),
-        lambda row: quantity.length(row.change_m),
-    ),
-    (
-        Column("median ", "the same, median of all starts", narrow=False),
-        lambda row: quantity.length(row.change_median_m),
-    ),
-    (
-        Column("× floor", "the larger of the two changes over its floor"),
-        lambda row: quantity.number(row.over_floor),
-    ),
-    (
-        Column(
-            "× engines",
-            "the larger of the two changes over the disagreement between engines alone",
-            narrow=False,
-        ),
-        lambda row: quantity.number(row.over_disagreement),
-    ),
+    Column("verdict", "needed where a change is above its floor", words=True),
 )
-_VERDICT = Column("verdict", "needed where a change is above its floor", words=True)
 
 
 def present(ablation: Ablation) -> Report:
@@ -65,18 +47,7 @@ def present(ablation: Ablation) -> Report:
 
 
 def _blocks(ablation: Ablation) -> Iterator[Block]:
-    rows = tuple(
-        Row(
-            (
-                *(Cell(tell(row)) for _, tell in _COLUMNS),
-                Cell(row.verdict, _MARKS.get(row.verdict, "")),
-            ),
-            # Figures often say all that led to a verdict.
-            reasons=() if _plain(row) or not row.sentence else (row.sentence,),
-        )
-        for row in ablation.rows
-    )
-    yield Table((*(column for column, _ in _COLUMNS), _VERDICT), rows, grouped=True)
+    yield Table(_COLUMNS, tuple(map(_row, ablation.rows)), grouped=True)
     yield Remarks.of(
         [
             ("judge", _judge(ablation)),
@@ -89,13 +60,19 @@ def _blocks(ablation: Ablation) -> Iterator[Block]:
     yield Remarks.of([("scene", _smallest(ablation))])
 
 
-def _plain(row: ablate_result.Row) -> bool:
+def _row(row: ablate_result.Row) -> Row:
+    changes = (row.change_1s_m, row.change_1s_median_m, row.change_m, row.change_median_m)
+    texts = (
+        row.effect,
+        "dropped" if row.factor == 0.0 else f"× {row.factor:g}",
+        *map(quantity.length, changes),
+        *map(quantity.number, (row.over_floor, row.over_disagreement)),
+    )
     above = row.over_floor is not None and row.over_floor > 1.0
-    return row.verdict == ("needed" if above else "not needed")
-
-
-def _made(row: ablate_result.Row) -> str:
-    return "dropped" if row.factor == 0.0 else f"× {row.factor:g}"
+    # Figures often say all that led to a verdict.
+    plain = row.verdict == ("needed" if above else "not needed") or not row.sentence
+    verdict = Cell(row.verdict, _MARKS.get(row.verdict, ""))
+    return Row((*map(Cell, texts), verdict), reasons=() if plain else (row.sentence,))
 
 
 def _sizes(ablation: Ablation) -> Table:

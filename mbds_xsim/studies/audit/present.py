@@ -13,23 +13,18 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import (
     Block,
     Cell,
-    Column,
     Figure,
     Figures,
     Remark,
     Remarks,
     Report,
-    Row,
-    Table,
+    table_of,
 )
 from mbds_xsim.report.themed import GREY, INK
 
 _LEAST = 1e-6
 """Smaller shares of a budget are drawn as this one."""
-_COLUMNS = tuple(
-    Column(heading, words=heading in ("check", "where", ""))
-    for heading in ("check", "worst", "budget", "trajectory", "frame", "where", "")
-)
+_COLUMNS = ("check", ">worst", ">budget", ">trajectory", ">frame", "where", "")
 
 
 def present(audited: Audited, command: str) -> Report:
@@ -55,7 +50,7 @@ def present(audited: Audited, command: str) -> Report:
 def _blocks(audited: Audited) -> Iterator[Block]:
     yield Remarks.of(("taken for granted", line) for line in audited.taken)
     note = "worst of all trajectories and frames, beside what is allowed"
-    yield Table(_COLUMNS, tuple(map(_row, audited.findings)), note=note)
+    yield table_of(_COLUMNS, map(_row, audited.findings), note=note)
     judged = [finding for finding in audited.findings if finding.budget]
     if judged:
         yield Figures((_shares(judged),))
@@ -79,19 +74,19 @@ def _left_out(audited: Audited) -> Iterator[tuple[str, str]]:
         yield f"not checked: {', '.join(name for name, _ in names)}", reason
 
 
-def _row(finding: FindingResult) -> Row:
+def _row(finding: FindingResult) -> tuple[Cell | str, ...]:
     judged = finding.budget is not None
     figure, budget = quantity.beside(finding.figure, finding.budget, finding.unit)
-    texts = (
+    mark = Cell("", "pass" if finding.passed else "fail") if judged else Cell("")
+    return (
         finding.check,
         figure,
         budget if judged else "shown",
         str(finding.trajectory),
         str(finding.frame),
         finding.where,
+        mark,
     )
-    mark = Cell("", "pass" if finding.passed else "fail") if judged else Cell("")
-    return Row((*map(Cell, texts), mark))
 
 
 def _shares(judged: list[FindingResult]) -> Figure:

@@ -33,6 +33,7 @@ from mbds_xsim.simulate.timed import checked
 Array = NDArray[np.float64]
 
 PULL = -GRAVITY[2]
+UP = np.array([0.0, 0.0, 1.0])
 RADIUS = PARTICLE_RADIUS
 FRICTION, RESTITUTION = 0.43, 0.9332
 CRATE_MASS = 30.0
@@ -94,10 +95,21 @@ class ContactBench:
         quantity: str,
         unit: str,
         values: Array | float | None,
+        motion: Trajectory,
         at: dict[str, float] | None = None,
         note: str = "",
     ) -> ContactFigure:
-        """Put a figure down; of several the median, NaN passed over."""
+        """Put a figure of a motion down; of several the median, NaN passed over.
+
+        Args:
+            quantity: What was measured.
+            unit: "1" for a plain number.
+            values: One or several.
+            motion: What was looked at; why it failed goes before any other note.
+            at: Under which conditions, SI units.
+            note: What else is to be said of the figure.
+        """
+        note = reason(motion) or note
         known = np.atleast_1d(np.nan if values is None else values).astype(np.float64)
         known = known[np.isfinite(known)]
         several = len(known) > 1

@@ -21,11 +21,11 @@ from mbds_xsim.studies.contact.bench import (
     FRICTION,
     PULL,
     RADIUS,
+    UP,
     ContactBench,
     ContactFigure,
     ball,
     crate,
-    reason,
 )
 
 Array = NDArray[np.float64]
@@ -48,16 +48,12 @@ def energy(engine: str, profile: Profile) -> list[ContactFigure]:
 
 
 def _elastic(bench: ContactBench) -> ContactFigure:
-    start = np.zeros((len(_HEIGHTS), 3))
-    start[:, 2] = _HEIGHTS
     clock = bench.clock(_FRAME, _BOUNCING)
-    motion = bench.motion(*ball(Ground(FRICTION, 1.0), clock, position=start))
+    motion = bench.motion(*ball(Ground(FRICTION, 1.0), clock, position=np.outer(_HEIGHTS, UP)))
     gap = motion.position[:, :, 0, 2] - RADIUS
     climb = motion.velocity[:, :, 0, 2] + PULL * bench.lag
     change = [per_bounce(g, c, h) for g, c, h in zip(gap, climb, _HEIGHTS, strict=True)]
-    return bench.measured(
-        "elastic ball: energy by bounce", "1", np.array(change), {}, reason(motion)
-    )
+    return bench.measured("elastic ball: energy by bounce", "1", np.array(change), motion)
 
 
 def per_bounce(gap: Array, climb: Array, height: float) -> float:
@@ -90,7 +86,7 @@ def _eccentric(bench: ContactBench) -> list[ContactFigure]:
     motion = bench.motion(scene, batch)
     settings = bench.settings
     method = load_adapter(bench.engine).methods[settings.method]
-    record, note = Record(scene, batch, motion, method, settings.step), reason(motion)
+    record = Record(scene, batch, motion, method, settings.step)
     unexplained, whole = passivity(record), energy_rise(record)
     assert unexplained is not None
     assert whole is not None
@@ -98,11 +94,9 @@ def _eccentric(bench: ContactBench) -> list[ContactFigure]:
     ratio = np.concatenate([(h.leaving / h.arriving)[h.arriving > _FAST] for h in hits])
     alone = "" if len(ratio) else "no corner hits once and alone between two frames in flight"
     return [
-        bench.measured(
-            "cubli: energy that no law explains", "1", unexplained.figure.max(), {}, note
-        ),
-        bench.measured("cubli: largest rise of energy", "1", whole.figure.max(), {}, note),
-        bench.measured("cubli: restitution of corners", "1", ratio, {}, note or alone),
+        bench.measured("cubli: energy that no law explains", "1", unexplained.figure.max(), motion),
+        bench.measured("cubli: largest rise of energy", "1", whole.figure.max(), motion),
+        bench.measured("cubli: restitution of corners", "1", ratio, motion, note=alone),
     ]
 
 
@@ -114,8 +108,7 @@ _STARTS = ("placed", "dropped")
 
 def rest(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure a ball and a crate after 1 s, placed on the ground and dropped onto it."""
-    start = np.zeros((2, 3))
-    start[1, 2] = _HEIGHT
+    start = np.outer([0.0, _HEIGHT], UP)
     found: list[ContactFigure] = []
     for what, make, like in (("ball", ball, "balldrop"), ("crate", crate, "simplecubli")):
         bench = ContactBench(engine, profile, like)
@@ -133,12 +126,9 @@ def _stillness(
     states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
     lowest = spheres_of(mechanism, states).gap[:, late].min(axis=2)
     speed = np.linalg.norm(motion.velocity[:, late, 0], axis=-1).max(axis=1)
-    found = []
-    for row, start in enumerate(_STARTS):
-        gap, note = lowest[row], reason(motion)
-        found += [
-            bench.measured(f"{what} {start}: sinks by", "m", -gap.min(), {}, note),
-            bench.measured(f"{what} {start}: hops by", "m", np.ptp(gap), {}, note),
-            bench.measured(f"{what} {start}: moves at", "m/s", speed[row], {}, note),
-        ]
-    return found
+    figures = (("sinks by", "m", -lowest.min(axis=1)), ("hops by", "m", np.ptp(lowest, axis=1)))
+    return [
+        bench.measured(f"{what} {start}: {name}", unit, values[row], motion)
+        for row, start in enumerate(_STARTS)
+        for name, unit, values in (*figures, ("moves at", "m/s", speed))
+    ]

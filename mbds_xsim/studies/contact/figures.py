@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from mbds_xsim.base.write import write_whole
 from mbds_xsim.report.palette import ENGINES, engine_style
 from mbds_xsim.report.themed import INK, png
 from mbds_xsim.simulate.adapter import Profile
-from mbds_xsim.studies.contact.bench import FRICTION
+from mbds_xsim.studies.contact.bench import FRICTION, ContactFigure
 from mbds_xsim.studies.contact.impacts import RESTITUTIONS
 from mbds_xsim.studies.contact.study import ContactStudy
 
@@ -70,20 +70,11 @@ def _restitution(figure: Any, study: ContactStudy) -> Any:
 def _rebounds(axes: Any, study: ContactStudy, profile: Profile, asked: float) -> None:
     """Draw the medians, and the spread over the starts."""
     axes.axhline(asked, **_ASKED)
-    for engine, colour, mark in _engines(study):
-        found = [
-            m
-            for m in study.find("restitution", restitution=asked)
-            if (m.engine, m.profile) == (engine, profile) and m.value is not None
-        ]
+    for found, look in _curves(study, profile, "restitution", restitution=asked):
         speeds = [m.at["speed"] for m in found]
-        axes.fill_between(
-            speeds, [m.low for m in found], [m.high for m in found],
-            color=colour, alpha=0.15, linewidth=0,
-        )  # fmt: skip
-        axes.plot(
-            speeds, [m.value for m in found], label=engine, **_line(colour, mark), linewidth=1.2
-        )
+        lows, highs = [m.low for m in found], [m.high for m in found]
+        axes.fill_between(speeds, lows, highs, color=look["color"], alpha=0.15, linewidth=0)
+        axes.plot(speeds, [m.value for m in found], linewidth=1.2, **look)
     axes.set_xscale("log")
     axes.set_ylim(-0.05 * asked, 1.22 * asked)
 
@@ -101,24 +92,18 @@ def _friction(figure: Any, study: ContactStudy) -> Any:
 
 def _headings(axes: Any, study: ContactStudy, profile: Profile) -> None:
     axes.axhline(FRICTION, **_ASKED)
-    for engine, colour, mark in _engines(study):
-        found = [
-            m
-            for m in study.find("ball: sliding friction")
-            if (m.engine, m.profile) == (engine, profile) and m.value is not None
-        ]
-        headings = [m.at["heading_deg"] for m in found]
-        axes.plot(headings, [m.value for m in found], label=engine, **_line(colour, mark))
+    for found, look in _curves(study, profile, "ball: sliding friction"):
+        axes.plot([m.at["heading_deg"] for m in found], [m.value for m in found], **look)
     axes.set_ylim(0.0, 0.7)
     axes.set_xticks(range(0, 91, 15))
 
 
-def _line(colour: str, mark: str) -> dict[str, Any]:
-    """Thin marks: engines that agree stay visible."""
-    return {"color": colour, "marker": mark, "markersize": 8, "markeredgewidth": 1.3}
-
-
-def _engines(study: ContactStudy) -> list[tuple[str, str, str]]:
-    """Name, colour and mark of each engine, the same in every figure."""
-    places = {engine: engine_style(engine, study.versions).colour for engine in study.versions}
-    return [(engine, ENGINES[k], _MARKS[k]) for engine, k in places.items()]
+def _curves(
+    study: ContactStudy, profile: Profile, quantity: str, **at: float
+) -> Iterator[tuple[list[ContactFigure], dict[str, Any]]]:
+    """Give each engine's figures and its look, with thin marks: engines that agree stay visible."""
+    for engine in study.versions:
+        found = [m for m in study.find(engine, profile, quantity, **at) if m.value is not None]
+        place = engine_style(engine, study.versions).colour
+        look = {"color": ENGINES[place], "marker": _MARKS[place], "label": engine}
+        yield found, look | {"markersize": 8, "markeredgewidth": 1.3}

@@ -6,11 +6,14 @@ in its hop. Drag that a profile has counts as friction: what slides knows no dif
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.scene.scene import Ground
-from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.scene.scene import Ground, Scene
+from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.contact.bench import (
     CRATE_MASS,
@@ -22,7 +25,6 @@ from mbds_xsim.studies.contact.bench import (
     ContactFigure,
     ball,
     crate,
-    reason,
     wheel,
 )
 
@@ -34,10 +36,6 @@ _CRATE_GROUND = Ground(FRICTION, 0.0)
 HEADINGS = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 """Of the slip from the x axis [°]."""
 _CRATE_HEADINGS = (0.0, 45.0)
-_BALL_SPEED, _BALL_WINDOW = 5.0, (0.06, 0.22)  # it slides for 0.339 s, and 0.240 s in a box
-# So fast that friction does not turn the slip, and so short that the wheel does not turn aside.
-_WHEEL_SPEED, _WHEEL_WINDOW, _WHEEL_FRAME = 20.0, (0.005, 0.02), 0.005
-_CRATE_SPEED, _CRATE_WINDOW = 2.0, (0.1, 0.3)  # it slides for 0.474 s, and 0.335 s in a box
 PUSHES = (0.6, 0.7, 0.8, 0.9, 1.05, 1.2, 1.4, 1.5)
 """Held forces over the largest that friction bears, from small to large."""
 _HELD = 0.9
@@ -48,13 +46,39 @@ _FRAME = 0.02
 _CARRIED = 0.05  # of the weight
 
 
+class Slide(NamedTuple):
+    """What slides, how, and when it is looked at."""
+
+    what: str
+    make: Callable[..., tuple[Scene, Batch]]
+    ground: Ground
+    headings: tuple[float, ...]
+    speed: float
+    frame: float
+    window: tuple[float, float]
+    """Times between which it slides all the time [s]."""
+    duration: float
+
+
+# It slides for 0.339 s, and 0.240 s in a box.
+_BALL = Slide("ball", ball, _BALL_GROUND, HEADINGS, 5.0, _FRAME, (0.06, 0.22), 0.38)
+# So fast that friction does not turn the slip, and so short that the wheel does not turn aside:
+# what is harder to move along one axis than along the other must not matter to friction.
+_WHEEL = Slide("wheel", wheel, _BALL_GROUND, HEADINGS, 20.0, 0.005, (0.005, 0.02), 0.02)
+# It slides for 0.474 s, and 0.335 s in a box.
+_CRATE = Slide("crate", crate, _CRATE_GROUND, _CRATE_HEADINGS, 2.0, _FRAME, (0.1, 0.3), 0.3)
+
+
 def friction(engine: str, profile: Profile) -> list[ContactFigure]:
     """Measure friction on a sliding ball, wheel and crate; a pushed crate's creep and start."""
-    on_points = ContactBench(engine, profile, "simplecubli")
+    on_balls, on_points = (ContactBench(engine, profile, s) for s in ("ballscroll", "simplecubli"))
+    motion, found = _slid(on_balls, _BALL)
+    hop = np.nanmax(motion.position[:, :, 0, 2] - RADIUS)
     return [
-        *_sliding_ball(ContactBench(engine, profile, "ballscroll")),
-        *_sliding_wheel(ContactBench(engine, profile, "particlecar")),
-        *_sliding_crate(on_points),
+        *found,
+        on_balls.measured("ball: hops while it slides", "m", hop, motion),
+        *_slid(ContactBench(engine, profile, "particlecar"), _WHEEL)[1],
+        *_slid(on_points, _CRATE)[1],
         *(m for heading in _CRATE_HEADINGS for m in _pushed_crate(on_points, heading)),
     ]
 
@@ -80,51 +104,21 @@ def sliding(motion: Trajectory, along: Array, window: tuple[float, float]) -> tu
     return back / lift, np.degrees(np.arctan2(aside, back))
 
 
-def _sliding_ball(bench: ContactBench) -> list[ContactFigure]:
-    along = _directions(HEADINGS)
-    clock = bench.clock(_FRAME, 2 * _BALL_WINDOW[1] - _BALL_WINDOW[0])
-    motion = bench.motion(*ball(_BALL_GROUND, clock, velocity=_BALL_SPEED * along))
-    hop = np.nanmax(motion.position[:, :, 0, 2] - RADIUS)
-    return [
-        *_by_heading(bench, "ball", HEADINGS, *sliding(motion, along, _BALL_WINDOW), motion),
-        bench.measured("ball: hops while it slides", "m", hop, {}, reason(motion)),
-    ]
-
-
-def _sliding_wheel(bench: ContactBench) -> list[ContactFigure]:
-    """What is harder to move along one axis than along the other: friction must not care."""
-    along = _directions(HEADINGS)
-    clock = bench.clock(_WHEEL_FRAME, _WHEEL_WINDOW[1])
-    motion = bench.motion(*wheel(_BALL_GROUND, clock, velocity=_WHEEL_SPEED * along))
-    found = sliding(motion, along, _WHEEL_WINDOW)
-    return _by_heading(bench, "wheel", HEADINGS, *found, motion)
-
-
-def _sliding_crate(bench: ContactBench) -> list[ContactFigure]:
-    along = _directions(_CRATE_HEADINGS)
-    clock = bench.clock(_FRAME, _CRATE_WINDOW[1])
-    motion = bench.motion(*crate(_CRATE_GROUND, clock, velocity=_CRATE_SPEED * along))
-    found = sliding(motion, along, _CRATE_WINDOW)
-    return _by_heading(bench, "crate", _CRATE_HEADINGS, *found, motion)
-
-
-def _by_heading(
-    bench: ContactBench,
-    what: str,
-    headings: tuple[float, ...],
-    back: Array,
-    aside: Array,
-    motion: Trajectory,
-) -> list[ContactFigure]:
+def _slid(bench: ContactBench, slide: Slide) -> tuple[Trajectory, list[ContactFigure]]:
+    along = _directions(slide.headings)
+    clock = bench.clock(slide.frame, slide.duration)
+    motion = bench.motion(*slide.make(slide.ground, clock, velocity=slide.speed * along))
     found = []
-    for heading, coefficient, angle in zip(headings, back, aside, strict=True):
-        at = {"heading_deg": heading}
-        note = reason(motion) or ("it hops off the ground" if np.isnan(coefficient) else "")
-        found += [
-            bench.measured(f"{what}: sliding friction", "1", coefficient, at, note),
-            bench.measured(f"{what}: friction aside of the slip", "°", angle, at, note),
-        ]
-    return found
+    slid = sliding(motion, along, slide.window)
+    for heading, back, aside in zip(slide.headings, *slid, strict=True):
+        note = "it hops off the ground" if np.isnan(back) else ""
+        for name, unit, value in (
+            ("sliding friction", "1", back),
+            ("friction aside of the slip", "°", aside),
+        ):
+            name = f"{slide.what}: {name}"
+            found.append(bench.measured(name, unit, value, motion, {"heading_deg": heading}, note))
+    return motion, found
 
 
 def _pushed_crate(bench: ContactBench, heading: float) -> list[ContactFigure]:
@@ -138,12 +132,11 @@ def _pushed_crate(bench: ContactBench, heading: float) -> list[ContactFigure]:
     creep = (way[:, -1] - way[:, begin]) / (motion.time[-1] - motion.time[begin])
     slides = creep > _SLIDES * FRICTION * PULL * motion.time[-1]
     starts = float(shares[slides][0]) if slides.any() else None
-    at, note = {"heading_deg": heading}, reason(motion)
-    still = "" if slides.any() else note or f"still at {PUSHES[-1]:g}"
-    held = creep[PUSHES.index(_HELD)]
+    held, note = creep[PUSHES.index(_HELD)], "" if slides.any() else f"still at {PUSHES[-1]:g}"
+    name, at = f"crate: creep at {_HELD:g} of the limit", {"heading_deg": heading}
     return [
-        bench.measured(f"crate: creep at {_HELD:g} of the limit", "m/s", held, at, note),
-        bench.measured("crate: push that starts it", "1", starts, at, still),
+        bench.measured(name, "m/s", held, motion, at),
+        bench.measured("crate: push that starts it", "1", starts, motion, at, note),
     ]
 
 

@@ -19,10 +19,10 @@ from mbds_xsim.studies.contact.bench import (
     PULL,
     RADIUS,
     RESTITUTION,
+    UP,
     ContactBench,
     ContactFigure,
     ball,
-    reason,
 )
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def rebounds(
 ) -> tuple[Array, Array, Trajectory]:
     """Give restitution and duration of impacts that begin at other phases of a step, (row,)."""
     fall = _BEFORE + bench.settings.step * np.mod(_GOLDEN * np.arange(1, _STARTS + 1), 1.0)
-    motion = _dropped(bench, restitution, speed, fall, _DURATION)
+    motion = _dropped(bench, restitution, speed, fall)
     gap, raw = _height(motion)
     climb = raw + PULL * bench.lag  # at the frame's time, in flight
     moves = gap + raw**2 / (2 * PULL) > (_LEAST * speed) ** 2 / (2 * PULL)
@@ -67,10 +67,10 @@ def rebounds(
 
 def _rebound(bench: ContactBench, restitution: float, speed: float) -> list[ContactFigure]:
     kept, duration, motion = rebounds(bench, restitution, speed)
-    at, note = {"restitution": restitution, "speed": speed}, reason(motion)
+    at, note = {"restitution": restitution, "speed": speed}, "does not come back"
     return [
-        bench.measured("restitution", "1", kept, at, note),
-        bench.measured("impact duration", "s", duration, at, note or "does not come back"),
+        bench.measured("restitution", "1", kept, motion, at),
+        bench.measured("impact duration", "s", duration, motion, at, note),
     ]
 
 
@@ -78,27 +78,20 @@ def _depth(bench: ContactBench, speed: float) -> ContactFigure:
     """Look at the ball at many times after the touch; the deepest place is what counts."""
     clock = bench.clock(_FRAME, _DURATION)
     fall = 2 * clock.frame - np.geomspace(_SHORTEST, clock.frame, _SAMPLES)
-    motion = _dropped(bench, RESTITUTION, speed, fall, _DURATION)
+    motion = _dropped(bench, RESTITUTION, speed, fall)
     deepest = np.nanmax(-_height(motion)[0]) if np.isfinite(motion.position).any() else None
     at = {"restitution": RESTITUTION, "speed": speed}
-    return bench.measured("impact depth", "m", deepest, at, reason(motion))
+    return bench.measured("impact depth", "m", deepest, motion, at)
 
 
-def _dropped(
-    bench: ContactBench, restitution: float, speed: float, fall: Array, duration: float
-) -> Trajectory:
+def _dropped(bench: ContactBench, restitution: float, speed: float, fall: Array) -> Trajectory:
     """Let a ball arrive at a speed [m/s] after falls of some times [s], shape (row,)."""
-    start = np.zeros((2, len(fall), 3))
-    start[0, :, 2] = speed * fall - 0.5 * PULL * fall**2
+    position = speed * fall - 0.5 * PULL * fall**2
     # As the method records it, so that the ball arrives as it should.
-    start[1, :, 2] = PULL * fall - speed - PULL * bench.lag
-    scene, batch = ball(
-        Ground(FRICTION, restitution),
-        bench.clock(_FRAME, duration),
-        position=start[0],
-        velocity=start[1],
-    )
-    return bench.motion(scene, batch)
+    velocity = PULL * fall - speed - PULL * bench.lag
+    ground, clock = Ground(FRICTION, restitution), bench.clock(_FRAME, _DURATION)
+    start = {"position": np.outer(position, UP), "velocity": np.outer(velocity, UP)}
+    return bench.motion(*ball(ground, clock, **start))
 
 
 def _height(motion: Trajectory) -> tuple[Array, Array]:

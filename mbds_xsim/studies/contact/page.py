@@ -4,36 +4,19 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 from mbds_xsim.base.safe_text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
-from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.report.markdown import table_text
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
-from mbds_xsim.studies.contact.present import (
-    FRICTION_LAW,
-    JUDGED,
-    NOWHERE,
-    REBOUND_LAW,
-    SPREAD,
-    STARTS,
-    STILL,
-    STRAIGHT,
-    Line,
-    coefficient,
-    degrees,
-    figure_of,
-    percent,
-    rows_of,
-    speed,
-    tiny_length,
-)
+from mbds_xsim.studies.contact.present import JUDGED, Line, figure_of, heading, impact, rows_of
 from mbds_xsim.studies.contact.study import ContactStudy
 
 _PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
@@ -117,8 +100,8 @@ def _furthest(asked: float) -> tuple[str, Show]:
     def cell(study: ContactStudy, engine: str, profile: str) -> Cell:
         found = [
             (abs(m.value - asked), m.at["speed"])
-            for m in study.find("restitution", restitution=asked)
-            if (m.engine, m.profile) == (engine, profile) and m.value is not None
+            for m in study.find(engine, profile, "restitution", restitution=asked)
+            if m.value is not None
         ]
         if not found:
             return Cell(quantity.NONE)
@@ -156,60 +139,37 @@ def _limit(name: str, unit: str) -> tuple[str, Show]:
     return f"{name} [{unit}]", cell
 
 
-def _impact(label: str, name: str, write: Callable[[float], str], at: float) -> Line:
-    conditions = {"restitution": RESTITUTION, "speed": at}
-    return Line(f"{label}, {at:g} m/s", name, write, at=conditions)
-
-
-def _heading(
-    label: str,
-    name: str,
-    write: Callable[[float], str],
-    right: Callable[[float], bool],
-    *headings: float,
-) -> Iterator[Line]:
+def _by_heading(label: str, name: str, *headings: float) -> Iterator[Line]:
     for angle in headings:
-        yield Line(f"{label} {angle:g}°", name, write, right, {"heading_deg": angle})
+        yield Line(f"{label} {angle:g}°", name, heading(angle))
 
 
-_REBOUNDS = [
-    Line(
-        f"{speed:g} m/s", "restitution", coefficient, REBOUND_LAW,
-        {"restitution": RESTITUTION, "speed": speed},
-    )
-    for speed in SPEEDS
-]  # fmt: skip
+_REBOUNDS = [Line(f"{speed:g} m/s", "restitution", impact(speed)) for speed in SPEEDS]
 _IMPACTS: Columns = [
     *map(_furthest, RESTITUTIONS),
-    *(_impact("takes", "impact duration", quantity.span, at) for at in (0.1, 1.0, 10.0)),
-    *(_impact("depth", "impact depth", quantity.length, at) for at in DEPTH_SPEEDS),
+    *(Line(f"takes, {at:g} m/s", "impact duration", impact(at)) for at in (0.1, 1.0, 10.0)),
+    *(Line(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
 ]
-_ASIDE = "friction aside of the slip"
 _FRICTIONS = [
-    *_heading("ball", "ball: sliding friction", coefficient, FRICTION_LAW, 0.0, 15.0, 45.0),
-    *_heading("aside", f"ball: {_ASIDE}", degrees, STRAIGHT, 15.0),
-    *_heading("wheel aside", f"wheel: {_ASIDE}", degrees, STRAIGHT, 30.0),
-    Line("hops by", "ball: hops while it slides", tiny_length, STILL),
-    *_heading("crate", "crate: sliding friction", coefficient, FRICTION_LAW, 0.0, 45.0),
-    *_heading("creep", "crate: creep at 0.9 of the limit", speed, STILL, 0.0, 45.0),
-    *_heading("starts", "crate: push that starts it", "{:g}".format, STARTS, 0.0, 45.0),
+    *_by_heading("ball", "ball: sliding friction", 0.0, 15.0, 45.0),
+    *_by_heading("aside", "ball: friction aside of the slip", 15.0),
+    *_by_heading("wheel aside", "wheel: friction aside of the slip", 30.0),
+    Line("hops by", "ball: hops while it slides"),
+    *_by_heading("crate", "crate: sliding friction", 0.0, 45.0),
+    *_by_heading("creep", "crate: creep at 0.9 of the limit", 0.0, 45.0),
+    *_by_heading("starts", "crate: push that starts it", 0.0, 45.0),
 ]
-_CORNERS = "cubli: restitution of corners"
 _ENERGIES: Columns = [
-    Line("elastic ball", "elastic ball: energy by bounce", percent, SPREAD),
-    Line("unexplained rise", "cubli: energy that no law explains", percent, NOWHERE),
-    Line("whole rise", "cubli: largest rise of energy", percent),
-    Line("corners' rebound", _CORNERS, coefficient),
-    _range("from … to", _CORNERS),
+    Line("elastic ball", "elastic ball: energy by bounce"),
+    Line("unexplained rise", "cubli: energy that no law explains"),
+    Line("whole rise", "cubli: largest rise of energy"),
+    Line("corners' rebound", "cubli: restitution of corners"),
+    _range("from … to", "cubli: restitution of corners"),
 ]
 _RESTS = [
-    line
+    Line(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
     for what in ("ball", "crate")
-    for line in (
-        Line(f"{what}: sinks", f"{what} dropped: sinks by", tiny_length),
-        Line(f"{what}: hops", f"{what} dropped: hops by", tiny_length, STILL),
-        Line(f"{what}: moves at", f"{what} dropped: moves at", speed, STILL),
-    )
+    for how in ("sinks by", "hops by", "moves at")
 ]
 _UPPER = [
     _limit("free spin", "rad/s"),
@@ -263,7 +223,7 @@ def _summary(study: ContactStudy) -> Iterator[str]:
     for profile in study.profiles:
         rows = (map(_marked, row.cells) for row in rows_of(study, profile))
         yield f"## In short: `{profile}`\n"
-        yield _lines(["", ">asked", *(f">{engine}" for engine in study.versions)], rows)
+        yield table_text(["", ">asked", *(f">{engine}" for engine in study.versions)], rows)
 
 
 def words_of(engine: str, law: ContactLaw) -> str:
@@ -299,11 +259,7 @@ def _table(study: ContactStudy, columns: Sequence[Line | tuple[str, Show]]) -> s
         for profile in study.profiles
         for engine in study.versions
     )
-    return _lines(["", ">", *(f">{label}" for label, _ in shown)], rows)
-
-
-def _lines(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    return "".join(f"{line}\n" for line in table_lines(headings, rows))
+    return table_text(["", ">", *(f">{label}" for label, _ in shown)], rows)
 
 
 def _marked(cell: Cell) -> str:

@@ -20,20 +20,58 @@ JUDGED = (
 )
 
 
-def near(asked: float, within: float) -> Callable[[float], bool]:
+def _near(asked: float, within: float) -> Callable[[float], bool]:
     """Judge by the distance from what was asked."""
     return lambda value: abs(value - asked) <= within
 
 
+def _any(_: float) -> bool:
+    return True
+
+
+def _speed(value: float) -> str:
+    """Write a speed [m/s]: `9.0 mm/s`; less than 1 nm/s is 0."""
+    return "0" if abs(value) < 1e-9 else f"{quantity.length(value)}/s"
+
+
+def _tiny_length(value: float) -> str:
+    """Write a length [m]; less than 0.1 nm is 0, of either sign."""
+    return "0" if abs(value) < 1e-10 else quantity.length(value)
+
+
+def _percent(value: float) -> str:
+    """Write a share: `+1.7 %`; less than 0.001 % is 0."""
+    if abs(value) < 1e-4:
+        return "<0.01 %" if abs(value) >= 1e-5 else "0"
+    return f"{100.0 * value:+.0f} %" if abs(value) >= 0.1 else f"{100.0 * value:+.2g} %"
+
+
+def _of_radius(depth: float) -> str:
+    return f"{100.0 * depth / RADIUS:.2g} %"
+
+
 _FIRST_ABOVE = min(push for push in PUSHES if push > 1.0)
-REBOUND_LAW = near(RESTITUTION, 0.01)
-FRICTION_LAW = near(FRICTION, 0.02 * FRICTION)
-STRAIGHT = near(0.0, 1.0)
-STILL = near(0.0, 1e-3)
-NOWHERE = near(0.0, 1e-3)
-SPREAD = near(0.0, 0.02)
-STARTS = near(_FIRST_ABOVE, 1e-9)
 """The first push over what friction bears should start what stands."""
+_STILL = _near(0.0, 1e-3)
+_WAYS: dict[str, tuple[Callable[[float], str], Callable[[float], bool]]] = {
+    "restitution": ("{:.3f}".format, _near(RESTITUTION, 0.01)),
+    "impact duration": (quantity.span, _any),
+    "impact depth": (quantity.length, _any),
+    "sliding friction": ("{:.3f}".format, _near(FRICTION, 0.02 * FRICTION)),
+    "friction aside of the slip": ("{:.1f}°".format, _near(0.0, 1.0)),
+    "hops while it slides": (_tiny_length, _STILL),
+    "creep at 0.9 of the limit": (_speed, _STILL),
+    "push that starts it": ("{:g}".format, _near(_FIRST_ABOVE, 1e-9)),
+    "energy by bounce": (_percent, _near(0.0, 0.02)),
+    "energy that no law explains": (_percent, _near(0.0, 1e-3)),
+    "largest rise of energy": (_percent, _any),
+    "restitution of corners": ("{:.3f}".format, _any),
+    "sinks by": (_tiny_length, _any),
+    "hops by": (_tiny_length, _STILL),
+    "moves at": (_speed, _STILL),
+    "cost of a simulated second": (quantity.span, _any),
+}
+"""How figures are written and judged, by what is measured, of whatever body."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +80,12 @@ class Line:
 
     label: str
     quantity: str
-    write: Callable[[float], str]
-    right: Callable[[float], bool] = lambda _: True
     at: dict[str, float] = field(default_factory=dict)
     asked: str = ""
     most: float | None = None
     """The largest that was tried, of what is a limit."""
+    write: Callable[[float], str] | None = None
+    """In place of the usual way."""
 
     def cell(self, study: ContactStudy, engine: str, profile: str) -> Cell:
         """Show what was measured in an engine."""
@@ -57,10 +95,11 @@ class Line:
         """Write a figure; one that is far from what was asked is marked."""
         if measured is None:
             return Cell(quantity.NONE)
+        usual, right = _WAYS.get(self.quantity.rpartition(": ")[2], ("{:g}".format, _any))
         value = measured.value
-        text = quantity.NONE if value is None else self.write(value)
+        text = quantity.NONE if value is None else (self.write or usual)(value)
         if self.most is None:
-            return Cell(text, "" if value is None or self.right(value) else "over")
+            return Cell(text, "" if value is None or right(value) else "over")
         how = measured.note.split(" ")[0]  # how it ends: told or silent
         text = f"≥ {self.most:g}" if value == self.most else f"{text} {how}".rstrip()
         return Cell(text, "over" if text.endswith("silent") else "")
@@ -70,85 +109,42 @@ def figure_of(
     study: ContactStudy, engine: str, profile: str, name: str, **at: float
 ) -> ContactFigure | None:
     """Find one figure; None where the engine did not come through."""
-    found = (m for m in study.find(name, **at) if (m.engine, m.profile) == (engine, profile))
-    return next(found, None)
+    return next(iter(study.find(engine, profile, name, **at)), None)
 
 
-def speed(value: float) -> str:
-    """Write a speed [m/s]: `9.0 mm/s`; less than 1 nm/s is 0."""
-    return "0" if abs(value) < 1e-9 else f"{quantity.length(value)}/s"
+def impact(at: float) -> dict[str, float]:
+    """Give the conditions of an impact at a speed [m/s]."""
+    return {"restitution": RESTITUTION, "speed": at}
 
 
-def tiny_length(value: float) -> str:
-    """Write a length [m]; less than 0.1 nm is 0, of either sign."""
-    return "0" if abs(value) < 1e-10 else quantity.length(value)
-
-
-def percent(value: float) -> str:
-    """Write a share: `+1.7 %`; less than 0.001 % is 0."""
-    if abs(value) < 1e-4:
-        return "<0.01 %" if abs(value) >= 1e-5 else "0"
-    return f"{100.0 * value:+.0f} %" if abs(value) >= 0.1 else f"{100.0 * value:+.2g} %"
-
-
-def coefficient(value: float) -> str:
-    """Write a coefficient of friction or restitution."""
-    return f"{value:.3f}"
-
-
-def degrees(value: float) -> str:
-    """Write an angle [°]."""
-    return f"{value:.1f}°"
-
-
-def _of_radius(depth: float) -> str:
-    return f"{100.0 * depth / RADIUS:.2g} %"
-
-
-def _at(speed: float) -> dict[str, float]:
-    return {"restitution": RESTITUTION, "speed": speed}
-
-
-def _heading(angle: float) -> dict[str, float]:
+def heading(angle: float) -> dict[str, float]:
+    """Give the condition of a slip in a direction from x [°]."""
     return {"heading_deg": angle}
 
 
 _E, _MU = f"{RESTITUTION:.3f}", f"{FRICTION:.3f}"
-_ASIDE, _WHEEL = "ball: friction aside of the slip", "wheel: friction aside of the slip"
-_SLIDING = "ball: sliding friction"
+_START = "crate: push that starts it"
 LINES = (
-    Line("rebound at 1 m/s", "restitution", coefficient, REBOUND_LAW, _at(1.0), _E),
-    Line("rebound at 0.1 m/s", "restitution", coefficient, REBOUND_LAW, _at(0.1), _E),
-    Line("an impact at 1 m/s takes", "impact duration", quantity.span, at=_at(1.0)),
-    Line("depth at 5 m/s, of radius", "impact depth", _of_radius, at=_at(5.0)),
-    Line("friction along x", _SLIDING, coefficient, FRICTION_LAW, _heading(0.0), _MU),
-    Line("friction at 45°", _SLIDING, coefficient, FRICTION_LAW, _heading(45.0), _MU),
-    Line("friction aside at 15°", _ASIDE, degrees, STRAIGHT, _heading(15.0), "0"),
-    Line("under a wheel, aside at 30°", _WHEEL, degrees, STRAIGHT, _heading(30.0), "0"),
-    Line("sliding ball hops by", "ball: hops while it slides", tiny_length, STILL, asked="0"),
-    Line(
-        "creep at 0.9 μ m g, 45°", "crate: creep at 0.9 of the limit", speed, STILL,
-        _heading(45.0), "0",
-    ),
-    Line(
-        "slides from × μ m g, 45°", "crate: push that starts it", "{:g}".format, STARTS,
-        _heading(45.0), f"{_FIRST_ABOVE:g}",
-    ),
-    Line(
-        "elastic ball, energy/bounce", "elastic ball: energy by bounce", percent, SPREAD,
-        asked="0",
-    ),
-    Line(
-        "cubli, energy from nowhere", "cubli: energy that no law explains", percent, NOWHERE,
-        asked="0",
-    ),
-    Line("cubli, rebound of corners", "cubli: restitution of corners", coefficient, asked=_E),
-    Line("ball at rest sinks by", "ball dropped: sinks by", tiny_length, asked="0"),
-    Line("crate at rest trembles at", "crate dropped: moves at", speed, STILL, asked="0"),
-    Line("spin up to, rad/s", "free spin", "{:g}".format, most=SPINS[-1]),
-    Line("impacts held up to, m/s", "impact speed held", "{:g}".format, most=DROPS[-1]),
-    Line("cost of 1 s of balldrop", "cost of a simulated second", quantity.span),
-)  # fmt: skip
+    Line("rebound at 1 m/s", "restitution", impact(1.0), _E),
+    Line("rebound at 0.1 m/s", "restitution", impact(0.1), _E),
+    Line("an impact at 1 m/s takes", "impact duration", impact(1.0)),
+    Line("depth at 5 m/s, of radius", "impact depth", impact(5.0), write=_of_radius),
+    Line("friction along x", "ball: sliding friction", heading(0.0), _MU),
+    Line("friction at 45°", "ball: sliding friction", heading(45.0), _MU),
+    Line("friction aside at 15°", "ball: friction aside of the slip", heading(15.0), "0"),
+    Line("under a wheel, aside at 30°", "wheel: friction aside of the slip", heading(30.0), "0"),
+    Line("sliding ball hops by", "ball: hops while it slides", asked="0"),
+    Line("creep at 0.9 μ m g, 45°", "crate: creep at 0.9 of the limit", heading(45.0), "0"),
+    Line("slides from × μ m g, 45°", _START, heading(45.0), f"{_FIRST_ABOVE:g}"),
+    Line("elastic ball, energy/bounce", "elastic ball: energy by bounce", asked="0"),
+    Line("cubli, energy from nowhere", "cubli: energy that no law explains", asked="0"),
+    Line("cubli, rebound of corners", "cubli: restitution of corners", asked=_E),
+    Line("ball at rest sinks by", "ball dropped: sinks by", asked="0"),
+    Line("crate at rest trembles at", "crate dropped: moves at", asked="0"),
+    Line("spin up to, rad/s", "free spin", most=SPINS[-1]),
+    Line("impacts held up to, m/s", "impact speed held", most=DROPS[-1]),
+    Line("cost of 1 s of balldrop", "cost of a simulated second"),
+)
 """What the summary shows, in this order."""
 
 

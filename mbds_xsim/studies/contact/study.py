@@ -20,7 +20,7 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure, reason
+from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure
 from mbds_xsim.studies.contact.energy import energy, rest
 from mbds_xsim.studies.contact.friction import friction
 from mbds_xsim.studies.contact.impacts import impacts
@@ -36,8 +36,7 @@ def cost(engine: str, profile: Profile) -> list[ContactFigure]:
     batch = draw_batch(scene, [1], noise=False)
     runs = [simulate(scene, batch, engine, bench.settings) for _ in range(_REPEATS)]
     spent = np.array([run.rollout_s for run in runs]) / scene.clock.duration
-    note = reason(runs[0].trajectory)
-    return [bench.measured("cost of a simulated second", "s", spent, {}, note)]
+    return [bench.measured("cost of a simulated second", "s", spent, runs[0].trajectory)]
 
 
 # The longest first, which leaves no core without work at the end.
@@ -74,12 +73,13 @@ class ContactStudy(msgspec.Struct, frozen=True):
     machine: str
     wall_s: float
 
-    def find(self, quantity: str, **at: float) -> list[ContactFigure]:
-        """List figures of a quantity under some conditions, in the order of engines."""
+    def find(self, engine: str, profile: str, quantity: str, **at: float) -> list[ContactFigure]:
+        """List figures of a quantity under some conditions."""
         return [
-            figure
-            for figure in self.figures
-            if figure.quantity == quantity and at.items() <= figure.at.items()
+            m
+            for m in self.figures
+            if (m.engine, m.profile, m.quantity) == (engine, profile, quantity)
+            and at.items() <= m.at.items()
         ]
 
 

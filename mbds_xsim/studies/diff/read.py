@@ -91,87 +91,54 @@ def _named(pairs: Iterable[tuple[str, T]]) -> dict[str, T]:
 
 def _validation(part: object) -> View:
     stored = result.from_plain(part, result.Validation)
-    return View(
-        scene=stored.scene,
-        command=stored.command,
-        identity={"length [m]": stored.length_m, "fingerprint": stored.fingerprint or None},
-        sample={
-            "seed": stored.seed,
-            "trajectories": len(stored.trajectories),
-            **_prefixed("budget", stored.budget),
-        },
-        circumstances=_circumstances(stored.versions, stored.machine),
-        entries=_named(
-            (f"{engine.engine} {engine.profile}", _engine_entry(engine, stored))
-            for engine in stored.engines
-        ),
-        left_out=stored.left_out,
+    budgets = {f"budget {key}": value for key, value in stored.budget.items()}
+    return _view(
+        stored,
+        ((f"{e.engine} {e.profile}", _engine_entry(e, stored)) for e in stored.engines),
+        identity=_fields(stored, "length_m"),
+        sample={"seed": stored.seed, "trajectories": len(stored.trajectories), **budgets},
     )
 
 
 def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Entry:
     budget = stored.budget.get("error", 0.0) * stored.length_m
+    settings = _fields(engine, "version", "method", "step_s", "coordinates", "constraints")
+    findings = engine.findings
     return Entry(
         verdict=engine.verdict,
         rank=_VERDICTS.get(engine.verdict),
-        settings={
-            "version": engine.version,
-            "method": engine.method,
-            "step [s]": engine.step_s,
-            "coordinates": engine.coordinates,
-            "constraints": engine.constraints,
-            **engine.options,
-        },
+        settings={**settings, **engine.options},
         reasons=tuple(dict.fromkeys((*engine.reasons, *engine.failures))),
-        broken=frozenset(finding.check for finding in engine.findings if not finding.passed),
-        judged=frozenset(f.check for f in engine.findings if f.budget is not None),
-        figures={
-            f.check: Figure(_finite(f.figure), f.unit, f.budget or 0.0) for f in engine.findings
-        }
-        | {
-            "largest error": Figure(engine.error_max_m, "m", budget),
-            "agreement time": Figure(engine.agreement_time_s, "s"),
-        },
-        timings={
-            "wall time per simulated second": engine.wall_per_simulated_s,
-            "set-up": engine.setup_s,
-        },
+        broken=frozenset(finding.check for finding in findings if not finding.passed),
+        judged=frozenset(f.check for f in findings if f.budget is not None),
+        figures={f.check: Figure(_finite(f.figure), f.unit, f.budget or 0.0) for f in findings}
+        | _figures(engine, "error_max_m", "agreement_time_s", error_max_m=budget),
+        timings=_fields(engine, "wall_per_simulated_s", "setup_s"),
     )
 
 
 def _tradeoff(part: object) -> View:
     study = msgspec.convert(part, rows.Tradeoff)
-    return View(
-        scene=study.scene,
-        command=study.command,
-        identity={
-            "length [m]": study.length_m,
-            "duration [s]": study.duration_s,
-            "fingerprint": study.fingerprint or None,
-        },
-        sample={
-            "seed": study.seed,
-            "starts": len(study.trajectories),
-            "horizon [s]": study.horizon_s,
-            "limit [s]": study.limit_s,
-            **_prefixed("budget", study.budget),
-        },
-        circumstances=_circumstances(study.versions, study.machine),
-        entries=_named(_curve_entries(study)),
-        left_out=study.left_out,
+    budgets = {f"budget {key}": value for key, value in study.budget.items()}
+    limits = _fields(study, "horizon_s", "limit_s")
+    return _view(
+        study,
+        _curve_entries(study),
+        identity=_fields(study, "length_m", "duration_s"),
+        sample={"seed": study.seed, "starts": len(study.trajectories), **limits, **budgets},
     )
 
 
 def _curve_entries(study: rows.Tradeoff) -> Iterator[tuple[str, Entry]]:
     scales = {
-        "error": study.budget.get("error_1s", 0.0) * study.length_m,
-        "weighted": study.budget.get("error", 0.0) * study.length_m,
-        "gap": study.budget.get("gap", 0.0),
+        "error_m": study.budget.get("error_1s", 0.0) * study.length_m,
+        "error_weighted_m": study.budget.get("error", 0.0) * study.length_m,
+        "gap_m": study.budget.get("gap", 0.0),
         "energy": study.budget.get("energy", 0.0),
     }
     costs = next((ratio.wall_s for ratio in study.ratios if ratio.budget), ())
     for curve, cost in itertools.zip_longest(study.curves, costs[: len(study.curves)]):
-        yield curve.name, _curve_entry(curve, cost, scales["error"])
+        yield curve.name, _curve_entry(curve, cost, scales["error_m"])
         for point in curve.points:
             name = f"{curve.name}, {point.step_s:.12g} s"
             yield name, _point_entry(point, curve.name, scales)
@@ -204,69 +171,46 @@ def _point_entry(point: rows.Point, curve: str, scales: Mapping[str, float]) -> 
         reasons=(point.reason,) if point.reason else (),
         broken=frozenset(point.broken),
         judged=None if done else frozenset(),
-        figures={
-            "error": Figure(point.error_m, "m", scales["error"]),
-            "error growth-weighted": Figure(point.error_weighted_m, "m", scales["weighted"]),
-            "gap": Figure(point.gap_m, "m", scales["gap"]),
-            "energy": Figure(point.energy, "1", scales["energy"]),
-        },
+        figures=_figures(point, *scales, **scales),
         timings={"wall time per simulated second": point.wall_s},
     )
 
 
 def _match(part: object) -> View:
     stored = result.from_plain(part, match.Match)
-    return View(
-        scene=stored.scene,
-        command=stored.command,
-        identity={"fingerprint": stored.fingerprint or None},
-        sample={
-            "seed": stored.seed,
-            "seed of the held-out": stored.held_out_seed,
-            "starts of the search": stored.trajectories,
-            "starts held out": stored.held_out,
-        },
-        circumstances={"machine": stored.machine},
-        entries=_named((found.engine, _found_entry(found)) for found in stored.engines),
-        left_out=stored.left_out,
-    )
+    sample = {
+        "seed": stored.seed,
+        "seed of the held-out": stored.held_out_seed,
+        "starts of the search": stored.trajectories,
+        "starts held out": stored.held_out,
+    }
+    entries = ((found.engine, _found_entry(found)) for found in stored.engines)
+    return _view(stored, entries, identity={}, sample=sample)
 
 
 def _found_entry(found: match.Found) -> Entry:
+    settings = _fields(found, "version", "method", "steps_per_frame", "step_s")
+    figures = ("error_1s_m", "error_weighted_m", "constraint_gap_m", "energy_balance")
     return Entry(
         verdict="keeps all budgets" if found.meets_budget else "over budget",
         rank=0 if found.meets_budget else FAILING,
-        settings={
-            "version": found.version,
-            "method": found.method,
-            "steps a frame": found.steps_per_frame,
-            "step [s]": found.step_s,
-            **found.options,
-        },
+        settings={**settings, **found.options},
         reasons=found.reasons,
-        figures={
-            "error at 1 s": Figure(found.error_1s_m, "m"),
-            "error growth-weighted": Figure(found.error_weighted_m, "m"),
-            "gap": Figure(found.constraint_gap_m, "m"),
-            "energy": Figure(found.energy_balance),
-        },
+        figures=_figures(found, *figures),
         timings={
-            "wall time per simulated second": _finite(found.wall_per_simulated_s),
-            "processor time per simulated second": _finite(found.cpu_per_simulated_s),
+            _LABELS[name]: _finite(getattr(found, name))
+            for name in ("wall_per_simulated_s", "cpu_per_simulated_s")
         },
     )
 
 
 def _stability(part: object) -> View:
     sweep = msgspec.convert(part, stability_rows.Sweep)
-    return View(
-        scene=sweep.study,
-        command=sweep.command,
-        identity={"duration [s]": sweep.duration_s},
+    return _view(
+        sweep,
+        _panel_entries(sweep),
+        identity=_fields(sweep, "duration_s"),
         sample={"criteria": sweep.criteria},
-        circumstances=_circumstances(sweep.versions, sweep.machine),
-        entries=_named(_panel_entries(sweep)),
-        left_out=sweep.left_out,
     )
 
 
@@ -289,28 +233,72 @@ def _cell_entry(cell: stability_rows.MapCell, panel: str) -> Entry:
         parent=panel,
         settings={"who told": cell.told, **cell.options},
         reasons=(cell.reason,) if cell.reason else (),
-        figures={
-            "error": Figure(cell.error),
-            "energy": Figure(cell.energy),
-            "gap": Figure(cell.gap),
-            "sunk": Figure(cell.sunk),
-            "way": Figure(cell.way),
-            "broke at": Figure(cell.broke_s, "s"),
-        },
+        figures=_figures(cell, "error", "energy", "gap", "sunk", "way", "broke_s"),
         timings={"wall time": cell.wall_s},
     )
 
 
+def _view(
+    stored: Any,
+    entries: Iterable[tuple[str, Entry]],
+    *,
+    identity: dict[str, Value],
+    sample: Mapping[str, Value],
+) -> View:
+    """Make a view of what results of all commands have, and of what is this one's own."""
+    if hasattr(stored, "fingerprint"):
+        identity = identity | {"fingerprint": stored.fingerprint or None}
+    return View(
+        scene=stored.scene if hasattr(stored, "scene") else stored.study,
+        command=stored.command,
+        identity=identity,
+        sample=sample,
+        circumstances={**getattr(stored, "versions", {}), "machine": stored.machine},
+        entries=_named(entries),
+        left_out=stored.left_out,
+    )
+
+
+_LABELS = {
+    "length_m": "length [m]",
+    "duration_s": "duration [s]",
+    "horizon_s": "horizon [s]",
+    "limit_s": "limit [s]",
+    "step_s": "step [s]",
+    "steps_per_frame": "steps a frame",
+    "error_m": "error",
+    "error_1s_m": "error at 1 s",
+    "error_max_m": "largest error",
+    "error_weighted_m": "error growth-weighted",
+    "agreement_time_s": "agreement time",
+    "gap_m": "gap",
+    "constraint_gap_m": "gap",
+    "energy_balance": "energy",
+    "broke_s": "broke at",
+    "wall_per_simulated_s": "wall time per simulated second",
+    "cpu_per_simulated_s": "processor time per simulated second",
+    "setup_s": "set-up",
+}
+"""What fields are called; others by their names."""
+
+
+def _fields(stored: msgspec.Struct, *names: str) -> dict[str, Any]:
+    return {_LABELS.get(name, name): getattr(stored, name) for name in names}
+
+
+def _figures(stored: msgspec.Struct, *names: str, **scales: float) -> dict[str, Figure]:
+    """Take figures, with the units that their names end with, and budgets where they have any."""
+    ends = {"m": "m", "s": "s"}
+    return {
+        _LABELS.get(name, name): Figure(
+            getattr(stored, name), ends.get(name.rpartition("_")[2], "1"), scales.get(name, 0.0)
+        )
+        for name in names
+    }
+
+
 def _finite(figure: float) -> float | None:
     return figure if math.isfinite(figure) else None
-
-
-def _circumstances(versions: Mapping[str, str], machine: str) -> dict[str, Value]:
-    return {**versions, "machine": machine}
-
-
-def _prefixed(prefix: str, values: Mapping[str, float]) -> dict[str, Value]:
-    return {f"{prefix} {key}": value for key, value in values.items()}
 
 
 READERS: dict[str, Callable[[Any], View]] = {

@@ -6,23 +6,20 @@ from collections.abc import Iterator
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, Row, Table
+from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, table_of
 from mbds_xsim.studies.match.search import Found, Match
 
-_COLUMNS = tuple(
-    Column(heading, meaning, words=heading in ("engine", "method", "until now", ""))
-    for heading, meaning in (
-        ("engine", ""),
-        ("method", ""),
-        ("step", ""),
-        ("cost", "Wall time per simulated second and trajectory"),
-        ("err 1 s", "Worst RMS particle error at 1 s over the low and medium starts"),
-        ("gap", "Worst distance between the anchor points of a joint"),
-        ("energy", "Worst energy balance over the energy scale"),
-        ("until now", "The settings in use before"),
-        ("×", "Processor time over that of the settings until now"),
-        ("", ""),
-    )
+_COLUMNS = (
+    "engine",
+    "method",
+    ">step",
+    Column("cost", "Wall time per simulated second and trajectory"),
+    Column("err 1 s", "Worst RMS particle error at 1 s over the low and medium starts"),
+    Column("gap", "Worst distance between the anchor points of a joint"),
+    Column("energy", "Worst energy balance over the energy scale"),
+    Column("until now", "The settings in use before", words=True),
+    Column("×", "Processor time over that of the settings until now"),
+    "",
 )
 
 
@@ -34,7 +31,7 @@ def present(match: Match) -> Report:
         what="within budgets" if met else "budgets missed",
         conclusion=_conclusion(match),
         blocks=(
-            Table(_COLUMNS, tuple(map(_row, match.engines)), note=_figures_of(match)),
+            table_of(_COLUMNS, map(_row, match.engines), note=_figures_of(match)),
             Remarks.of(_remarks(match)),
         ),
         command=match.command,
@@ -58,8 +55,8 @@ def _conclusion(match: Match) -> str:
     )
 
 
-def _row(found: Found) -> Row:
-    texts = (
+def _row(found: Found) -> tuple[Cell | str, ...]:
+    return (
         found.engine,
         found.method,
         quantity.span(found.step_s),
@@ -69,9 +66,8 @@ def _row(found: Found) -> Row:
         quantity.number(found.energy_balance),
         f"{found.used_method}, {found.used_steps_per_frame} a frame",
         quantity.number(found.cost_ratio),
+        Cell("holds", "pass") if found.meets_budget else Cell("misses", "fail"),
     )
-    verdict = Cell("holds", "pass") if found.meets_budget else Cell("misses", "fail")
-    return Row((*map(Cell, texts), verdict))
 
 
 def _remarks(match: Match) -> Iterator[tuple[str, str]]:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Row, Table
 from mbds_xsim.report.palette import Style
-from mbds_xsim.studies.validate.episodes import Contact
-
-_Tell = Callable[[Contact, int, Contact], str]
-"""Of a motion, a trajectory, and the reference."""
+from mbds_xsim.studies.validate.episodes import Contact, Episode
 
 
 def tables(
@@ -33,7 +30,7 @@ def tables(
     assert ideal is not None
     told = [
         [
-            (entry, [tell(contact, row, ideal) for _, tell in _COLUMNS])
+            (entry, _texts(contact, row, ideal))
             for entry, contact in zip(entries, contacts, strict=True)
             if contact is not None and np.isfinite(contact.gap[row, 1:]).any()
         ]
@@ -41,7 +38,7 @@ def tables(
     ]
     every = [texts for rows in told for _, texts in rows]
     kept = [k for k in range(len(_COLUMNS)) if any(texts[k] != quantity.NONE for texts in every)]
-    columns = tuple(_COLUMNS[k][0] for k in kept)
+    columns = tuple(_COLUMNS[k] for k in kept)
     return tuple(
         Table(
             (Column(f"trajectory {number}", words=True), *columns),
@@ -54,60 +51,45 @@ def tables(
     )
 
 
-def _first(contact: Contact, row: int, _: Contact) -> str:
-    step = contact.touch[row].any(axis=1)
-    return "from the start" if step[0] else _seconds(contact.episodes[row].first)
+_COLUMNS = (
+    Column("first touch", "End of the first frame interval in which the ground pushes"),
+    Column("impacts", "Frame intervals with an impact"),
+    Column("first rebound", "Height of the ball after its first impact, by its speed"),
+    Column("restitution", "Speed after over before single impacts: median and range"),
+    Column("deepest", "Deepest overlap with the ground in a recorded frame"),
+    Column("rolls from", "When the ball has slid for the last time"),
+)
 
 
-def _count(contact: Contact, row: int, _: Contact) -> str:
-    count = int(contact.impact[row].sum())
-    return str(count) if count else quantity.NONE
+def _texts(contact: Contact, row: int, ideal: Contact) -> list[str]:
+    """Fill the columns for a trajectory of a motion, beside that of the reference."""
+    episode, count = contact.episodes[row], int(contact.impact[row].sum())
+    gap = contact.gap[row]
+    known = np.isfinite(gap).any()
+    return [
+        "from the start" if contact.touch[row, 0].any() else _seconds(episode.first),
+        str(count) if count else quantity.NONE,
+        _rebound(episode.rebound, None if contact is ideal else ideal.episodes[row].rebound),
+        _restitution(episode),
+        quantity.length(max(0.0, -float(np.nanmin(gap)))) if known else quantity.NONE,
+        _seconds(episode.rolls),
+    ]
 
 
-def _rebound(contact: Contact, row: int, ideal: Contact) -> str:
-    height, exact = (c.episodes[row].rebound for c in (contact, ideal))
+def _rebound(height: float | None, exact: float | None) -> str:
     if height is None:
         return quantity.NONE
-    if contact is ideal or not exact:
-        return f"{height:.4f} m"
-    return f"{height:.4f} m ({100 * (height / exact - 1):+.2f} %)"
+    beside = f" ({100 * (height / exact - 1):+.2f} %)" if exact else ""
+    return f"{height:.4f} m{beside}"
 
 
-def _restitution(contact: Contact, row: int, _: Contact) -> str:
-    episode = contact.episodes[row]
+def _restitution(episode: Episode) -> str:
     if not len(episode.arriving):
         return quantity.NONE
     ratio = episode.leaving / episode.arriving
-    if np.ptp(ratio) < 1e-3:
-        return f"{np.median(ratio):.4f}"
-    return f"{np.median(ratio):.4f} ({ratio.min():.3f} to {ratio.max():.3f})"
-
-
-def _deepest(contact: Contact, row: int, _: Contact) -> str:
-    if not np.isfinite(contact.gap[row]).any():
-        return quantity.NONE
-    return quantity.length(max(0.0, -float(np.nanmin(contact.gap[row]))))
-
-
-def _rolls(contact: Contact, row: int, _: Contact) -> str:
-    return _seconds(contact.episodes[row].rolls)
+    spread = f" ({ratio.min():.3f} to {ratio.max():.3f})" if np.ptp(ratio) >= 1e-3 else ""
+    return f"{np.median(ratio):.4f}{spread}"
 
 
 def _seconds(time: float | None) -> str:
     return quantity.NONE if time is None else f"{time:.3f} s"
-
-
-_COLUMNS: tuple[tuple[Column, _Tell], ...] = (
-    (Column("first touch", "End of the first frame interval in which the ground pushes"), _first),
-    (Column("impacts", "Frame intervals with an impact"), _count),
-    (
-        Column("first rebound", "Height of the ball after its first impact, by its speed"),
-        _rebound,
-    ),
-    (
-        Column("restitution", "Speed after over before single impacts: median and range"),
-        _restitution,
-    ),
-    (Column("deepest", "Deepest overlap with the ground in a recorded frame"), _deepest),
-    (Column("rolls from", "When the ball has slid for the last time"), _rolls),
-)

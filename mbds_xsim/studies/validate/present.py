@@ -20,6 +20,7 @@ from mbds_xsim.report.blocks import (
     Section,
     Table,
     Text,
+    columns_of,
     table_of,
 )
 from mbds_xsim.report.palette import Style, styles
@@ -31,6 +32,9 @@ _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
 _FEW = 6
 """Pairs of distributions that are not folded away."""
+_FINDING = columns_of(
+    "", "check", ">figure", ">budget", "worst in", "where", "figure of each trajectory"
+)
 _REFERENCE = Style(-1, dashed=False)
 
 
@@ -68,14 +72,13 @@ def _summary(validation: Validation) -> Iterator[Block]:
 
 
 def _engines(validation: Validation) -> Table:
-    columns = (*(column for column, _ in words.COLUMNS), Column("verdict", words=True))
     rows = []
     for result, style in zip(validation.engines, styles(validation.engines), strict=True):
-        cells = [tell(result, validation) for _, tell in words.COLUMNS]
-        mark = _VERDICTS.get(result.verdict, "")
+        _, *cells = words.cells_of(result, validation)
+        verdict = Cell(result.verdict, _VERDICTS.get(result.verdict, ""))
         first = Cell(result.engine, line=style)
-        rows.append(Row((first, *cells[1:], Cell(result.verdict, mark)), reasons=result.reasons))
-    return Table(columns, tuple(rows), grouped=True)
+        rows.append(Row((first, *cells, verdict), reasons=result.reasons))
+    return Table((*words.COLUMNS, Column("verdict", words=True)), tuple(rows), grouped=True)
 
 
 def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
@@ -147,7 +150,7 @@ def _distributions(validation: Validation) -> Iterator[Block]:
         "distributions at the end: their energy distance, 0 for equal and 1 for two points, and "
         "the probability of so large a one if both are draws of one distribution"
     )
-    columns = [Column("pair", words=True), *map(Column, ("trajectories", "distance", "p-value"))]
+    columns = ("pair", ">trajectories", ">distance", ">p-value")
     rows = [
         [
             f"{pair.one} and {pair.other}",
@@ -162,12 +165,10 @@ def _distributions(validation: Validation) -> Iterator[Block]:
 
 
 def _findings(result: EngineResult, style: Style, *, first: bool) -> Section:
-    headings = ("", "check", "figure", "budget", "worst in", "where", "figure of each trajectory")
-    columns = tuple(Column(h, words=h not in ("figure", "budget")) for h in headings)
     rows = tuple(map(_finding_row, result.findings))
     blocks: tuple[Block, ...] = (
         *(Text(failure, "fail") for failure in result.failures),
-        *([Table(columns, rows)] if rows else []),
+        *([Table(_FINDING, rows)] if rows else []),
     )
     return Section(
         words.label(result),
@@ -199,13 +200,8 @@ def _finding_row(finding: FindingResult) -> Row:
 def _settings(
     validation: Validation, evidence: Evidence, looks: tuple[Style, ...]
 ) -> Iterator[Table]:
-    text, figure = (
-        ("engine", "version", "method", "family", "options"),
-        ("coordinates", "constraints"),
-    )
-    columns = [Column(h, words=True) for h in text]
-    columns[4:4] = [Column("order"), Column("step")]
-    columns += [Column(h) for h in (*figure, "set-up")]
+    words_first = ("engine", "version", "method", "family", ">order", ">step", "options")
+    columns = (*words_first, ">coordinates", ">constraints", ">set-up")
     rows: list[list[Cell | str]] = [
         [
             Cell(words.label(result), line=style),
@@ -231,7 +227,7 @@ def _settings(
 
 
 def _pairs(title: str, pairs: list[tuple[str, str]]) -> Table:
-    return table_of((Column("", words=True), Column("")), pairs, title=title)
+    return table_of(("", ">"), pairs, title=title)
 
 
 def _intervals(evidence: Evidence) -> Iterator[tuple[str, str]]:

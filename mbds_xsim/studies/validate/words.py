@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
+from mbds_xsim.base.counted import counted
 from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
@@ -18,9 +18,7 @@ def label(result: EngineResult) -> str:
 
 def sampled(validation: Validation) -> str:
     """Say what was drawn: `12 trajectories of seed 0`."""
-    count = len(validation.trajectories)
-    plural = "y" if count == 1 else "ies"
-    return f"{count} trajector{plural} of seed {validation.seed}"
+    return f"{counted(len(validation.trajectories), 'trajectory')} of seed {validation.seed}"
 
 
 def reference_line(validation: Validation) -> str:
@@ -97,10 +95,6 @@ def remarks(validation: Validation) -> list[tuple[str, str]]:
     return [(f"{row}, {check}", note) for (row, note), check in found.items()]
 
 
-def _cell(text: str, *, over: bool) -> Cell:
-    return Cell(text, "over" if over else "")
-
-
 def contact_words(validation: Validation, evidence: Evidence) -> str:
     """Say what is known of the scene's contact."""
     ground = evidence.scene.ground
@@ -148,81 +142,54 @@ def growth_words(validation: Validation, *, known: bool) -> str:
     )
 
 
-def _over(value: float | None, budget: float) -> bool:
-    return value is not None and not value <= budget
-
-
-def _budget(validation: Validation, key: str, scale: float = 1.0) -> float:
-    return validation.budget.get(key, math.inf) * scale
-
-
-def _step(result: EngineResult, _: Validation) -> Cell:
-    return Cell(quantity.span(result.step_s))
-
-
-def _cost(result: EngineResult, _: Validation) -> Cell:
-    return Cell(quantity.span(result.wall_per_simulated_s))
-
-
-def _gap(result: EngineResult, validation: Validation) -> Cell:
-    gap = result.constraint_gap_m
-    return _cell(quantity.length(gap), over=_over(gap, _budget(validation, "gap")))
-
-
-def _energy(result: EngineResult, validation: Validation) -> Cell:
-    key = "energy_first_order" if result.order == 1 else "energy"
-    balance = result.energy_balance
-    return _cell(quantity.number(balance), over=_over(balance, _budget(validation, key)))
-
-
-def _error_1s(result: EngineResult, validation: Validation) -> Cell:
-    budget = _budget(validation, "error_1s", validation.length_m)
-    return _cell(quantity.length(result.error_1s_m), over=_over(result.error_1s_m, budget))
-
-
-def _error_max(result: EngineResult, validation: Validation) -> Cell:
-    if _unknown(validation):
-        return Cell(quantity.NONE)
-    # What chaos explains is no fault: the error over the growth is what the verdict takes.
-    budget = _budget(validation, "error", validation.length_m)
-    return _cell(quantity.length(result.error_max_m), over=_over(result.error_weighted_m, budget))
-
-
-def _agreement(result: EngineResult, validation: Validation) -> Cell:
-    if result.agreement_time_s is not None:
-        return Cell(f"{result.agreement_time_s:.2f} s")
-    if result.error_max_m is None or _unknown(validation):
-        return Cell(quantity.NONE)
-    times = ends(validation)
-    return Cell(f"≥{times[0]:.2f} s" if times else "always")
-
-
-COLUMNS: tuple[tuple[Column, Callable[[EngineResult, Validation], Cell]], ...] = (
-    (Column("engine", words=True), lambda r, _: Cell(r.engine)),
-    (Column("profile", "Preset of settings", words=True), lambda r, _: Cell(r.profile)),
-    (
-        Column("method", "Way of stepping", words=True, narrow=False),
-        lambda r, _: Cell(r.method),
+COLUMNS = (
+    Column("engine", words=True),
+    Column("profile", "Preset of settings", words=True),
+    Column("method", "Way of stepping", words=True, narrow=False),
+    Column("step", "Integration step"),
+    Column("cost", "Wall time per simulated second and trajectory, set-up apart"),
+    Column("gap", "Worst distance between the anchor points of a joint"),
+    Column("energy", "Worst energy balance over the energy scale"),
+    Column("err 1 s", "Worst RMS particle error at 1 s over the low and medium trajectories"),
+    Column(
+        "err max",
+        "Worst RMS particle error over all frames and trajectories; marked where the error "
+        "divided by the sensitivity's growth is over its budget",
     ),
-    (Column("step", "Integration step"), _step),
-    (Column("cost", "Wall time per simulated second and trajectory, set-up apart"), _cost),
-    (Column("gap", "Worst distance between the anchor points of a joint"), _gap),
-    (Column("energy", "Worst energy balance over the energy scale"), _energy),
-    (
-        Column("err 1 s", "Worst RMS particle error at 1 s over the low and medium trajectories"),
-        _error_1s,
-    ),
-    (
-        Column(
-            "err max",
-            "Worst RMS particle error over all frames and trajectories; marked where the error "
-            "divided by the sensitivity's growth is over its budget",
-        ),
-        _error_max,
-    ),
-    (
-        Column("agrees", "Until when all errors stay below 1 % of the scene's length"),
-        _agreement,
-    ),
+    Column("agrees", "Until when all errors stay below 1 % of the scene's length"),
 )
-"""Columns of the main table, each with what it says of an engine result."""
+"""Columns of the main table."""
+
+
+def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
+    """Fill the columns for an engine; figures over their budgets are marked."""
+    gap, balance = result.constraint_gap_m, result.energy_balance
+    energy = "energy_first_order" if result.order == 1 else "energy"
+
+    def judged(text: str, figure: float | None, key: str, scale: float = 1.0) -> Cell:
+        budget = validation.budget.get(key, math.inf) * scale
+        return Cell(text, "" if figure is None or figure <= budget else "over")
+
+    def error(shown: float | None, figure: float | None, key: str) -> Cell:
+        return judged(quantity.length(shown), figure, key, validation.length_m)
+
+    # What chaos explains is no fault: the error over the growth is what the verdict takes.
+    error_max = error(result.error_max_m, result.error_weighted_m, "error")
+    return (
+        *map(Cell, (result.engine, result.profile, result.method)),
+        *map(Cell, map(quantity.span, (result.step_s, result.wall_per_simulated_s))),
+        judged(quantity.length(gap), gap, "gap"),
+        judged(quantity.number(balance), balance, energy),
+        error(result.error_1s_m, result.error_1s_m, "error_1s"),
+        Cell(quantity.NONE) if _unknown(validation) else error_max,
+        Cell(_agreement(result, validation)),
+    )
+
+
+def _agreement(result: EngineResult, validation: Validation) -> str:
+    if result.agreement_time_s is not None:
+        return f"{result.agreement_time_s:.2f} s"
+    if result.error_max_m is None or _unknown(validation):
+        return quantity.NONE
+    times = ends(validation)
+    return f"≥{times[0]:.2f} s" if times else "always"
