@@ -57,7 +57,6 @@ def generate(
     from mbds_xsim.dataset.generate import generate as run
     from mbds_xsim.dataset.work import Carrier
     from mbds_xsim.report.bar import GeneratingBar
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
 
     console = shared.console_for(json)
@@ -80,8 +79,7 @@ def generate(
             workers = cluster.workers
         progress = stack.enter_context(GeneratingBar(console))
         generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
-    print_blocks(_outcome(generated), console)
-    shared.write_json(shared.encoded(generated, "generate"), json)
+    shared.answer(_outcome(generated), generated, json, "generate")
     whole = not generated.failed and all(count.published for count in generated.variants)
     raise Exit(0 if whole else 1)
 

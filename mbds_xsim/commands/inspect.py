@@ -34,20 +34,17 @@ def inspect(
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.dataset.summary import summaries
     from mbds_xsim.report.paths import draw_paths
-    from mbds_xsim.report.terminal import print_blocks
 
-    console = shared.console_for(json)
     shared.check_targets(json=json, png=png)
     found = summaries(path)
     if png is not None and len(found) > 1:
         msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
         raise InputError(msg)
-    for summary in found:
-        print_blocks(summary_blocks(summary), console)
     if png is not None:
         draw_paths(load_dataset(found[0].file), png)
-        console.print(f"written: {png}", highlight=False)
-    shared.write_json(shared.encoded(found, "inspect"), json)
+    shared.answer((b for summary in found for b in summary_blocks(summary)), found, json, "inspect")
+    if png is not None:
+        shared.console_for(json).print(f"written: {png}", highlight=False)
 
 
 def summary_blocks(summary: Summary) -> Iterator[Block]:

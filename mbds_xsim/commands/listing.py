@@ -27,7 +27,6 @@ def engines(
 ) -> None:
     """List the engines, their methods, and what each cannot do."""
     from mbds_xsim.report.engines_page import engines_page
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.catalogue import engine_rows
 
     if markdown and json:
@@ -38,23 +37,17 @@ def engines(
     if markdown:
         print(engines_page(rows), end="")
     else:
-        console = shared.console_for(json)
-        for row in rows:
-            print_blocks(_about_engine(row), console)
-            console.print()
-    shared.write_json(shared.encoded(rows), json)
+        shared.answer((block for row in rows for block in _about_engine(row)), rows, json)
 
 
 @shared.command("check")
 def scenes(json: shared.JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.catalogue import scene_rows
 
     shared.check_targets(json=json)
     rows = scene_rows()
-    print_blocks(_about_scenes(rows), shared.console_for(json))
-    shared.write_json(shared.encoded(rows), json)
+    shared.answer(_about_scenes(rows), rows, json)
 
 
 @shared.command(
@@ -84,7 +77,6 @@ def show(
     json: shared.JsonFile = None,
 ) -> None:
     """Say what a scene is and needs, draw it, or print what an engine is given."""
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.scene.file import write_scene
     from mbds_xsim.simulate.catalogue import native_text, scene_row
 
@@ -114,8 +106,7 @@ def show(
         print(write_scene(loaded), end="")
     else:
         row = scene_row(loaded)
-        print_blocks(_about_scene(loaded, row), shared.console_for(json))
-        shared.write_json(shared.encoded(row), json)
+        shared.answer(_about_scene(loaded, row), row, json)
 
 
 def _about_engine(row: EngineRow) -> Iterator[Block]:
@@ -128,6 +119,7 @@ def _about_engine(row: EngineRow) -> Iterator[Block]:
     yield Remarks(tuple(_refusals("cannot", row.limits)))
     for method in row.methods:
         yield Remarks(tuple(_refusals(f"{method.name} cannot", method.refuses)))
+    yield Text("")
 
 
 def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:

@@ -44,7 +44,6 @@ def plan(
 ) -> None:
     """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
     from mbds_xsim.dataset.estimate import plan as run
-    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
 
     console = shared.console_for(json)
@@ -59,8 +58,7 @@ def plan(
             workers=workers,
             progress=progress,
         )
-    print_blocks(plan_blocks(found), console)
-    shared.write_json(shared.encoded(found, "plan"), json)
+    shared.answer(plan_blocks(found), found, json, "plan")
     raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
 
 

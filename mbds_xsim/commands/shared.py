@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbds_xsim.report.bar import ProgressBar
-    from mbds_xsim.report.blocks import Report
+    from mbds_xsim.report.blocks import Block, Report
     from mbds_xsim.scene.scene import Scene
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -237,6 +237,14 @@ def deliver(
 
     if not webbrowser.open(html.absolute().as_uri()):
         console.print("there is no browser to open it in; set BROWSER, or open it by hand")
+
+
+def answer(blocks: Iterable[Block], result: object, json: Path | None, name: str = "") -> None:
+    """Print what a command says, and write its result where `--json` says."""
+    from mbds_xsim.report.terminal import print_blocks
+
+    print_blocks(blocks, console_for(json))
+    write_json(encoded(result, name), json)
 
 
 def write_json(text: bytes, path: Path | None) -> None:

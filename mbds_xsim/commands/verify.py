@@ -39,14 +39,12 @@ def verify(
 ) -> None:
     """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
     from mbds_xsim.dataset.verify import verify as run
-    from mbds_xsim.report.terminal import print_blocks
 
     console = shared.console_for(json)
     shared.check_targets(json=json)
     with shared.progress_on(console) as progress:
         verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
-    print_blocks(_outcome(verified), console)
-    shared.write_json(shared.encoded(verified, "verify"), json)
+    shared.answer(_outcome(verified), verified, json, "verify")
     raise Exit(0 if verified.sound else 1)
 
 

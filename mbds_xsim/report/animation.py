@@ -143,5 +143,9 @@ def _scenery(evidence: Evidence, bones: Skeleton, count: int) -> dict[str, Any]:
 
 def encoded(values: Array, kind: str) -> str:
     """Give numbers as base64, rounded where the kind is one of integers."""
-    array = values if kind.endswith("f4") else np.rint(values)
-    return base64.b64encode(np.ascontiguousarray(array.astype(kind)).tobytes()).decode()
+    return in_base64((values if kind.endswith("f4") else np.rint(values)).astype(kind))
+
+
+def in_base64(values: NDArray[Any]) -> str:
+    """Give the bytes of numbers as they are."""
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()

@@ -7,7 +7,6 @@ ellipsoids and contact spheres that of the scene.
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,10 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.base.write import write_whole
+from mbds_xsim.report import themed
 from mbds_xsim.report.palette import PARTS
 from mbds_xsim.report.skeleton import Projection, Skeleton, outline, point_of, pose_of, skeleton
+from mbds_xsim.report.themed import DRAWN, PALE
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -29,13 +30,11 @@ from mbds_xsim.simulate.catalogue import scene_row
 
 Array = NDArray[np.float64]
 
-_INK = "#1c2733"
-_GREY = "#8a949e"
 _FAINT = "#cfd5da"
 _BODY = "#6f8296"
 _RGB = tuple(int(_BODY[k : k + 2], 16) / 255 for k in (1, 3, 5))
 _NAMED_BODIES = 12
-_LABEL = {"fontsize": 8, "color": _INK, "zorder": 9}
+_LABEL = {"fontsize": 8, "color": DRAWN, "zorder": 9}
 
 
 def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
@@ -49,19 +48,13 @@ def draw_scene(scene: Scene, path: Path, *, start: int | None = None) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     picture = _Picture.of(scene, start)
-    with matplotlib.rc_context({"font.size": 9, "text.color": _INK}):
-        figure = Figure(figsize=picture.inches())
-        FigureCanvasAgg(figure)
+
+    def draw(figure: Any) -> None:
         picture.paint(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
         _title(figure, scene, start)
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
-    write_whole(path, stream.getvalue())
+
+    write_whole(path, themed.picture(draw, picture.inches(), None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +184,7 @@ class _Picture:
         nodes = np.concatenate([self.points, self.bones.fixed])
         flat = self.view.flat(nodes)
         lines = [(flat[a], flat[b]) for a, b in self.bones.edges]
-        axes.add_collection(LineCollection(lines, colors=_GREY, linewidths=1.4, zorder=3))
+        axes.add_collection(LineCollection(lines, colors=PALE, linewidths=1.4, zorder=3))
         mass = np.array(
             [p.mass for body in self.mechanism.scene.bodies for p in body.particles], dtype=float
         )
@@ -211,7 +204,7 @@ class _Picture:
             )
         held = flat[len(self.points) :]
         if len(held):
-            axes.plot(*held.T, "^", color=_INK, ms=8, zorder=6, label="fixed point", ls="none")
+            axes.plot(*held.T, "^", color=DRAWN, ms=8, zorder=6, label="fixed point", ls="none")
 
     def _spring(self, axes: Any, spring: PointPair) -> None:
         """A zigzag; a damper alone is a straight dashed line."""
@@ -246,13 +239,13 @@ class _Picture:
             width = 2.6 if joint.kind == "slider" else 1.3
             axes.plot(*line.T, color=colour, linewidth=width, zorder=6, solid_capstyle="round")
         if WORLD_INDEX in (joint.parent, joint.child):
-            axes.plot(*place, "^", color=_INK, ms=11, zorder=5, label="fixed point", ls="none")
+            axes.plot(*place, "^", color=DRAWN, ms=11, zorder=5, label="fixed point", ls="none")
 
     def _center(self, axes: Any) -> None:
         mass = self.mechanism.mass
         place = self.view.flat(mass @ self.pose.position / mass.sum())
-        axes.plot(*place, "o", ms=11, mfc="none", mec=_INK, mew=1.0, zorder=8)
-        axes.plot(*place, "+", ms=11, mec=_INK, mew=1.0, zorder=8, label="centre of mass")
+        axes.plot(*place, "o", ms=11, mfc="none", mec=DRAWN, mew=1.0, zorder=8)
+        axes.plot(*place, "+", ms=11, mec=DRAWN, mew=1.0, zorder=8, label="centre of mass")
 
     def _names(self, axes: Any) -> None:
         bodies = self.mechanism.scene.bodies
@@ -278,20 +271,20 @@ class _Picture:
         left, right = axes.get_xlim()
         length = _round_number(0.22 * (right - left))
         share = length / (right - left)
-        style = {"color": _INK, "transform": axes.transAxes, "zorder": 9, "clip_on": False}
+        style = {"color": DRAWN, "transform": axes.transAxes, "zorder": 9, "clip_on": False}
         axes.plot([0.96 - share, 0.96], [0.1, 0.1], linewidth=2.0, **style)
         text = _length_text(length)
         axes.text(0.96 - share / 2, 0.11, text, ha="center", transform=axes.transAxes)
 
     def _directions(self, axes: Any) -> None:
         """Axes of W at the lower left and gravity at the upper right, both in fixed size."""
-        self._arrows(axes, (0.09, 0.11), [(v, "xyz"[k], _GREY) for k, v in enumerate(np.eye(3))])
+        self._arrows(axes, (0.09, 0.11), [(v, "xyz"[k], PALE) for k, v in enumerate(np.eye(3))])
         gravity = np.array(self.mechanism.scene.gravity)
         size = float(np.hypot(*gravity[:2])) if gravity[2] == 0 else float(np.linalg.norm(gravity))
         if size == 0:
             axes.text(0.96, 0.8, "no gravity", ha="right", transform=axes.transAxes)
             return
-        self._arrows(axes, (0.93, 0.8), [(gravity / size, f"{size:g} m/s²", _INK)])
+        self._arrows(axes, (0.93, 0.8), [(gravity / size, f"{size:g} m/s²", DRAWN)])
 
     def _arrows(
         self, axes: Any, place: tuple[float, float], arrows: list[tuple[Array, str, str]]
@@ -374,4 +367,4 @@ def _title(figure: Any, scene: Scene, start: int | None) -> None:
             pose,
         ]
     )
-    figure.text(0.04, 1 - 0.7 / height, counts, fontsize=8, color=_GREY)
+    figure.text(0.04, 1 - 0.7 / height, counts, fontsize=8, color=PALE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,13 @@ from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.report import palette
+from mbds_xsim.report import palette, themed
 from mbds_xsim.report.skeleton import Projection
+from mbds_xsim.report.themed import DRAWN, PALE
 from mbds_xsim.scene.sampling_terms import INTERVALS
 
 Array = NDArray[np.float64]
 
-_INK = "#1c2733"
-_GREY = "#8a949e"
 _WIDE = 1.8
 
 
@@ -34,10 +32,6 @@ def draw_paths(data: Dataset, path: Path) -> None:
     Raises:
         InputError: The set is empty, or the file cannot be written.
     """
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = [
         int(found[0])
         for k in range(len(INTERVALS))
@@ -46,31 +40,26 @@ def draw_paths(data: Dataset, path: Path) -> None:
     if not rows:
         msg = f"--png: {data.path} has no trajectories to draw"
         raise InputError(msg)
-    with matplotlib.rc_context({"font.size": 9, "text.color": _INK, "axes.edgecolor": _GREY}):
-        size, stacked = _panel_size(data, rows)
-        grid = (len(rows), 1) if stacked else (1, len(rows))
-        figure = Figure(
-            figsize=(size[0] * grid[1] + 0.6, size[1] * grid[0] + 0.6), layout="constrained"
-        )
-        FigureCanvasAgg(figure)
-        panels = figure.subplots(*grid, squeeze=False, sharex=True, sharey=True).ravel()
+    size, stacked = _panel_size(data, rows)
+    down, across = (len(rows), 1) if stacked else (1, len(rows))
+
+    def draw(figure: Any) -> None:
+        panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
         for axes, row in zip(panels, rows, strict=True):
             _panel(axes, data, row)
         _name_axes(panels, data, stacked=stacked)
-        told = data.attributes
+        about = data.attributes
         figure.suptitle(
-            f"{in_figure(told['scene_name'])} in {told['engine']} {told['engine_version']}, "
-            f"{told['method']} at {told['step_s']:.4g} s ({told['certification']})"
-            + ("" if told["dimension"] == 1 else ": start grey, end black"),
+            f"{in_figure(about['scene_name'])} in {about['engine']} {about['engine_version']}, "
+            f"{about['method']} at {about['step_s']:.4g} s ({about['certification']})"
+            + ("" if about["dimension"] == 1 else ": start grey, end black"),
             fontsize=10,
             y=1.0,
             va="bottom",
         )
-        stream = io.BytesIO()
-        figure.savefig(
-            stream, format="png", dpi=150, bbox_inches="tight", metadata={"Software": None}
-        )
-    write_whole(path, stream.getvalue())
+
+    whole = (size[0] * across + 0.6, size[1] * down + 0.6)
+    write_whole(path, themed.picture(draw, whole, "constrained", bbox_inches="tight"))
 
 
 def _panel_size(data: Dataset, rows: list[int]) -> tuple[tuple[float, float], bool]:
@@ -103,7 +92,7 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     flat = view.flat(_lifted(data, position))
     for point in range(flat.shape[1]):
         axes.plot(*flat[:, point].T, color=colour, linewidth=0.9, alpha=0.85)
-    for frame, shade, width in ((0, _GREY, 1.0), (-1, _INK, 1.2)):
+    for frame, shade, width in ((0, PALE, 1.0), (-1, DRAWN, 1.2)):
         _bones(axes, data, view, flat[frame], shade, width)
     axes.set_aspect("equal", adjustable="box")
 
@@ -117,7 +106,7 @@ def _bones(
     for a, b in np.asarray(data["graph/edge"]):
         axes.plot(*nodes[[a, b]].T, color=colour, linewidth=width)
     axes.plot(*flat.T, ".", color=colour, ms=3)
-    axes.plot(*fixed.T, "^", color=_INK, ms=6)
+    axes.plot(*fixed.T, "^", color=DRAWN, ms=6)
 
 
 def _lifted(data: Dataset, position: Array) -> Array:

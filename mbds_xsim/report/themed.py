@@ -24,6 +24,8 @@ INK = "#010203"
 PAPER = "#fefdfc"
 """Becomes the colour of the page's ground."""
 GREY = "#7f7f7f"
+DRAWN, PALE = "#1c2733", "#8a949e"
+"""Lines of pictures of scenes and of their motions."""
 
 _COLOURS = 256
 _EXACT = 128  # lines, areas and text as they are; the others are of edges that fade out
@@ -45,6 +47,26 @@ _STYLE = {
 }
 
 Draw = Callable[[Any], None]
+
+
+def picture(draw: Draw, size: tuple[float, float], layout: str | None, **how: Any) -> bytes:
+    """Draw into a PNG of all colours on white, without the style of pages.
+
+    Args:
+        draw: Draws on the figure it is given.
+        size: Width and height [in].
+        layout: Of the figure, as matplotlib names it.
+        how: More of what `savefig` takes.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    stream = io.BytesIO()
+    with matplotlib.rc_context({"font.size": 9, "text.color": DRAWN, "axes.edgecolor": PALE}):
+        figure = Figure(figsize=size, layout=layout)
+        draw(figure)
+        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None}, **how)
+    return stream.getvalue()
 
 
 def svg(title: str, draw: Draw, size: tuple[float, float], tips: dict[str, str]) -> Markup:

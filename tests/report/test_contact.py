@@ -264,12 +264,7 @@ def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case) -> N
 
     page = written(case)
 
-    assert (
-        figures.error_growth(
-            case.validation, case.evidence, palette.styles(case.validation.engines)
-        )
-        == []
-    )
+    assert figures.error_growth(case.validation, case.evidence) == []
     assert "<figcaption>Error" not in page
     assert "starts in contact" in page
     agrees = [words.cells_of(r, case.validation)[-1].text for r in case.validation.engines]
@@ -277,19 +272,18 @@ def test_a_scene_that_starts_in_contact_has_no_error_at_all(bouncing: Case) -> N
 
 
 def test_engines_alone_are_in_the_matrix_where_the_reference_has_ended(case: Case) -> None:
-    styles = palette.styles(case.validation.engines)
     count = len(case.validation.names)
     matrix = np.array(case.validation.matrix_m)
     matrix[-1, :-1] = matrix[:-1, -1] = np.nan
     ended = msgspec.structs.replace(case.validation, matrix_m=tuple(map(tuple, matrix.tolist())))
 
-    found = [figures.matrix(v, styles) for v in (ended, case.validation)]
+    found = [figures.matrix(v) for v in (ended, case.validation)]
     drawn, whole = (themed.svg("", f.draw, f.size, f.tips) for f in found if f is not None)
 
     assert whole.count(">reference<") == 2
     assert drawn.count(">reference<") == 0
     nothing = msgspec.structs.replace(ended, matrix_m=((np.nan,) * count,) * count)
-    assert figures.matrix(nothing, styles) is None
+    assert figures.matrix(nothing) is None
 
 
 def test_distributions_are_on_the_page(case: Case) -> None:

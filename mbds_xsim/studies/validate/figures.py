@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
-from mbds_xsim.report.palette import LIGHT, Style
+from mbds_xsim.report.palette import LIGHT, Style, styles
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 _SIZE = (4.5, 3.1)
 _FLOOR = 1e-16
@@ -28,14 +29,12 @@ _AGREEMENT = 0.01
 """Part of the scene's length up to which trajectories agree."""
 
 
-def error_growth(
-    validation: Validation, evidence: Evidence, styles: tuple[Style, ...]
-) -> list[Figure]:
+def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:
     """Plot error against time, worst of each sampling interval."""
     known = np.any(_known(evidence)[:, 1:], axis=1)
     of_row = [evidence.batch.interval(row) for row in range(len(evidence.batch))]
     return [
-        _error_figure(validation, evidence, styles, rows, interval)
+        _error_figure(validation, evidence, rows, interval)
         for interval in INTERVALS
         if (rows := [k for k, name in enumerate(of_row) if name == interval and known[k]])
         and any(error is not None and np.isfinite(error[rows]).any() for error in evidence.errors)
@@ -52,15 +51,13 @@ def plotted_checks(evidence: Evidence) -> list[str]:
     ]
 
 
-def check_series(
-    validation: Validation, evidence: Evidence, styles: tuple[Style, ...], check: str
-) -> Figure:
+def check_series(validation: Validation, evidence: Evidence, check: str) -> Figure:
     """Plot a check's series against time, worst of all trajectories, with its budgets."""
     findings = [f for result in validation.engines for f in result.findings if f.check == check]
     unit = next((finding.unit for finding in findings), "")
 
     def draw(axes: Any) -> None:
-        for place, (series, style) in enumerate(zip(evidence.series, styles, strict=True)):
+        for place, (series, style) in enumerate(_with_styles(validation, evidence.series)):
             if check in series:
                 _curve(axes, evidence.reference.time, _worst(series[check]), style, place)
         for first in words.ends(validation)[:1]:
@@ -72,7 +69,7 @@ def check_series(
     return _figure(f"{check} over time", draw, check)
 
 
-def matrix(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
+def matrix(validation: Validation) -> Figure | None:
     """Draw the distances between all pairs as a heat map with its numbers; None without pairs."""
     values = np.array(validation.matrix_m, dtype=np.float64)
     off = np.where(np.eye(len(values), dtype=bool) | ~np.isfinite(values), np.nan, values)
@@ -82,7 +79,7 @@ def matrix(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
     names, shown, count = [validation.names[k] for k in kept], off[np.ix_(kept, kept)], len(kept)
     of_engine = {
         words.label(result): LIGHT[style.colour]
-        for result, style in zip(validation.engines, styles, strict=True)
+        for result, style in _with_styles(validation, validation.engines)
     }
     colours = [of_engine.get(name, INK) for name in names]
     size = (1.7 + 0.62 * count, 1.2 + 0.42 * count)
@@ -98,32 +95,24 @@ def matrix(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
     )
 
 
-def consistency(validation: Validation, styles: tuple[Style, ...]) -> Figure | None:
+def consistency(validation: Validation) -> Figure | None:
     """Plot every trajectory's consistency over its budget; None where no engine has any."""
     rows = [
-        (place, result, [f for f in result.findings if f.check.startswith("consistency")])
-        for place, result in enumerate(validation.engines)
+        (style, [f for f in result.findings if f.check.startswith("consistency") and f.budget])
+        for result, style in _with_styles(validation, validation.engines)
     ]
-    checks = dict.fromkeys(f.check for _, _, findings in rows for f in findings if f.budget)
+    checks = list(dict.fromkeys(f.check for _, findings in rows for f in findings))
     if not checks:
         return None
     marker = dict(zip(checks, "1x+234|" * 9, strict=False))
 
     def draw(axes: Any) -> None:
-        for place, _, findings in rows:
+        for place, (style, findings) in enumerate(rows):
+            look = {"color": LIGHT[style.colour], "alpha": 0.8, "ms": 7}
             for f in findings:
-                if f.budget:
-                    ratio = _clipped(np.array(f.figures, dtype=np.float64) / f.budget)
-                    colour = LIGHT[styles[place].colour]
-                    height = np.full(len(ratio), -place - 0.12 * list(checks).index(f.check))
-                    axes.plot(
-                        ratio,
-                        height,
-                        marker[f.check],
-                        color=colour,
-                        alpha=0.8,
-                        ms=7,
-                    )
+                ratio = _clipped(np.array(f.figures, dtype=np.float64) / (f.budget or 1.0))
+                height = np.full(len(ratio), -place - 0.12 * checks.index(f.check))
+                axes.plot(ratio, height, marker[f.check], **look)
         _consistency_axes(axes, validation.engines, marker)
 
     size = (7.2, 1.3 + 0.34 * len(rows))
@@ -131,17 +120,13 @@ def consistency(validation: Validation, styles: tuple[Style, ...]) -> Figure | N
 
 
 def restitution(
-    validation: Validation,
-    evidence: Evidence,
-    styles: tuple[Style, ...],
-    contacts: tuple[Contact | None, ...],
+    validation: Validation, evidence: Evidence, contacts: tuple[Contact | None, ...]
 ) -> Figure | None:
     """Plot what single impacts deliver over their speed; None where there are none.
 
     Args:
         validation: With the budget of balls.
         evidence: With the scene's coefficient.
-        styles: Of the engine results.
         contacts: Of the reference, then of the engine results.
     """
     ground = evidence.scene.ground
@@ -153,7 +138,9 @@ def restitution(
     judged = any(f.check == "restitution" for r in validation.engines for f in r.findings)
 
     def draw(axes: Any) -> None:
-        for place, (found, style) in enumerate(zip(met, (None, *styles), strict=True)):
+        for place, (found, style) in enumerate(
+            zip(met, (None, *styles(validation.engines)), strict=True)
+        ):
             if found is not None:
                 colour = INK if style is None else LIGHT[style.colour]
                 hollow = style is None or style.dashed
@@ -185,18 +172,14 @@ def _impacts(contact: Contact) -> tuple[Array, Array]:
 
 
 def _error_figure(
-    validation: Validation,
-    evidence: Evidence,
-    styles: tuple[Style, ...],
-    rows: list[int],
-    interval: str,
+    validation: Validation, evidence: Evidence, rows: list[int], interval: str
 ) -> Figure:
     time, length = evidence.reference.time, validation.length_m
     judged_at_1s = any(evidence.batch.interval(row) != INTERVALS[-1] for row in rows)
 
     def draw(axes: Any) -> None:
         _sensitivity_band(axes, time, evidence.growth[rows], validation.budget["error"] * length)
-        for place, (error, style) in enumerate(zip(evidence.errors, styles, strict=True)):
+        for place, (error, style) in enumerate(_with_styles(validation, evidence.errors)):
             if error is not None:
                 _curve(axes, time, _worst(error[rows]), style, place)
         _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
@@ -207,6 +190,11 @@ def _error_figure(
 
     several = len(evidence.batch) > 1
     return _figure("error growth", draw, f"Error, {interval} interval" if several else "Error")
+
+
+def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T, Style]]:
+    """Give what there is of each engine result with the result's style."""
+    return zip(each, styles(validation.engines), strict=True)
 
 
 def _known(evidence: Evidence) -> NDArray[np.bool_]:

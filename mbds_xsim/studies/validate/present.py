@@ -83,15 +83,14 @@ def _engines(validation: Validation) -> Table:
 
 def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     """What only a page shows."""
-    looks = styles(validation.engines)
     contacts = contacts_of(evidence)
     yield Section("Motion", (_motion(validation, evidence, contacts),), on=_PAGE)
-    delivered = figures.restitution(validation, evidence, looks, contacts)
+    delivered = figures.restitution(validation, evidence, contacts)
     if delivered is not None:
         yield Section("Impacts", (Figures((delivered,)),), on=_PAGE)
-    yield _agreement(validation, evidence, looks)
+    yield _agreement(validation, evidence)
     checks = [
-        figures.check_series(validation, evidence, looks, check)
+        figures.check_series(validation, evidence, check)
         for check in figures.plotted_checks(evidence)
     ]
     if checks:
@@ -99,7 +98,7 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
         first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
         blocks = (Text(told + first), Figures(tuple(checks)))
         yield Section("Checks over time", blocks, on=_PAGE)
-    consistency = figures.consistency(validation, looks)
+    consistency = figures.consistency(validation)
     if consistency is not None:
         told = (
             "Each engine was run again at another step. What its results tend to as the step "
@@ -107,10 +106,10 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
             "errors of the model far below the accuracy budgets."
         )
         yield Section("Consistency", (Text(told), Figures((consistency,))), on=_PAGE)
-    found = zip(validation.engines, looks, strict=True)
-    findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(found))
+    each = zip(validation.engines, styles(validation.engines), strict=True)
+    findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(each))
     yield Section("Findings", findings, on=_PAGE)
-    yield Section("Settings", tuple(_settings(validation, evidence, looks)), on=_PAGE)
+    yield Section("Settings", tuple(_settings(validation, evidence)), on=_PAGE)
 
 
 def _motion(
@@ -132,9 +131,9 @@ def _motion(
     return Motion(data, "reference", entries, tables, (about, reading))
 
 
-def _agreement(validation: Validation, evidence: Evidence, looks: tuple[Style, ...]) -> Section:
-    growth = figures.error_growth(validation, evidence, looks)
-    matrix = figures.matrix(validation, looks)
+def _agreement(validation: Validation, evidence: Evidence) -> Section:
+    growth = figures.error_growth(validation, evidence)
+    matrix = figures.matrix(validation)
     shown = (*growth, *([matrix] if matrix is not None else []))
     blocks: list[Block] = [Text(words.growth_words(validation, known=bool(growth))), Figures(shown)]
     if validation.ensembles:
@@ -197,9 +196,7 @@ def _finding_row(finding: FindingResult) -> Row:
     return Row((sign, *map(Cell, texts)), "" if finding.passed else "over")
 
 
-def _settings(
-    validation: Validation, evidence: Evidence, looks: tuple[Style, ...]
-) -> Iterator[Table]:
+def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:
     words_first = ("engine", "version", "method", "family", ">order", ">step", "options")
     columns = (*words_first, ">coordinates", ">constraints", ">set-up")
     rows: list[list[Cell | str]] = [
@@ -217,7 +214,7 @@ def _settings(
             ),
             quantity.span(result.setup_s),
         ]
-        for result, style in zip(validation.engines, looks, strict=True)
+        for result, style in zip(validation.engines, styles(validation.engines), strict=True)
     ]
     yield table_of(columns, rows)
     budgets = [(key, quantity.number(value)) for key, value in validation.budget.items()]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.measure.result import Evidence, Validation
+from mbds_xsim.report.animation import encoded, in_base64
 from mbds_xsim.studies.validate.episodes import Contact
 
 
@@ -71,11 +70,7 @@ def _entry(contact: Contact, count: int) -> dict[str, str]:
     """Bits of a step are the spheres that touch, then whether it has an impact."""
     flags = np.concatenate([contact.touch, contact.impact[..., None]], axis=2)[:count]
     return {
-        "gap": _base64(contact.gap[:count].astype("<f4")),
-        "slip": _base64(contact.slip[:count].astype("<f4")),
-        "flags": _base64(np.packbits(flags, axis=2)),
+        "gap": encoded(contact.gap[:count], "<f4"),
+        "slip": encoded(contact.slip[:count], "<f4"),
+        "flags": in_base64(np.packbits(flags, axis=2)),
     }
-
-
-def _base64(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
