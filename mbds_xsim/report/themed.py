@@ -6,7 +6,7 @@ import hashlib
 import io
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from markupsafe import Markup
@@ -47,9 +47,10 @@ _STYLE = {
 }
 
 Draw = Callable[[Any], None]
+Layout = Literal["constrained"] | None
 
 
-def picture(draw: Draw, size: tuple[float, float], layout: str | None, **how: Any) -> bytes:
+def picture(draw: Draw, size: tuple[float, float], layout: Layout, **how: Any) -> bytes:
     """Draw into a PNG of all colours on white, without the style of pages.
 
     Args:
