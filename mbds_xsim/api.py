@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.scene.scene import Scene
@@ -79,10 +81,11 @@ def validate(
     from mbds_xsim.base.write import check_writable
     from mbds_xsim.studies.validate.validation import validate_with_evidence
 
-    _check_whole("trajectories", trajectories, 1, _MOST_STARTS)
-    _check_whole("seed", seed, 0)
+    trajectories = _whole("trajectories", trajectories, 1, _MOST_STARTS)
+    seed = _whole("seed", seed, 0)
     _check_workers(workers)
     _check_limit(limit)
+    _check_flags(noise=noise, inputs=inputs, cache=cache)
     if page is not None:
         check_writable(Path(page), "page")
     choice = Choice.parse(
@@ -141,10 +144,11 @@ def generate(
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
 
-    _check_whole("trajectories", trajectories, 1)
-    _check_whole("seed", seed, 0)
+    trajectories = _whole("trajectories", trajectories, 1)
+    seed = _whole("seed", seed, 0)
     _check_workers(workers)
     _check_limit(limit)
+    _check_flags(noise=noise)
     several = (scenes,) if isinstance(scenes, Scene | str | Path) else scenes
     request = Request(
         scenes=tuple(map(load_scene, several)),
@@ -215,8 +219,7 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
     from mbds_xsim.dataset.verify import verify as run
 
     _check_workers(workers)
-    if seed is not None:
-        _check_whole("seed", seed, 0)
+    seed = None if seed is None else _whole("seed", seed, 0)
     return run(Path(path), seed=seed, workers=workers)
 
 
@@ -226,7 +229,15 @@ def _tuple(index: int | Iterable[int] | None) -> tuple[int, ...] | None:
 
 def _check_workers(workers: int | None) -> None:
     if workers is not None:
-        _check_whole("workers", workers, 0)
+        _whole("workers", workers, 0)
+
+
+def _check_flags(**given: object) -> None:
+    """Refuse what Python would take for true, as the text "no"."""
+    for name, value in given.items():
+        if not isinstance(value, bool | np.bool_):
+            msg = f"--{name}: got {value!r}, allowed is True or False"
+            raise InputError(msg)
 
 
 def _check_limit(limit: object) -> None:
@@ -235,8 +246,13 @@ def _check_limit(limit: object) -> None:
         raise InputError(msg)
 
 
-def _check_whole(name: str, value: object, least: int, most: int | None = None) -> None:
-    if not isinstance(value, int) or value < least or (most is not None and value > most):
+def _whole(name: str, value: object, least: int, most: int | None = None) -> int:
+    if (
+        not isinstance(value, int | np.integer)
+        or value < least
+        or (most is not None and value > most)
+    ):
         allowed = f"{least} or more" if most is None else f"{least} to {most}"
         msg = f"--{name}: got {value!r}, allowed is a whole number, {allowed}"
         raise InputError(msg)
+    return int(value)

@@ -55,6 +55,7 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
     found = mbds_xsim.validate(
         load_scene("2pendulum"),
         engines="mujoco",
+        trajectories=np.int64(1),  # type: ignore[arg-type]
         method="Euler",
         step=0.002,
         noise=False,
@@ -81,6 +82,8 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         ({"engines": 5}, "allowed are names"),
         ({"engines": ["mujoco", 5]}, "allowed are names"),
         ({"settings": "best"}, "no settings profile is called 'best'"),
+        ({"settings": []}, "--settings: got none, allowed is"),
+        ({"noise": "no"}, "--noise: got 'no', allowed is True or False"),
         ({"method": "RK4"}, "--method RK4: methods differ between engines"),
         ({"step": "fast", "engines": "mujoco"}, "step: got 'fast'"),
         ({"step": float("nan"), "engines": "mujoco"}, "step: got nan"),

@@ -277,12 +277,12 @@ class Dataset:
         Args:
             length: Frames of a window: of history and of target together.
             split: Only of this part.
-            rows: Only of these trajectories, as of `joint.h5`.
+            rows: Only of these trajectories: their rows, as of `joint.h5`, or a mask of all.
             names: Which datasets to take.
         """
         chosen = np.arange(len(self)) if split is None else self.rows_of(split)
         if rows is not None:
-            chosen = np.intersect1d(chosen, rows)
+            chosen = np.intersect1d(chosen, np.arange(len(self))[rows])
         return Windows(tuple(map(self._series, names)), chosen, length)
 
 

@@ -269,8 +269,8 @@ class Windows:
 
     def __post_init__(self) -> None:
         frames = self.series[0].shape[1]
-        if not 1 <= self.length <= frames:
-            msg = f"length: got {self.length}, allowed is 1 to {frames} frames"
+        if not isinstance(self.length, int | np.integer) or not 1 <= self.length <= frames:
+            msg = f"length: got {self.length!r}, allowed is 1 to {frames} frames"
             raise InputError(msg)
 
     @property
@@ -291,7 +291,11 @@ class Windows:
         Raises:
             IndexError: A number is not one of `len(windows)`.
         """
-        numbers = np.asarray(numbers, dtype=np.int64)
+        given = np.asarray(numbers)
+        if given.size and given.dtype.kind not in "iu":
+            msg = f"windows are taken by whole numbers, got {given.dtype}"
+            raise IndexError(msg)
+        numbers = given.astype(np.int64)
         wrong = numbers[(numbers < 0) | (numbers >= len(self))]
         if len(wrong):
             msg = f"window {wrong[0]} of {len(self)}"

@@ -140,8 +140,8 @@ def _profiles(
 ) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
     """Tell profiles from files of settings, and read these."""
     paths = [word for word in words if is_file(word)]
-    if len(paths) > 1 or (paths and "matched" in words):
-        msg = f"--settings: got {','.join(words)}, allowed is one of matched and a file"
+    if not words or len(paths) > 1 or (paths and "matched" in words):
+        msg = f"--settings: got {','.join(words) or 'none'}, allowed is one of matched and a file"
         raise InputError(msg)
     given = read_matched(Path(paths[0])) if paths else {}
     missing = [name for name in engines if given and name not in given]

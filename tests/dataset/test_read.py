@@ -151,6 +151,10 @@ def test_windows_fetch_as_torch_does(data: Dataset) -> None:
         windows.take([len(windows)])
     with pytest.raises(IndexError, match="window -1 of"):
         windows.take([3, -1])
+    for other in ([True, False], [0.5]):  # numpy would make windows 1, 0 and 0 of them
+        with pytest.raises(IndexError, match="by whole numbers, got"):
+            windows.take(other)  # type: ignore[arg-type]
+    assert len(windows.take([])[0]) == 0
 
 
 def test_windows_of_a_part(data: Dataset) -> None:
@@ -159,11 +163,15 @@ def test_windows_of_a_part(data: Dataset) -> None:
     assert np.array_equal(np.unique(rows), np.arange(630, 700))
     both = data.windows(2, split="test", rows=np.array([3, 640]))
     assert len(both) == STEPS
+    mask = np.arange(len(data)) == 640
+    assert np.array_equal(data.windows(2, rows=mask).rows, [640])
 
 
 def test_windows_too_long(data: Dataset) -> None:
     with pytest.raises(InputError, match="length: got 12, allowed is 1 to 11 frames"):
         data.windows(12)
+    with pytest.raises(InputError, match=r"length: got 2\.5, allowed is 1 to 11 frames"):
+        data.windows(2.5)  # type: ignore[arg-type]
 
 
 def test_an_unknown_part(data: Dataset) -> None:
