@@ -17,16 +17,18 @@ _TOO_FAR = "farther out, double precision rounds by more than 1e-9 m"
 _TOO_SMALL = "products of smaller numbers underflow"
 
 
-def held_series(length: int, hold: int) -> None:
-    """Raise unless a held series has rows and lasts."""
-    at_least_one("hold", hold)
-    if length < 1:
-        msg = "series: got no row, allowed is one or more"
+def rows(key: str, values: tuple[float | tuple[float, ...], ...]) -> None:
+    """Raise unless a series has rows, each of finite numbers."""
+    if not values:
+        msg = f"{key}: got no row, allowed is one or more"
         raise SceneError(msg)
+    for value in values:
+        finite(key, value)
 
 
-def finite(key: str, values: tuple[float, ...]) -> None:
+def finite(key: str, values: float | tuple[float, ...]) -> None:
     """Raise unless every number is finite, and small enough that a product of many is as well."""
+    values = values if isinstance(values, tuple) else (values,)
     for value in values:
         if not math.isfinite(value):
             msg = f"{key}: got {list(values)}, allowed are finite numbers"
@@ -39,6 +41,24 @@ def place(key: str, values: tuple[float, ...]) -> None:
     finite(key, values)
     for value in values:
         _at_most(key, value, _FARTHEST, _TOO_FAR)
+
+
+def rest_length(key: str, value: float) -> None:
+    """Raise unless a length is 0 or more, and no longer than places reach."""
+    at_least_zero(key, value)
+    place(key, (value,))
+
+
+def interval(key: str, value: float) -> None:
+    """Raise unless frames are so far apart that something can move in between."""
+    positive(key, value, least=1e-9, why="in less, 1 m/s moves a body by less than 1e-9 m")
+
+
+def share(key: str, value: float) -> None:
+    """Raise unless in [0, 1]."""
+    if not 0.0 <= value <= 1.0:
+        msg = f"{key}: got {value}, allowed is 0 to 1"
+        raise SceneError(msg)
 
 
 def size(key: str, value: float) -> None:
@@ -55,7 +75,7 @@ def positive(key: str, value: float, *, least: float = _SMALLEST, why: str = _TO
     if value < least:
         msg = f"{key}: got {value}, allowed is {least:.0e} or more: {why}"
         raise SceneError(msg)
-    finite(key, (value,))
+    finite(key, value)
 
 
 def at_least_zero(key: str, value: float) -> None:
@@ -63,19 +83,19 @@ def at_least_zero(key: str, value: float) -> None:
     if not (math.isfinite(value) and value >= 0):
         msg = f"{key}: got {value}, allowed is a finite number, 0 or more"
         raise SceneError(msg)
-    finite(key, (value,))
+    finite(key, value)
 
 
-def name(value: str) -> None:
+def name(key: str, value: str) -> None:
     """Raise unless a name is text that files and engines can hold."""
     if "\0" in value:
         msg = (
-            f"name: got {value!r}, allowed is text without NUL, where engines and files end a name"
+            f"{key}: got {value!r}, allowed is text without NUL, where engines and files end a name"
         )
         raise SceneError(msg)
     if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
         msg = (
-            f"name: got {size} bytes of UTF-8, allowed are {_LONGEST_NAME} at most: "
+            f"{key}: got {size} bytes of UTF-8, allowed are {_LONGEST_NAME} at most: "
             "files are named after it"
         )
         raise SceneError(msg)

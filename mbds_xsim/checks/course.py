@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.impacts import Impacts, followed, one_sphere
+from mbds_xsim.checks.response import lowest, pushed
 from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]
@@ -65,32 +66,15 @@ def course_of(record: Record, hits: Impacts, coefficient: float) -> Course:
 
 
 def yielding(record: Record, bodies: BodyStates, sphere: Index) -> Array:
-    """Velocity that a unit impulse on a sphere's lowest point gives it [1/kg], (impact, 3, 3).
-
-    Joints share in it by the least change of kinetic energy.
-    """
-    # The reference loads the compiled parts of scipy, which most uses do without.
-    from mbds_xsim.reference.dynamics import dynamics_of
-
+    """Velocity that a unit impulse on a sphere's lowest point gives it [1/kg], (impact, 3, 3)."""
     if not len(sphere):
         return np.zeros((0, 3, 3))
     mechanism, each = record.mechanism, np.arange(len(sphere))
     body = mechanism.sphere_body[sphere]
-    native = bodies.native[each, body]
-    arm = rotation.rotate(native, mechanism.sphere_offset[sphere])
-    arm[:, 2] -= mechanism.sphere_radius[sphere]
-    turn = rotation.matrix(native)
-    inertia = np.einsum("kij,kjl,kml->kim", turn, mechanism.inertia[body], turn)
-    dynamics, found = dynamics_of(mechanism), np.zeros((len(sphere), 3, 3))
-    for axis, push in enumerate(np.eye(3)):
-        velocity, spin = np.zeros_like(bodies.velocity), np.zeros_like(bodies.velocity)
-        velocity[each, body] = push / mechanism.mass[body, None]
-        spin[each, body] = np.linalg.solve(inertia, np.cross(arm, push)[..., None])[..., 0]
-        pushed = BodyStates(bodies.position, bodies.native, velocity, spin)
-        given = dynamics.unpack(dynamics.project(dynamics.pack(pushed)))
-        turning = np.cross(given.angular_velocity[each, body], arm)
-        found[:, :, axis] = given.velocity[each, body] + turning
-    return found
+    given = pushed(mechanism, bodies, sphere)
+    arm = lowest(mechanism, bodies.native[each, body], sphere)[:, None]
+    turning = rotation.cross(given.angular_velocity[each, :, body], arm)
+    return np.moveaxis(given.velocity[each, :, body] + turning, 1, 2)
 
 
 def _acceleration(record: Record, hits: Impacts, bodies: BodyStates) -> Array:

@@ -11,6 +11,7 @@ this asks how often, or when, a contact was hit.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -57,7 +58,7 @@ def displacement(record: Record) -> Finding | None:
         names += [f"{kind} of {name}" for name in bodies]
         names += [f"mean {kind} of {name}" for name in bodies]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
-    parts.append(turn.with_left(own).drift)
+    parts.append(dataclasses.replace(turn, left=own).drift)
     names += [f"mean turn of {name} about its own axes" for name in bodies]
     parts.append(_delay(record, place, turn))
     names.append("delay of places")
@@ -106,9 +107,6 @@ class _Residual:
         left = rotation.to_vector(back) / frame
         hidden = _hidden(record, angular=True)
         return _residual(record, left, spin, 1.0 / record.scene.length, hidden)
-
-    def with_left(self, left: Array) -> _Residual:
-        return _Residual(left, self.gained, self.bend, self.hidden, self.floor, self.share)
 
     @functools.cached_property
     def allowed(self) -> Array:

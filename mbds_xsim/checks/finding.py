@@ -61,13 +61,7 @@ class Record:
     @functools.cached_property
     def bodies(self) -> BodyStates:
         """States with native rotations, NaN from the first frame that is not finite."""
-        published = self.trajectory
-        states = BodyStates(
-            published.position,
-            self.mechanism.native_rotation(published.orientation),
-            published.velocity,
-            published.angular_velocity,
-        )
+        states = BodyStates.of(self.mechanism, self.trajectory)
         if self.finite.all():
             return states
         keep = self.finite[:, :, None, None]

@@ -20,7 +20,7 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism, of_revolution
 
 Array = NDArray[np.float64]
 
@@ -136,13 +136,10 @@ def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
         return None
     joint, inertia = mine[0], mechanism.inertia[body]
     anchor = joint.in_child if joint.child == body else joint.in_parent
-    moment = float(joint.axis @ inertia @ joint.axis)
-    across = (np.trace(inertia) - moment) / 2
-    outer = np.outer(joint.axis, joint.axis)
-    even = np.abs(inertia - across * np.eye(3) - (moment - across) * outer).max()
+    moment, _, uneven = of_revolution(inertia, joint.axis)
     centres = [anchor, *mechanism.sphere_offset[push.spheres[spheres]]]
     off = max(float(np.linalg.norm(np.cross(joint.axis, point))) for point in centres)
-    if off > _EVEN or even > _EVEN * moment:
+    if off > _EVEN or uneven > _EVEN * moment:
         return None
     return Axle(
         name=joint.name,

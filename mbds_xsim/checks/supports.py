@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
 
 Array = NDArray[np.float64]
 
@@ -59,16 +59,9 @@ def balances_of(mechanism: Mechanism) -> list[Balance]:
 
 def _groups(mechanism: Mechanism) -> list[tuple[int, ...]]:
     """Bodies that joints, distance links and springs connect, the world left out."""
-    label = list(range(mechanism.body_count))
     pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
     pairs += [pair.bodies for pair in (*mechanism.distances, *mechanism.springs)]
-    for a, b in pairs:
-        if WORLD_INDEX not in (a, b):
-            old, new = label[b], label[a]
-            label = [new if one == old else one for one in label]
-    return [
-        tuple(k for k, one in enumerate(label) if one == group) for group in dict.fromkeys(label)
-    ]
+    return connected(mechanism.body_count, pairs)
 
 
 def _supports(mechanism: Mechanism, group: set[int]) -> tuple[list[PlacedJoint], list[Array]]:

@@ -44,10 +44,9 @@ def march_balls(
         progress: Called with the frames that are done and all.
     """
     batch, frames = inputs.force.shape[:2]
-    states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
+    marched = Marched.from_start(start, inputs)
+    states = marched.states
     states[:, :, -1] = start[:, None, -1]
-    states[:, 0] = start
-    failures: list[Failure | None] = [None] * batch
     for row in range(batch):
         found = [
             _march_one(mechanism, body, states[row, :, body], inputs.force[row, :, body])
@@ -55,11 +54,11 @@ def march_balls(
         ]
         ended = [failure for failure in found if failure is not None]
         if ended:
-            first = failures[row] = min(ended, key=lambda failure: failure.frame)
+            first = marched.failures[row] = min(ended, key=lambda failure: failure.frame)
             states[row, first.frame :] = np.nan
         if progress is not None:
             progress(frames * (row + 1), frames * batch)
-    return Marched(states, failures)
+    return marched
 
 
 def through_frame(ball: Ball, motion: BallState, load: Load, duration: float) -> BallState:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.versions import PHYSICS
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
@@ -137,16 +138,8 @@ def store(key: str, arrays: Arrays) -> None:
     """Write an entry; other processes see all of it or nothing."""
     path = _path(key)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            try:
-                file.write(sealed(path, arrays))
-                file.close()
-                os.replace(file.name, path)
-            except BaseException:
-                os.unlink(file.name)
-                raise
-    except OSError as error:
+        write_whole(path, sealed(path, arrays))
+    except InputError as error:
         warnings.warn(f"reference solutions are not kept: {error}", stacklevel=2)
 
 

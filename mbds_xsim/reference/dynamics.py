@@ -32,6 +32,7 @@ Indices = NDArray[np.intp]
 _FOLLOWS = 1e-4
 # Of the usual share of independent rows: below it a pose may be singular.
 _FEWER = 0.1
+_AT_ONCE = 256  # states; more only cost memory
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 
@@ -277,6 +278,32 @@ class Dynamics:
         scale = motion.turn * self._inverse_inertia_root[:, None]
         slots[..., 3:] = np.matmul(slots[..., 3:], scale)
         return _Rows(residual, bias, slots)
+
+
+def accelerations(
+    mechanism: Mechanism, bodies: BodyStates, force: Array, torque: Array
+) -> tuple[Array, Array]:
+    """Evaluate the equations of motion at any states, without contact.
+
+    Args:
+        mechanism: Whose motion.
+        bodies: States that keep the joints together, with any leading axes.
+        force: In W on the centres of mass [N], shape (…, body, 3).
+        torque: About the hinges of `Mechanism.hinges` [N·m], shape (…, hinge).
+
+    Returns:
+        Of the centres of mass in W [m/s²] and angular in W [rad/s²], shapes (…, body, 3).
+    """
+    dynamics, shape = dynamics_of(mechanism), bodies.position.shape
+    flat = (np.asarray(values, dtype=float) for values in vars(bodies).values())
+    state = dynamics.pack(BodyStates(*(values.reshape(-1, *values.shape[-2:]) for values in flat)))
+    force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
+    hinges = len(mechanism.hinges)
+    torque = np.broadcast_to(torque, (*shape[:-2], hinges)).reshape(len(state), hinges)
+    parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
+    rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
+    rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
+    return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
 
 
 def _pose(mechanism: Mechanism) -> BodyStates:

@@ -121,10 +121,7 @@ def _allowed_twist(
     trial[:-1, 7:] = free * rng.standard_normal(free.shape)
     trial[:-1, 10:] /= mechanism.scene.length
     trial = dynamics.project(trial[None])[0]
-    bodies = dynamics.unpack(trial)
-    body, offset = markers(mechanism)
-    arm = rotation.rotate(bodies.native[body], offset)
-    rate = bodies.velocity[body] + np.cross(bodies.angular_velocity[body], arm)
+    rate = dynamics.unpack(trial).speeds(*markers(mechanism))
     return np.asarray(trial[:, 7:] * (_SIZE / _rms(rate)))
 
 

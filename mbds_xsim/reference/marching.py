@@ -48,6 +48,14 @@ class Marched:
     """Shape (batch, frame + 1, body + world, 13); NaN behind a failure."""
     failures: list[Failure | None]
 
+    @staticmethod
+    def from_start(start: Array, inputs: Inputs) -> Marched:
+        """Make a march of which nothing but the start is known yet."""
+        batch, frames = inputs.force.shape[:2]
+        states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
+        states[:, 0] = start
+        return Marched(states, [None] * batch)
+
 
 def march(
     dynamics: Dynamics,
@@ -105,9 +113,7 @@ class _March:
         self.dynamics, self.inputs, self.frame = dynamics, inputs, frame
         self.rtol, self.companions = rtol, companions
         batch, self.frames = inputs.force.shape[:2]
-        self.states = np.full((batch, self.frames + 1, *start.shape[1:]), np.nan)
-        self.states[:, 0] = start
-        self.failures: list[Failure | None] = [None] * batch
+        self.marched = Marched.from_start(start, inputs)
         # The states still under way, and their rows in the batch.
         self.row = np.arange(batch)
         self.y = start
@@ -130,11 +136,13 @@ class _March:
             self._advance()
             moved = self._finish_frames() or len(self.row) < under_way
             if moved and progress is not None:
-                progress(int(np.sum(self.at)) + self._retired(), self.frames * len(self.states))
-        return Marched(self.states, self.failures)
+                progress(
+                    int(np.sum(self.at)) + self._retired(), self.frames * len(self.marched.states)
+                )
+        return self.marched
 
     def _retired(self) -> int:
-        return self.frames * (len(self.states) - len(self.row))
+        return self.frames * (len(self.marched.states) - len(self.row))
 
     def _forces(self, pick: slice | Indices) -> tuple[Array, Array]:
         row, at = self.row[pick], self.at[pick]
@@ -209,7 +217,7 @@ class _March:
         self.y[done] = self.dynamics.project(self.y[done])
         self.at[done] += 1
         self.left[done], self.tries[done], self.singular[done] = self.frame, 0, 0
-        self.states[self.row[done], self.at[done]] = self.y[done]
+        self.marched.states[self.row[done], self.at[done]] = self.y[done]
         under_way = self.at < self.frames
         done = done[under_way[done]]
         if len(done):
@@ -228,7 +236,7 @@ class _March:
         """Stop some states before the end of the frame they are in."""
         if ended.any():
             for k in np.flatnonzero(ended).tolist():
-                self.failures[self.row[k]] = failure(k)
+                self.marched.failures[self.row[k]] = failure(k)
             self._keep(~ended)
 
     def _end_together(self, ended: NDArray[np.bool_], failure: Callable[[int], Failure]) -> None:

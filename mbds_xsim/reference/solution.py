@@ -92,9 +92,7 @@ def _check_above_ground(mechanism: Mechanism, start: Array) -> None:
 
 def start_states(mechanism: Mechanism, batch: Batch) -> Array:
     """States of a batch's starts, shape (trajectory, body + world, 13)."""
-    native = mechanism.native_rotation(batch.orientation)
-    bodies = BodyStates(batch.position, native, batch.velocity, batch.angular_velocity)
-    return dynamics_of(mechanism).pack(bodies)
+    return dynamics_of(mechanism).pack(BodyStates.of(mechanism, batch))
 
 
 def integrate(

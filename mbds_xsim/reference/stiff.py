@@ -49,9 +49,8 @@ def march_stiff(
 ) -> Marched:
     """Do what `marching.march` does, one group of companions after the other."""
     batch, frames = inputs.force.shape[:2]
-    states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
-    states[:, 0] = start
-    failures: list[Failure | None] = [None] * batch
+    marched = Marched.from_start(start, inputs)
+    failures = marched.failures
     lost = branchless(dynamics, start, inputs)
     for first in range(0, batch, companions):
         rows = slice(first, first + companions)
@@ -69,10 +68,10 @@ def march_stiff(
                 failures[rows] = [ended] * companions
                 break
             state = dynamics.project(ended)
-            states[rows, k + 1] = state
+            marched.states[rows, k + 1] = state
             if progress is not None:
                 progress(first * frames + companions * (k + 1), batch * frames)
-    return Marched(states, failures)
+    return marched
 
 
 def _through_frame(

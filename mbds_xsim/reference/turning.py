@@ -1,59 +1,63 @@
-"""Orientation of a body whose angular velocity is a known function of time."""
+"""Orientations and other small systems, integrated to some 1e-13."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from mbds_xsim.base import rotation
+from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 
-_NODES = 0.5 + math.sqrt(15.0) / 10.0 * np.array([-1.0, 0.0, 1.0])
-_ACCURATE = 1e-13
-_FIRST_PARTS, _MOST_PARTS = 2, 1 << 12
-_GAIN = 2.0**6
+_RTOL = {"DOP853": 1e-13, "LSODA": 1e-12}
 
 
 def turned(turn: Array, rate: Callable[[float], Array], duration: float) -> Array:
-    """Turn a quaternion by an angular velocity in W, to some 1e-13.
-
-    Magnus's series of order 6 over parts that are halved until the change tells that they are
-    short enough; Blanes, Casas, Ros, "Improved high order integrators based on the Magnus
-    expansion", BIT 40 (2000), 434.
+    """Turn a quaternion by an angular velocity that is a known function of time.
 
     Args:
         turn: At the start, shape (4,).
         rate: Angular velocity in W at a time from the start [rad/s], shape (3,).
         duration: [s].
     """
-    parts = _FIRST_PARTS
-    before = _in_parts(rate, duration, parts)
-    while True:
-        parts *= 2
-        after = _in_parts(rate, duration, parts)
-        if parts >= _MOST_PARTS or np.abs(after - before).max() <= _ACCURATE * _GAIN:
-            return rotation.multiply(after, turn)
-        before = after
+    end = integrated(lambda t, q: turning(q, rate(t)), turn, duration).y[:, -1]
+    return np.asarray(end / np.linalg.norm(end))
 
 
-def _in_parts(rate: Callable[[float], Array], duration: float, parts: int) -> Array:
-    h = duration / parts
-    at = h * (np.arange(parts)[:, None] + _NODES)
-    rates = np.array([rate(float(t)) for t in at.reshape(-1)]).reshape(parts, 3, 3)
-    turns = rotation.from_vector(_magnus(h, *np.moveaxis(rates, 1, 0)))
-    while len(turns) > 1:
-        turns = rotation.multiply(turns[1::2], turns[::2])
-    return np.asarray(turns[0])
+def turning(turn: Array, spin: Array) -> Array:
+    """Give the rate of a quaternion under an angular velocity in W."""
+    vector = turn[1:]
+    return 0.5 * np.append(-spin @ vector, spin * turn[0] + cross(spin, vector))
 
 
-def _magnus(h: float, first: Array, middle: Array, last: Array) -> Array:
-    a = h * middle
-    b = math.sqrt(15.0) / 3.0 * h * (last - first)
-    c = 10.0 / 3.0 * h * (last - 2.0 * middle + first)
-    ab = np.cross(a, b)
-    bent = b - np.cross(a, 2.0 * c + ab) / 60.0
-    return np.asarray(a + c / 12.0 + np.cross(-20.0 * a - c + ab, bent) / 240.0)
+def cross(a: Array, b: Array) -> Array:
+    """Cross product; ten times faster than numpy's on single vectors."""
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def integrated(
+    rate: Callable[[float, Array], Array],
+    start: Array,
+    duration: float,
+    *ends: Callable[[float, Array], float],
+    method: str = "DOP853",
+) -> Any:
+    """Integrate up to a time, or to where one of `ends` falls to zero; as scipy's `solve_ivp`.
+
+    Raises:
+        ArithmeticError: The integration fails.
+    """
+    for end in ends:
+        end.terminal, end.direction = True, -1.0  # type: ignore[attr-defined]
+    rtol = _RTOL[method]
+    span = (0.0, duration)
+    result = solve_ivp(
+        rate, span, start, method=method, rtol=rtol, atol=0.1 * rtol, events=ends or None
+    )
+    if not result.success:
+        raise ArithmeticError(result.message)
+    return result

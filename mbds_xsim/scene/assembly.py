@@ -251,6 +251,11 @@ def _check_branch(
 
 def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: Array) -> Array:
     """Solve matrix · twist = goal with the twists of least kinetic energy."""
+    return least_change(matrix, inverse_mass_root(mechanism, native), goal)
+
+
+def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:
+    """Give the symmetric root of the inverse of the mass matrix of all twists in W."""
     turn = rotation.matrix(native)
     inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
     values, vectors = np.linalg.eigh(inertia)
@@ -258,8 +263,7 @@ def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: 
     root[:, 0] = np.eye(3) / np.sqrt(mechanism.mass)[:, None, None]
     root[:, 1] = vectors / np.sqrt(values)[:, None, :] @ np.swapaxes(vectors, -1, -2)
     blocks = np.arange(2 * mechanism.body_count + 1)
-    weights = bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
-    return least_change(matrix, weights, goal)
+    return bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
 
 
 def _rate_row(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.state import Batch, Trajectory
 
 Array = NDArray[np.float64]
 Bodies = list[int] | NDArray[np.int64]
@@ -33,6 +34,12 @@ class BodyStates:
     """[m/s], shape (…, body, 3)."""
     angular_velocity: Array
     """In W [rad/s], shape (…, body, 3)."""
+
+    @staticmethod
+    def of(mechanism: Mechanism, motion: Batch | Trajectory) -> BodyStates:
+        """Take the starts of a batch, or the frames of a trajectory."""
+        native = mechanism.native_rotation(motion.orientation)
+        return BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
 
     def __getitem__(self, rows: Any) -> BodyStates:
         """Take some of the states, by their leading axes."""

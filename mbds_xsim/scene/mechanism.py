@@ -12,6 +12,7 @@ import dataclasses
 import functools
 import math
 from collections import defaultdict, deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.scene import WORLD, Body, Joint, Scene
+from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Joint, Scene, SpringDamper
 
 Array = NDArray[np.float64]
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
@@ -204,20 +205,12 @@ def _build(scene: Scene) -> Mechanism:
         joints=joints,
         links=links,
         loops=loops,
-        distances=tuple(
-            _pair(link.name, link.bodies, link.points, link.length, index, com)
-            for link in scene.distance_links
-        ),
+        distances=tuple(_pair(link, link.length, index, com) for link in scene.distance_links),
         springs=tuple(
-            _pair(
-                spring.name,
-                spring.bodies,
-                spring.points,
-                spring.rest_length,
-                index,
-                com,
-                spring.stiffness,
-                spring.damping,
+            dataclasses.replace(
+                _pair(spring, spring.rest_length, index, com),
+                stiffness=spring.stiffness,
+                damping=spring.damping,
             )
             for spring in scene.springs
         ),
@@ -283,25 +276,37 @@ def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoi
 
 
 def _pair(
-    name: str,
-    bodies: tuple[str, str],
-    points: tuple[tuple[float, float, float], tuple[float, float, float]],
-    length: float | None,
-    index: dict[str, int],
-    com: Array,
-    stiffness: float = 0.0,
-    damping: float = 0.0,
+    item: DistanceLink | SpringDamper, length: float | None, index: dict[str, int], com: Array
 ) -> PointPair:
-    ends = (index[bodies[0]], index[bodies[1]])
-    reference = float(np.linalg.norm(np.subtract(points[0], points[1])))
-    return PointPair(
-        name=name,
-        bodies=ends,
-        in_body=(_native(points[0], ends[0], com), _native(points[1], ends[1], com)),
-        length=reference if length is None else length,
-        stiffness=stiffness,
-        damping=damping,
-    )
+    (a, b), (here, there) = (index[name] for name in item.bodies), item.points
+    if length is None:
+        length = float(np.linalg.norm(np.subtract(here, there)))
+    return PointPair(item.name, (a, b), (_native(here, a, com), _native(there, b, com)), length)
+
+
+def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:
+    """Compare a tensor with that of a body of revolution about an axis through its centre.
+
+    Returns:
+        Its moment about the axis, the mean one across it, and how far any element is off
+        [kg·m²].
+    """
+    along = float(axis @ inertia @ axis)
+    across = (float(np.trace(inertia)) - along) / 2
+    even = across * np.eye(3) + (along - across) * np.outer(axis, axis)
+    return along, across, float(np.abs(inertia - even).max())
+
+
+def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Group the bodies that pairs connect, directly or by way of others but not of the world."""
+    label = list(range(body_count))
+    for a, b in pairs:
+        if WORLD_INDEX not in (a, b):
+            old, new = label[b], label[a]
+            label = [new if one == old else one for one in label]
+    return [
+        tuple(k for k, one in enumerate(label) if one == group) for group in dict.fromkeys(label)
+    ]
 
 
 def _spanning_tree(

@@ -18,22 +18,10 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-from mbds_xsim.scene.sampling_terms import (
-    INTERVALS,
-    HingeRate,
-    HingeTorque,
-    Interval,
-    Roll,
-    Span,
-    Swing,
-    Throw,
-    Turn,
-    Wind,
-    span_of,
-)
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, connected
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
@@ -67,14 +55,11 @@ def draw_batch(
     """
     mechanism = Mechanism.of(scene)
     drawn = [_draw_one(mechanism, index, seed, noise, inputs) for index in indices]
-    count = mechanism.body_count
     starts = BodyStates(
-        position=np.array([state.position for state in drawn]).reshape(-1, count, 3),
-        native=np.array([state.native for state in drawn]).reshape(-1, count, 4),
-        velocity=np.array([state.velocity for state in drawn]).reshape(-1, count, 3),
-        angular_velocity=np.array([state.angular_velocity for state in drawn]).reshape(
-            -1, count, 3
-        ),
+        **{
+            key: np.array([getattr(state, key) for state in drawn]).reshape(-1, *values.shape)
+            for key, values in vars(assemble(mechanism)).items()
+        }
     )
     check_joints(mechanism, starts)
     return Batch(
@@ -97,7 +82,9 @@ def distinct_starts(scene: Scene, asked: int, *, noise: bool = True, inputs: boo
         noise: Whether the noise forces act.
         inputs: Whether drawn forces and torques act.
     """
-    starts = any(inputs or not isinstance(term, HingeTorque | Wind) for term in scene.sampling)
+    starts = any(
+        inputs or not isinstance(term, terms.HingeTorque | terms.Wind) for term in scene.sampling
+    )
     return asked if starts or (noise and scene.noise > 0) else 1
 
 
@@ -112,7 +99,7 @@ class _Drawing:
 
     mechanism: Mechanism
     index: int
-    interval: Interval
+    interval: terms.Interval
     rng: np.random.Generator
     position: Array
     native: Array
@@ -122,8 +109,11 @@ class _Drawing:
     torque: Array
     inputs: bool
 
-    def uniform(self, span: Span) -> float:
-        low, high = span_of(span, self.interval)
+    def body(self, name: str) -> int:
+        return [body.name for body in self.mechanism.scene.bodies].index(name)
+
+    def uniform(self, span: terms.Span) -> float:
+        low, high = terms.span_of(span, self.interval)
         return float(self.rng.uniform(low, high))
 
     def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
@@ -149,15 +139,12 @@ def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: 
     drawing = _Drawing(
         mechanism=mechanism,
         index=index,
-        interval=INTERVALS[index % len(INTERVALS)],
+        interval=terms.INTERVALS[index % len(terms.INTERVALS)],
         rng=np.random.default_rng(np.random.SeedSequence([seed, index])),
-        position=start.position.copy(),
-        native=start.native.copy(),
-        velocity=start.velocity.copy(),
-        angular_velocity=start.angular_velocity.copy(),
         force=force.copy(),
         torque=torque.copy(),
         inputs=inputs,
+        **{key: values.copy() for key, values in vars(start).items()},
     )
     for term in scene.sampling:
         _DRAWS[type(term)](term, drawing)
@@ -198,7 +185,7 @@ def _add_noise(drawing: _Drawing, switched_on: bool) -> None:
         drawing.force[:, :, components] += sigma[None, :, None] * normal
 
 
-def _swing(term: Swing, drawing: _Drawing) -> None:
+def _swing(term: terms.Swing, drawing: _Drawing) -> None:
     hung = _hung(drawing.mechanism, term.bodies)
     drawn = [
         (
@@ -263,11 +250,8 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
         joints.append(joint)
     body = [names.index(name) for name in bodies]
     parent = [joint.parent for joint in joints]
-    before = [body[:k] for k in range(len(body))]
-    above = [
-        early.index(each) if each in early else -1
-        for early, each in zip(before, parent, strict=True)
-    ]
+    place = {own: k for k, own in enumerate(body)}
+    above = [place[up] if place.get(up, k) < k else -1 for k, up in enumerate(parent)]
     return _Hung(
         body=body,
         parent=parent,
@@ -288,18 +272,7 @@ def _pivots(hung: _Hung, drawing: _Drawing, turn: Array, rate: Array) -> tuple[A
     return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
 
 
-def _point_of(drawing: _Drawing, body: int, in_body: Array) -> tuple[Array, Array]:
-    """Position and velocity of a point fixed in a body (or the world)."""
-    if body == WORLD_INDEX:
-        return in_body, np.zeros(3)
-    arm = rotation.rotate(drawing.native[body], in_body)
-    return (
-        drawing.position[body] + arm,
-        drawing.velocity[body] + rotation.cross(drawing.angular_velocity[body], arm),
-    )
-
-
-def _turn(term: Turn, drawing: _Drawing) -> None:
+def _turn(term: terms.Turn, drawing: _Drawing) -> None:
     axis = np.array(term.axis) / np.linalg.norm(term.axis)
     everything = list(range(drawing.mechanism.body_count))
     angle, rate = drawing.uniform(term.angle), drawing.uniform(term.rate)
@@ -308,9 +281,8 @@ def _turn(term: Turn, drawing: _Drawing) -> None:
     drawing.add_twist(everything, point, rate * axis)
 
 
-def _throw(term: Throw, drawing: _Drawing) -> None:
-    names = [body.name for body in drawing.mechanism.scene.bodies]
-    body = names.index(term.body)
+def _throw(term: terms.Throw, drawing: _Drawing) -> None:
+    body = drawing.body(term.body)
     carried = _carried(drawing.mechanism, body)
     drawing.position[carried] += [drawing.uniform(span) for span in term.displacement]
     center = drawing.position[body].copy()
@@ -326,9 +298,9 @@ def _throw(term: Throw, drawing: _Drawing) -> None:
     drawing.add_twist(carried, center, rate)
 
 
-def _roll(term: Roll, drawing: _Drawing) -> None:
+def _roll(term: terms.Roll, drawing: _Drawing) -> None:
     mechanism = drawing.mechanism
-    body = [body.name for body in mechanism.scene.bodies].index(term.body)
+    body = drawing.body(term.body)
     carried = _carried(mechanism, body)
     own = mechanism.sphere_body == body
     if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
@@ -341,7 +313,7 @@ def _roll(term: Roll, drawing: _Drawing) -> None:
     drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
 
 
-def _hinge_rate(term: HingeRate, drawing: _Drawing) -> None:
+def _hinge_rate(term: terms.HingeRate, drawing: _Drawing) -> None:
     mechanism = drawing.mechanism
     links = {link.joint.name: link for link in mechanism.links if link.joint is not None}
     rates, driven = [], set()
@@ -351,18 +323,21 @@ def _hinge_rate(term: HingeRate, drawing: _Drawing) -> None:
             raise SceneError(msg)
         joint = links[name].joint
         assert joint is not None
-        parent = drawing.native[joint.parent] if joint.parent != WORLD_INDEX else rotation.IDENTITY
-        point, _ = _point_of(drawing, joint.parent, joint.in_parent)
+        point, axis = joint.in_parent, joint.axis
+        if joint.parent != WORLD_INDEX:
+            point, axis = (
+                rotation.rotate(drawing.native[joint.parent], vector) for vector in (point, axis)
+            )
+            point = drawing.position[joint.parent] + point
         rates.append(drawing.uniform(term.rate))
-        twist = rates[-1] * rotation.rotate(parent, joint.axis)
-        drawing.add_twist(_outboard(mechanism, joint.child), point, twist)
+        drawing.add_twist(_outboard(mechanism, joint.child), point, rates[-1] * axis)
         driven.add(joint.child)
     if rates and any(term.travel):
         moved = {other for body in driven for other in _carried(mechanism, body)}
         drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
 
 
-def _hinge_torque(term: HingeTorque, drawing: _Drawing) -> None:
+def _hinge_torque(term: terms.HingeTorque, drawing: _Drawing) -> None:
     hinges = [joint.name for joint in drawing.mechanism.hinges]
     columns = [hinges.index(name) for name in term.joints]
     steps = drawing.mechanism.scene.clock.steps
@@ -375,7 +350,7 @@ def _hinge_torque(term: HingeTorque, drawing: _Drawing) -> None:
                 drawing.torque[first : first + term.hold, column] += value
 
 
-def _wind(term: Wind, drawing: _Drawing) -> None:
+def _wind(term: terms.Wind, drawing: _Drawing) -> None:
     mechanism = drawing.mechanism
     clock = mechanism.scene.clock
     azimuth, mean = drawing.rng.uniform(0.0, 2.0 * np.pi), drawing.uniform(term.mean)
@@ -395,19 +370,12 @@ def _wind(term: Wind, drawing: _Drawing) -> None:
 
 def _carried(mechanism: Mechanism, body: int) -> list[int]:
     """Bodies that joints connect to a free body, itself among them."""
-    group = {body}
-    grown = True
-    while grown:
-        grown = False
-        for joint in mechanism.joints:
-            ends = {joint.parent, joint.child}
-            if ends & group and not ends <= group:
-                group |= ends
-                grown = True
-    if WORLD_INDEX in group:
+    pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
+    group = next(group for group in connected(mechanism.body_count, pairs) if body in group)
+    if any(WORLD_INDEX in ends and {*ends} & {*group} for ends in pairs):
         msg = f"sampling: {mechanism.scene.bodies[body].name!r} is held by the world, not free"
         raise SceneError(msg)
-    return sorted(group)
+    return list(group)
 
 
 def _outboard(mechanism: Mechanism, body: int) -> list[int]:
@@ -420,11 +388,11 @@ def _outboard(mechanism: Mechanism, body: int) -> list[int]:
 
 
 _DRAWS: dict[type, Callable[[Any, _Drawing], None]] = {
-    Swing: _swing,
-    Turn: _turn,
-    Throw: _throw,
-    Roll: _roll,
-    HingeRate: _hinge_rate,
-    HingeTorque: _hinge_torque,
-    Wind: _wind,
+    terms.Swing: _swing,
+    terms.Turn: _turn,
+    terms.Throw: _throw,
+    terms.Roll: _roll,
+    terms.HingeRate: _hinge_rate,
+    terms.HingeTorque: _hinge_torque,
+    terms.Wind: _wind,
 }

@@ -7,7 +7,7 @@ drawn uniformly; it may depend on the trajectory's interval (low, medium, high).
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import SceneError
@@ -16,7 +16,20 @@ from mbds_xsim.scene.neutral import Neutral
 Interval = Literal["low", "medium", "high"]
 INTERVALS: tuple[Interval, ...] = ("low", "medium", "high")
 Vector = tuple[float, float, float]
-Range = tuple[float, float]
+Names = Annotated[tuple[str, ...], bounds.names]
+
+
+def _ordered(key: str, span: tuple[float, float] | Levels) -> None:
+    """Raise unless a range is one; `Levels` has checked its own."""
+    if isinstance(span, Levels):
+        return
+    if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
+        msg = f"{key}: got {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
+        raise SceneError(msg)
+    bounds.finite(key, span)
+
+
+Range = Annotated[tuple[float, float], _ordered]
 
 
 class Levels(Neutral):
@@ -26,12 +39,8 @@ class Levels(Neutral):
     medium: Range
     high: Range
 
-    def __post_init__(self) -> None:
-        for key in INTERVALS:
-            _ordered(key, getattr(self, key))
 
-
-Span = Range | Levels
+Span = Annotated[tuple[float, float] | Levels, _ordered]
 
 
 def span_of(span: Span, interval: Interval) -> Range:
@@ -53,35 +62,24 @@ class Swing(_Draw, tag_field="kind", tag="swing"):
     reference pose.
     """
 
-    bodies: tuple[str, ...]
+    bodies: Names
     polar: Span
     """[rad]"""
     speed: Span
     """[m/s]"""
 
-    def __post_init__(self) -> None:
-        bounds.names("bodies", self.bodies)
-        _ordered("polar", self.polar)
-        _ordered("speed", self.speed)
-
 
 class Turn(_Draw, tag_field="kind", tag="turn"):
     """Turn the whole scene rigidly about an axis, with a rigid rate (drawn: angle, rate)."""
 
-    point: Vector
+    point: Annotated[Vector, bounds.place]
     """A point of the axis in W [m]."""
-    axis: Vector
+    axis: Annotated[Vector, bounds.direction]
     """In W; need not be unit."""
     angle: Span
     """[rad]"""
     rate: Span
     """[rad/s]"""
-
-    def __post_init__(self) -> None:
-        bounds.place("point", self.point)
-        bounds.direction("axis", self.axis)
-        _ordered("angle", self.angle)
-        _ordered("rate", self.rate)
 
 
 class Throw(_Draw, tag_field="kind", tag="throw"):
@@ -102,11 +100,6 @@ class Throw(_Draw, tag_field="kind", tag="throw"):
     angular_velocity: tuple[Span, Span, Span] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
     """In W [rad/s]."""
 
-    def __post_init__(self) -> None:
-        for key in ("displacement", "velocity", "angular_velocity"):
-            for span in getattr(self, key):
-                _ordered(key, span)
-
 
 class Roll(_Draw, tag_field="kind", tag="roll"):
     """Spin a free body by a share of the rate at which it would roll at the velocity it has.
@@ -118,24 +111,16 @@ class Roll(_Draw, tag_field="kind", tag="roll"):
     body: str
     share: Span
 
-    def __post_init__(self) -> None:
-        _ordered("share", self.share)
-
 
 class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
 
-    joints: tuple[str, ...]
+    joints: Names
     rate: Span
     """[rad/s]"""
-    travel: Vector = (0.0, 0.0, 0.0)
+    travel: Annotated[Vector, bounds.finite] = (0.0, 0.0, 0.0)
     """Velocity in W of the free bodies that carry the hinges, and of all that is jointed to them,
     over the mean of the drawn rates [m/rad]: how a car rolls along on its wheels."""
-
-    def __post_init__(self) -> None:
-        bounds.names("joints", self.joints)
-        _ordered("rate", self.rate)
-        bounds.finite("travel", self.travel)
 
 
 class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
@@ -145,17 +130,12 @@ class HingeTorque(_Draw, tag_field="kind", tag="hinge_torque"):
     `random_sign`, its sign.
     """
 
-    joints: tuple[str, ...]
+    joints: Names
     torque: Span
     """[N·m]"""
-    hold: int = 10
+    hold: Annotated[int, bounds.at_least_one] = 10
     """Frames that a stretch lasts."""
     random_sign: bool = False
-
-    def __post_init__(self) -> None:
-        bounds.names("joints", self.joints)
-        _ordered("torque", self.torque)
-        bounds.at_least_one("hold", self.hold)
 
 
 class Wind(_Draw, tag_field="kind", tag="wind"):
@@ -167,25 +147,10 @@ class Wind(_Draw, tag_field="kind", tag="wind"):
 
     mean: Span
     """Mean force on a particle [N]."""
-    deviation: float = 0.3
+    deviation: Annotated[float, bounds.at_least_zero] = 0.3
     """Standard deviation of A over its mean."""
-    correlation_time: float = 0.5
+    correlation_time: Annotated[float, bounds.positive] = 0.5
     """[s]"""
-
-    def __post_init__(self) -> None:
-        _ordered("mean", self.mean)
-        bounds.at_least_zero("deviation", self.deviation)
-        bounds.positive("correlation_time", self.correlation_time)
 
 
 Draw = Swing | Turn | Throw | Roll | HingeRate | HingeTorque | Wind
-
-
-def _ordered(key: str, span: Span) -> None:
-    """Raise unless a range is one; `Levels` has checked its own."""
-    if isinstance(span, Levels):
-        return
-    if not (math.isfinite(span[1] - span[0]) and span[0] <= span[1]):
-        msg = f"{key}: got {list(span)}, allowed is [low, high] of finite numbers, low ≤ high"
-        raise SceneError(msg)
-    bounds.finite(key, span)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Literal
+from typing import Annotated, Literal
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import SceneError, UnknownName
@@ -21,7 +21,16 @@ from mbds_xsim.scene.neutral import Neutral
 from mbds_xsim.scene.sampling_terms import Draw, Roll, Throw
 
 Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+FiniteVector = Annotated[Vector, bounds.finite]
+Place = Annotated[Vector, bounds.place]
+Direction = Annotated[Vector, bounds.direction]
+Quaternion = Annotated[tuple[float, float, float, float], bounds.unit]
+Name = Annotated[str, bounds.name]
+Finite = Annotated[float, bounds.finite]
+Positive = Annotated[float, bounds.positive]
+NotNegative = Annotated[float, bounds.at_least_zero]
+Size = Annotated[float, bounds.size]
+Count = Annotated[int, bounds.at_least_one]
 
 WORLD = "world"
 GRAVITY: Vector = (0.0, 0.0, -9.81)
@@ -38,56 +47,48 @@ PARTICLE_RADIUS = math.sqrt(2.5 * PARTICLE_INERTIA / PARTICLE_MASS)
 class Particle(Neutral):
     """A solid sphere rigidly fixed in its body."""
 
-    position: Vector
+    position: Place
     """Centre in the body frame [m]."""
-    mass: float = PARTICLE_MASS
+    mass: Positive = PARTICLE_MASS
     """[kg]"""
-    inertia: float = PARTICLE_INERTIA
+    inertia: NotNegative = PARTICLE_INERTIA
     """About any axis through its centre [kg·m²]."""
-
-    def __post_init__(self) -> None:
-        bounds.place("position", self.position)
-        bounds.positive("mass", self.mass)
-        bounds.at_least_zero("inertia", self.inertia)
 
 
 class Inertia(Neutral):
     """Mass, centre of mass and inertia given directly, for a body without particles."""
 
-    mass: float
+    mass: Positive
     """[kg]"""
-    moments: tuple[float, float, float]
+    moments: FiniteVector
     """Ixx, Iyy, Izz about the centre of mass, along the body frame's axes [kg·m²]."""
-    products: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    products: FiniteVector = (0.0, 0.0, 0.0)
     """The tensor's elements Ixy, Ixz, Iyz (so Ixy = −∫xy dm) [kg·m²]."""
-    com: Vector = (0.0, 0.0, 0.0)
+    com: Place = (0.0, 0.0, 0.0)
     """Centre of mass in the body frame [m]."""
 
     def __post_init__(self) -> None:
-        bounds.positive("mass", self.mass)
-        bounds.place("com", self.com)
-        bounds.finite("moments", self.moments)
-        bounds.finite("products", self.products)
+        super().__post_init__()
         bounds.physical_inertia(self.moments, self.products)
 
 
 class Body(Neutral):
     """A rigid body: a cluster of particles, or mass properties given directly (exactly one)."""
 
-    name: str
+    name: Name
     particles: tuple[Particle, ...] = ()
     inertia: Inertia | None = None
-    position: Vector = (0.0, 0.0, 0.0)
+    position: Place = (0.0, 0.0, 0.0)
     """Origin of the body frame in W at the reference pose [m]."""
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """Body frame to W at the reference pose, wxyz, unit."""
-    velocity: Vector | None = None
+    velocity: FiniteVector | None = None
     """Initial velocity of the centre of mass in W [m/s]; left out, it follows from the joints."""
-    angular_velocity: Vector | None = None
+    angular_velocity: FiniteVector | None = None
     """Initial angular velocity in W [rad/s]; left out, it follows from the joints."""
 
     def __post_init__(self) -> None:
-        bounds.name(self.name)
+        super().__post_init__()
         if not self.name or self.name == WORLD:
             msg = f"name: got {self.name!r}, allowed is any text but '' and {WORLD!r}"
             raise SceneError(msg)
@@ -96,12 +97,6 @@ class Body(Neutral):
                 "both" if self.particles else "neither"
             )
             raise SceneError(msg)
-        bounds.place("position", self.position)
-        bounds.unit("orientation", self.orientation)
-        for key in ("velocity", "angular_velocity"):
-            value = getattr(self, key)
-            if value is not None:
-                bounds.finite(key, value)
 
 
 class Joint(Neutral):
@@ -111,22 +106,21 @@ class Joint(Neutral):
     about, or moves along, the axis relative to the parent.
     """
 
-    name: str
+    name: Name
     kind: Literal["fixed", "hinge", "slider", "ball"]
     parent: str
     child: str
-    anchor: Vector
+    anchor: Place
     """A point of the joint in W at the reference pose [m]."""
-    axis: Vector | None = None
+    axis: Direction | None = None
     """Of a hinge or slider, in W at the reference pose; need not be unit."""
-    start: float | None = None
+    start: Finite | None = None
     """Initial coordinate of a hinge [rad] or slider [m]; left out, it follows from the others."""
-    rate: float | None = None
+    rate: Finite | None = None
     """Initial rate of a hinge [rad/s] or slider [m/s]; left out, it follows from the others."""
 
     def __post_init__(self) -> None:
-        bounds.name(self.name)
-        bounds.place("anchor", self.anchor)
+        super().__post_init__()
         has_axis = self.kind in ("hinge", "slider")
         if has_axis and self.axis is None:
             msg = f"a {self.kind} joint needs an axis, got none"
@@ -134,12 +128,6 @@ class Joint(Neutral):
         if not has_axis and not (self.axis is None and self.start is None and self.rate is None):
             msg = f"axis, start and rate are for hinge and slider, got one on a {self.kind} joint"
             raise SceneError(msg)
-        if self.axis is not None:
-            bounds.direction("axis", self.axis)
-        for key in ("start", "rate"):
-            value = getattr(self, key)
-            if value is not None:
-                bounds.finite(key, (value,))
         if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
             msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
             raise SceneError(msg)
@@ -151,117 +139,85 @@ class Joint(Neutral):
 class DistanceLink(Neutral):
     """A massless rigid link: keeps two points at a constant distance."""
 
-    name: str
+    name: Name
     bodies: tuple[str, str]
     """Two bodies, or a body and "world"."""
-    points: tuple[Vector, Vector]
+    points: tuple[Place, Place]
     """The attachment points in W at the reference pose [m]."""
-    length: float | None = None
+    length: Size | None = None
     """[m]; left out, the distance at the reference pose."""
 
     def __post_init__(self) -> None:
-        bounds.name(self.name)
+        super().__post_init__()
         _two_points(self.name, self.bodies, self.points)
-        if self.length is not None:
-            bounds.size("length", self.length)
 
 
 class SpringDamper(Neutral):
     """A massless linear spring and damper along the line between two points."""
 
-    name: str
+    name: Name
     bodies: tuple[str, str]
     """Two bodies, or a body and "world"."""
-    points: tuple[Vector, Vector]
+    points: tuple[Place, Place]
     """The attachment points in W at the reference pose [m]."""
-    stiffness: float = 0.0
+    stiffness: NotNegative = 0.0
     """[N/m]"""
-    damping: float = 0.0
+    damping: NotNegative = 0.0
     """[N·s/m]"""
-    rest_length: float | None = None
+    rest_length: Annotated[float, bounds.rest_length] | None = None
     """[m]; left out, the distance at the reference pose."""
 
     def __post_init__(self) -> None:
-        bounds.name(self.name)
+        super().__post_init__()
         _two_points(self.name, self.bodies, self.points)
-        bounds.at_least_zero("stiffness", self.stiffness)
-        bounds.at_least_zero("damping", self.damping)
-        if self.rest_length is not None:
-            bounds.at_least_zero("rest_length", self.rest_length)
-            bounds.place("rest_length", (self.rest_length,))
 
 
 class Force(Neutral):
     """A force in W on a body's centre of mass, the same in every trajectory."""
 
     body: str
-    series: tuple[Vector, ...]
+    series: Annotated[tuple[Vector, ...], bounds.rows]
     """One row per held stretch [N]; a single row is a constant force."""
-    hold: int = 1
+    hold: Count = 1
     """Frames that each row lasts; the last row goes on to the end."""
-
-    def __post_init__(self) -> None:
-        bounds.held_series(len(self.series), self.hold)
-        for row in self.series:
-            bounds.finite("series", row)
 
 
 class Torque(Neutral):
     """A torque about a hinge's axis: on the child, and the opposite on the parent."""
 
     joint: str
-    series: tuple[float, ...]
+    series: Annotated[tuple[float, ...], bounds.rows]
     """One value per held stretch [N·m]; a single one is a constant torque."""
-    hold: int = 1
+    hold: Count = 1
     """Frames that each value lasts; the last goes on to the end."""
-
-    def __post_init__(self) -> None:
-        bounds.held_series(len(self.series), self.hold)
-        bounds.finite("series", self.series)
 
 
 class ContactSphere(Neutral):
     """A sphere fixed in a body that can touch the ground plane, and nothing else."""
 
     body: str
-    center: Vector
+    center: Place
     """In W at the reference pose [m]."""
-    radius: float
+    radius: Size
     """[m]"""
-
-    def __post_init__(self) -> None:
-        bounds.place("center", self.center)
-        bounds.size("radius", self.radius)
 
 
 class Ground(Neutral):
     """The plane z = 0. The coefficients are those of the pair sphere–ground."""
 
-    friction: float
+    friction: NotNegative
     """Coulomb's coefficient μ, isotropic."""
-    restitution: float
+    restitution: Annotated[float, bounds.share]
     """Newton's coefficient e of the normal velocity, in [0, 1]."""
-
-    def __post_init__(self) -> None:
-        bounds.at_least_zero("friction", self.friction)
-        if not 0.0 <= self.restitution <= 1.0:
-            msg = f"restitution: got {self.restitution}, allowed is 0 to 1"
-            raise SceneError(msg)
 
 
 class Clock(Neutral):
     """When frames are recorded: frame k at k · frame, k = 0 … steps."""
 
-    frame: float = 0.02
+    frame: Annotated[float, bounds.interval] = 0.02
     """Interval between recorded frames [s]; inputs are constant over it."""
-    steps: int = 200
+    steps: Count = 200
     """Number of intervals."""
-
-    def __post_init__(self) -> None:
-        bounds.positive(
-            "frame", self.frame, least=1e-9, why="in less, 1 m/s moves a body by less than 1e-9 m"
-        )
-        bounds.at_least_one("steps", self.steps)
 
     @property
     def duration(self) -> float:
@@ -272,58 +228,54 @@ class Clock(Neutral):
 class Budget(Neutral):
     """What a trajectory may deviate and still pass; `docs/checks.md` defines each figure."""
 
-    error_1s: float = 1e-3
+    error_1s: Positive = 1e-3
     """RMS particle error at 1 s over the scene's length (low and medium intervals)."""
-    error: float = 1e-2
+    error: Positive = 1e-2
     """Largest growth-weighted RMS particle error over the scene's length."""
-    error_turn: float = 0.1
+    error_turn: Positive = 0.1
     """Largest growth-weighted angle between a body and the reference's [rad]."""
-    gap: float = 1e-4
+    gap: Positive = 1e-4
     """Distance between a joint's anchor points [m]."""
-    angle_gap: float = 1e-3
+    angle_gap: Positive = 1e-3
     """Angle between a hinge's axes, or of a slider's or fixed joint's misalignment [rad]."""
-    energy: float = 1e-3
+    energy: Positive = 1e-3
     """Energy balance over the energy scale, for methods of order 2 and more."""
-    energy_first_order: float = 1e-2
+    energy_first_order: Positive = 1e-2
     """The same for methods of order 1."""
-    planarity: float = 1e-6
+    planarity: Positive = 1e-6
     """Excursion out of the scene's dimensions over its length."""
-    penetration: float = 0.02
+    penetration: Positive = 0.02
     """Overlap of a contact sphere with the ground over the scene's length."""
-    contact_gap: float = 2e-3
+    contact_gap: Positive = 2e-3
     """Distance from the ground at which it carries a sphere, over the scene's length."""
-    passivity: float = 1e-3
+    passivity: Positive = 1e-3
     """Energy that contact creates over the energy scale; height that a ball gains by it, over the
     scene's length."""
-    friction: float = 0.02
+    friction: Positive = 0.02
     """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
-    balance: float = 1e-3
+    balance: Positive = 1e-3
     """Impulse of a step that no contact explains, over the weight's or the ground's own."""
-    rolling: float = 1e-3
+    rolling: Positive = 1e-3
     """Slip of a ball that rolls over its largest speed."""
-    restitution: float = 0.01
+    restitution: Positive = 0.01
     """Deviation of the coefficient of restitution that a ball's rebound shows."""
-    resting: float = 1e-3
+    resting: Positive = 1e-3
     """Distance that a body at rest moves over the scene's length."""
-
-    def __post_init__(self) -> None:
-        for key in self.__struct_fields__:
-            bounds.positive(key, getattr(self, key))
 
 
 class Scene(Neutral):
     """A whole scene. `Mechanism.of` in `mbds_xsim.scene.mechanism` gives its arrays and tree."""
 
-    name: str
+    name: Name
     bodies: tuple[Body, ...]
-    length: float
+    length: Size
     """The scene's size, the unit of its error budgets [m]."""
     description: str = ""
     source: str = ""
     """Where the numbers come from."""
     dimension: Literal[1, 2, 3] = 3
     """1: moves along x; 2: in x and z; 3."""
-    gravity: Vector = GRAVITY
+    gravity: FiniteVector = GRAVITY
     """[m/s²]"""
     joints: tuple[Joint, ...] = ()
     distance_links: tuple[DistanceLink, ...] = ()
@@ -335,31 +287,26 @@ class Scene(Neutral):
     clock: Clock = Clock()
     sampling: tuple[Draw, ...] = ()
     """How starts and inputs are drawn; without it every trajectory starts alike."""
-    noise: float = 0.0
+    noise: NotNegative = 0.0
     """Standard deviation of the random force per component and particle [N], see docs."""
-    anchors: tuple[Vector, ...] = ()
+    anchors: tuple[Place, ...] = ()
     """Fixed points of the drawn skeleton and the learned graph; numbered after the particles."""
     edges: tuple[tuple[int, int], ...] = ()
     """Pairs of particles (numbered body by body), anchors behind them."""
     budget: Budget = Budget()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.name:
             msg = "name: got '', allowed is any text"
             raise SceneError(msg)
         if not self.bodies:
             msg = "bodies: got none, a scene needs at least one"
             raise SceneError(msg)
-        bounds.name(self.name)
         for key in ("bodies", "joints", "distance_links", "springs", "contacts"):
             bounds.count(key, len(getattr(self, key)), MOST_PARTS, "larger scenes are not tested")
         frames = self.clock.steps * len(self.bodies)
         bounds.count("clock.steps · bodies", frames, MOST_STATES, "a trajectory of more takes 1 GB")
-        for anchor in self.anchors:
-            bounds.place("anchors", anchor)
-        bounds.finite("gravity", self.gravity)
-        bounds.size("length", self.length)
-        bounds.at_least_zero("noise", self.noise)
         self._check_names()
         self._check_references()
         self._check_edges()
@@ -426,8 +373,6 @@ def _known(where: str, got: str, allowed: set[str], *, what: str = "body") -> No
 
 
 def _two_points(name: str, bodies: tuple[str, str], points: tuple[Vector, Vector]) -> None:
-    for point in points:
-        bounds.place("points", point)
     if bodies[0] == bodies[1]:
         msg = f"{name!r} joins {bodies[0]!r} to itself"
         raise SceneError(msg)

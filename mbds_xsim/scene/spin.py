@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism, of_revolution
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 
@@ -135,11 +135,5 @@ def _axis_of_revolution(mechanism: Mechanism, body: int) -> Array:
     axis = np.asarray(link.joint.in_child / length)
     if any(np.linalg.norm(np.cross(axis, point)) > _EVEN * length for point in points):
         return none
-    return axis if _is_of_revolution(mechanism.inertia[body], axis) else none
-
-
-def _is_of_revolution(inertia: Array, axis: Array) -> bool:
-    along = axis @ inertia @ axis
-    across = (np.trace(inertia) - along) / 2
-    even = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-    return bool(np.abs(inertia - even).max() <= _EVEN * across)
+    _, across, off = of_revolution(mechanism.inertia[body], axis)
+    return axis if off <= _EVEN * across else none

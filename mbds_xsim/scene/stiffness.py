@@ -45,11 +45,11 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     if not mechanism.springs:
         return 0.0, 0.0
     # Their scipy takes longer to import than most runs, and few scenes have springs.
-    from mbds_xsim.scene.assembly import assemble
+    from mbds_xsim.scene.assembly import assemble, inverse_mass_root
     from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 
     start = assemble(mechanism)
-    root = _inverse_mass_root(mechanism, start)
+    root = inverse_mass_root(mechanism, start.native).toarray()
     still = np.zeros_like(start.position)
     rows = constraint_rows(mechanism, start.position, start.native, still, still)
     apart = np.concatenate([_apart(mechanism, start, spring) for spring in mechanism.springs])
@@ -61,17 +61,6 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         for key in ("stiffness", "damping")
     )
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
-
-
-def _inverse_mass_root(mechanism: Mechanism, start: BodyStates) -> Array:
-    """R with R Rᵀ the inverse of the mass matrix of all twists in W."""
-    turn = rotation.matrix(start.native)
-    inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
-    root = np.zeros((mechanism.body_count, 6, mechanism.body_count, 6))
-    for k, (mass, tensor) in enumerate(zip(mechanism.mass, inertia, strict=True)):
-        root[k, :3, k, :3] = np.eye(3) / np.sqrt(mass)
-        root[k, 3:, k, 3:] = np.linalg.cholesky(np.linalg.inv(tensor))
-    return root.reshape(6 * mechanism.body_count, -1)
 
 
 def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:

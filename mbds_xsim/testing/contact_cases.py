@@ -127,9 +127,7 @@ def crate(
 def gaps(scene: Scene, motion: Trajectory) -> Array:
     """Heights of the spheres' lowest points [m], shape (trajectory, frame, sphere)."""
     mechanism = Mechanism.of(scene)
-    native = mechanism.native_rotation(motion.orientation)
-    states = BodyStates(motion.position, native, motion.velocity, motion.angular_velocity)
-    return spheres_of(mechanism, states).gap
+    return spheres_of(mechanism, BodyStates.of(mechanism, motion)).gap
 
 
 def rolling() -> ContactCase:
