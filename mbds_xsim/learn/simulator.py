@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,59 +35,48 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
-from mbds_xsim.simulate.simulator import LEARNED, NATIVE, Options, Signs, Simulated, part_of_way
+from mbds_xsim.simulate.simulator import (
+    LEARNED,
+    NATIVE,
+    Options,
+    Signs,
+    Simulated,
+    Simulator,
+    part_of_way,
+)
 from mbds_xsim.simulate.timed import WARM_UP, stopwatch
 
 _TIMED = 25  # frames of a batch
 
 
 @dataclass(frozen=True)
-class LearnedSimulator:
-    """A trained model; see `mbds_xsim.simulate.simulator.Simulator`."""
+class LearnedSimulator(Simulator):
+    """A trained model."""
 
+    _: KW_ONLY
     trained: TrainedModel
-    method: str
-    """What it was trained on, in a study's words."""
-    variation: str = ""
     together: int = 1
     """Trajectories of a batch: times are each one's share."""
     quiet: Batch | None = None
     """Starts of a study without the random forces; None: theirs have none."""
 
-    @property
-    def engine(self) -> str:
-        """Name of the model."""
-        return self.trained.kind
-
-    @property
-    def profile(self) -> Profile:
-        """Profile of its data."""
-        return cast(Profile, self.trained.variant)
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Give one: it has no steps."""
-        return (1,)
-
-    @property
-    def name(self) -> str:
-        """Model, training and what is varied."""
-        return " ".join(filter(None, (self.engine, self.method, self.variation)))
+    @classmethod
+    def of(cls, trained: TrainedModel, training: str, **how: Any) -> LearnedSimulator:
+        """Make one of a trained model; what it was trained on is said in a study's words."""
+        return cls(
+            trained.kind,
+            training,
+            trained=trained,
+            profile=cast(Profile, trained.variant),
+            source=str(trained.named),
+            shown=HISTORY,
+            **how,
+        )
 
     @property
     def family(self) -> str:
         """None of the engines'."""
         return LEARNED
-
-    @property
-    def shown(self) -> int:
-        """First frames of the truth."""
-        return HISTORY
-
-    @property
-    def source(self) -> str:
-        """Its file, as it was named."""
-        return str(self.trained.named)
 
     @property
     def package(self) -> str:
@@ -184,10 +173,10 @@ def simulators_in(places: Sequence[Path]) -> tuple[LearnedSimulator, ...]:
         InputError: There is none, or a file is no trained model.
     """
     return tuple(
-        LearnedSimulator(
+        LearnedSimulator.of(
             trained,
             f"{trained.scene.name}-{trained.run}",
-            NATIVE if trained.variant == "native" else "",
+            variation=NATIVE if trained.variant == "native" else "",
         )
         for trained in trained_in(places)
     )

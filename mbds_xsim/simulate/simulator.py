@@ -8,9 +8,10 @@ for models loads torch.
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,65 +89,63 @@ class Simulated:
     """Over which an impact is spread [s]."""
 
 
-class Simulator(Protocol):
+@dataclass(frozen=True)
+class Simulator(ABC):
     """What makes motions of scenes, at one or several numbers of steps a frame."""
 
-    @property
-    def engine(self) -> str:
-        """Name of the engine or model."""
-
-    @property
-    def method(self) -> str:
-        """Method by which it steps, or how it was trained."""
-
-    @property
-    def variation(self) -> str:
-        """What differs from the usual options; empty: nothing."""
-
-    @property
-    def profile(self) -> Profile:
-        """Profile of its settings, or of the data that it was trained on."""
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """Steps a frame at which it is tried, the fewest first."""
+    engine: str
+    """Name of the engine or model."""
+    method: str
+    """Method by which it steps, or how it was trained."""
+    _: KW_ONLY
+    variation: str = ""
+    """What differs from the usual options; empty: nothing."""
+    counts: tuple[int, ...] = (1,)
+    """Steps a frame at which it is tried, the fewest first."""
+    profile: Profile = "matched"
+    """Profile of its settings, or of the data that it was trained on."""
+    source: str = ""
+    """File that it comes from, as the user named it; empty for engines."""
+    shown: int = 0
+    """First frames of the truth that it has to be shown."""
 
     @property
     def name(self) -> str:
         """All that tells it from the others of a study."""
+        return " ".join(filter(None, (self.engine, self.method, self.variation)))
 
     @property
+    @abstractmethod
     def family(self) -> str:
         """Family of methods: agreement within one is no evidence."""
 
     @property
-    def shown(self) -> int:
-        """First frames of the truth that it has to be shown."""
-
-    @property
-    def source(self) -> str:
-        """File that it comes from, as the user named it; empty for engines."""
-
-    @property
+    @abstractmethod
     def package(self) -> str:
         """Name of what runs it: the engine, or torch."""
 
     @property
+    @abstractmethod
     def version(self) -> str:
         """Version of that."""
 
+    @abstractmethod
     def clock(self, usual: Clock) -> Clock:
         """Give the frames at which it records, over the time of the usual ones."""
 
+    @abstractmethod
     def refusal(self, scene: Scene) -> str:
         """Say why it cannot simulate a scene; "" where it can."""
 
+    @abstractmethod
     def options(self, scene: Scene) -> Options:
         """Give the options with which it simulates a scene."""
 
+    @abstractmethod
     def decisive(self, scene: Scene, count: int) -> list[Any]:
         """List all of it that decides the motion, in words and numbers that JSON can hold."""
 
+    @abstractmethod
     def simulate(
         self, scene: Scene, start: Batch, count: int, truth: Trajectory | None, *, often: bool
     ) -> Simulated:
@@ -165,23 +164,12 @@ class Simulator(Protocol):
 
 
 @dataclass(frozen=True)
-class EngineMethod:
-    """A method of an engine, with given options or those of a profile; see `Simulator`."""
+class EngineMethod(Simulator):
+    """A method of an engine."""
 
-    engine: str
-    method: str
-    variation: str = ""
+    _: KW_ONLY
     given: Options | None = None
     """Its options; None: those of the engine's profile for the scene."""
-    counts: tuple[int, ...] = ()
-    profile: Profile = "matched"
-    shown: int = 0
-    source: str = ""
-
-    @property
-    def name(self) -> str:
-        """Engine, method and what is varied."""
-        return " ".join(filter(None, (self.engine, self.method, self.variation)))
 
     @property
     def family(self) -> str:

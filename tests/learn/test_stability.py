@@ -331,8 +331,8 @@ def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
     )
 
     usual = STUDIES["swing"].clock
-    assert LearnedSimulator(found, "").clock(usual) == CLOCK
-    assert LearnedSimulator(slow, "").clock(usual) == Clock(0.1, 10)
+    assert LearnedSimulator.of(found, "").clock(usual) == CLOCK
+    assert LearnedSimulator.of(slow, "").clock(usual) == Clock(0.1, 10)
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ def test_a_model_that_knows_the_motion_has_no_error(
     due = particle_motion(model.graph, drawn[[0]], truth.trajectory)
     model.truth = torch.from_numpy(due.position)[None]
     monkeypatch.setattr(simulating, "read_model", lambda *_: (model, {}))
-    simulator = LearnedSimulator(trained, "by heart", "", together, quiet)
+    simulator = LearnedSimulator.of(trained, "by heart", together=together, quiet=quiet)
 
     found = measure(simulator, scene, drawn[[0]], 1, truth)
 

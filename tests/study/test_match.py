@@ -157,7 +157,7 @@ def _dear_counts(search: Search, counts: tuple[int, ...] = (80,)) -> None:
 def test_a_method_that_shorter_steps_do_not_mend_is_given_up(
     excesses: tuple[float, ...], given_up: bool
 ) -> None:
-    candidate = study._Candidate(EngineMethod("pybullet", "semi-implicit-euler", "", {}, ()))
+    candidate = study._Candidate(EngineMethod("pybullet", "semi-implicit-euler", given={}))
     for count, excess in enumerate(excesses):
         candidate.proofs[count] = Trial(("wheels",), excess, 1.0, 1.0)
 
@@ -169,7 +169,7 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
 ) -> None:
     frame = scene.clock.frame
     used = Settings("semi-implicit-euler", frame / 40)
-    candidate = study._Candidate(EngineMethod("pybullet", used.method, "", {}, (40,)))
+    candidate = study._Candidate(EngineMethod("pybullet", used.method, given={}, counts=(40,)))
     for count, excess, reasons in (
         (1, 3.0, ("wheels: far", "contact gap: far")),
         (10, 6.2, ("wheels: far", "wheels: farther")),

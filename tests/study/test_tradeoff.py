@@ -202,7 +202,7 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
 @pytest.mark.parametrize("own_limit", [True, False])
 def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
     car = registry.load_scene("particlecar")
-    curve = EngineMethod("pybullet", "semi-implicit-euler", "", {}, (1,))
+    curve = EngineMethod("pybullet", "semi-implicit-euler", given={})
     row = Measurement(
         key="", scene=car.name, engine=curve.engine, version="1", method=curve.method,
         variation="", options={}, steps_per_frame=1, step_s=0.02, trajectory=1, seed=0,

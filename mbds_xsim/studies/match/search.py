@@ -253,7 +253,7 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
     for name in sorted(engines):
         settings = settings_for(scene, registry.load_adapter(name), "matched")
         count = settings.substeps(scene.clock.frame)
-        curve = EngineMethod(name, settings.method, "", settings.options, (count,))
+        curve = EngineMethod(name, settings.method, given=settings.options, counts=(count,))
         asked.append((curve, count))
         found[name] = settings
     trials = ground.run(asked)
@@ -264,7 +264,9 @@ def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]
 def _in_use(scene: Scene, engine: str, settings: Settings, trial: Trial) -> _Candidate:
     """Let the settings in use compete, so that what is found is never dearer than they are."""
     count = settings.substeps(scene.clock.frame)
-    curve = EngineMethod(engine, settings.method, _IN_USE, dict(settings.options), (count,))
+    curve = EngineMethod(
+        engine, settings.method, variation=_IN_USE, given=settings.options, counts=(count,)
+    )
     own = registry.load_adapter(engine).methods[settings.method].own
     search = Search(counts=(count,))
     search.tell(count, trial.passed and own)

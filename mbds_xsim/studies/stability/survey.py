@@ -139,7 +139,11 @@ def simulators_of(plan: Plan) -> tuple[list[Simulator], dict[str, str]]:
         variation = NATIVE if profile == "native" else ""
         for method in [usual] if profile == "native" else adapter.methods:
             if not plan.methods or method in plan.methods:
-                asked.append(EngineMethod(name, method, variation, None, plan.counts, profile))
+                asked.append(
+                    EngineMethod(
+                        name, method, variation=variation, counts=plan.counts, profile=profile
+                    )
+                )
     found: list[Simulator] = []
     for simulator in [*asked, *plan.others]:
         reasons = [_refusal(plan.study, simulator, scene) for scene in scenes]

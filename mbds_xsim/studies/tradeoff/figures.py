@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from mbds_xsim.report import palette, quantity
+from mbds_xsim.report import palette
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
-from mbds_xsim.studies.tradeoff.models import model_told
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
 
 _NATIVE_MARKER = "*"
@@ -22,27 +21,41 @@ _TOP = 10.0
 _REAL_TIME = 1.0
 
 
+_COST = "wall time per simulated second [s]"
+
+
 @dataclass(frozen=True)
-class Panel:
+class Chart:
     """A chart: what is drawn over what."""
 
     title: Callable[[Tradeoff], str]
-    x: Callable[[Point], float | None]
-    y: Callable[[Point], float | None]
-    x_label: str
+    y: str
+    """Figure of a point."""
     y_label: str
-    floor: Callable[[Tradeoff], float]
-    """Values below are drawn here."""
-    top: Callable[[Tradeoff], float]
-    """Values above are drawn here."""
     budget: Callable[[Tradeoff], float | None]
-    is_cost: bool = True
-    """Whether x is the cost; else it is the step."""
+    x: str = "wall_s"
+    x_label: str = _COST
+    floor: float = 1e-12
+    """Values below are drawn here; of errors over the scene's length."""
+    top: float = 1.0
+    """Values above are drawn here; of errors over the scene's length."""
     front: bool = False
 
+    @property
+    def is_cost(self) -> bool:
+        """Whether x is the cost; else it is the step."""
+        return self.x == "wall_s"
 
-def _length(share: float) -> Callable[[Tradeoff], float]:
-    return lambda study: share * study.length_m
+    def spot(self, study: Tradeoff, point: Point) -> tuple[float, float] | None:
+        """Give the place of a point; None where it has none."""
+        x, y = getattr(point, self.x), getattr(point, self.y)
+        if x is None or y is None:
+            return None
+        return x, min(max(y, self.scale(study) * self.floor), self.scale(study) * self.top)
+
+    def scale(self, study: Tradeoff) -> float:
+        """Give the scene's length for errors, 1 for the rest."""
+        return study.length_m if self.y.startswith("error") else 1.0
 
 
 def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
@@ -50,92 +63,74 @@ def _accuracy(budget: str) -> Callable[[Tradeoff], float | None]:
     return lambda study: study.budget[budget] * study.length_m if study.own_limit is None else None
 
 
-_COST = "wall time per simulated second [s]"
-
-_PANELS: tuple[Panel, ...] = (
-    Panel(
-        title=lambda s: f"{_what(s)}, over cost",
-        x=lambda p: p.wall_s,
-        y=lambda p: p.error_m,
-        x_label=_COST,
-        y_label="RMS particle error [m]",
-        floor=_length(_REFERENCE),
-        top=_length(_TOP),
-        budget=_accuracy("error_1s"),
-        front=True,
-    ),
-    Panel(
+_OVER_COST = Chart(
+    title=lambda s: f"{_what(s)}, over cost",
+    y="error_m",
+    y_label="RMS particle error [m]",
+    budget=_accuracy("error_1s"),
+    floor=_REFERENCE,
+    top=_TOP,
+    front=True,
+)
+_CHARTS: tuple[Chart, ...] = (
+    _OVER_COST,
+    replace(
+        _OVER_COST,
         title=lambda s: f"{_what(s)}, over step",
-        x=lambda p: p.step_s,
-        y=lambda p: p.error_m,
+        x="step_s",
         x_label="step [s]",
-        y_label="RMS particle error [m]",
-        floor=_length(_REFERENCE),
-        top=_length(_TOP),
-        budget=_accuracy("error_1s"),
-        is_cost=False,
+        front=False,
     ),
-    Panel(
+    replace(
+        _OVER_COST,
         title=lambda s: f"worst error over {_span(s)}, over the growth of a disturbance",
-        x=lambda p: p.wall_s,
-        y=lambda p: p.error_weighted_m,
-        x_label=_COST,
+        y="error_weighted_m",
         y_label="max of error / max(1, G) [m]",
-        floor=_length(_REFERENCE),
-        top=_length(_TOP),
         budget=_accuracy("error"),
+        front=False,
     ),
-    Panel(
+    Chart(
         title=lambda s: "energy that contact creates" if s.contact else "energy balance",
-        x=lambda p: p.wall_s,
-        y=lambda p: p.energy,
-        x_label=_COST,
+        y="energy",
         y_label="over the energy scale",
-        floor=lambda _: 1e-12,
-        top=lambda _: 10.0,
         budget=lambda s: s.budget["passivity" if s.contact else "energy_first_order"],
+        top=10.0,
     ),
-    Panel(
+    Chart(
         title=lambda _: "worst gap of a joint",
-        x=lambda p: p.wall_s,
-        y=lambda p: p.gap_m,
-        x_label=_COST,
+        y="gap_m",
         y_label="gap [m]",
-        floor=lambda _: 1e-12,
-        top=lambda _: 1.0,
         budget=lambda s: s.budget["gap"],
     ),
 )
 
 
-def panels_of(study: Tradeoff) -> list[Panel]:
+def charts_of(study: Tradeoff) -> list[Chart]:
     """Give the charts that have anything to show."""
-    return [
-        panel
-        for panel in _PANELS
-        if any(
-            panel.x(point) is not None and (panel.y(point) or 0.0) > panel.floor(study)
-            for curve in study.curves
-            for point in curve.points
-        )
-    ]
+    points = [point for curve in study.curves for point in curve.points]
+    return [chart for chart in _CHARTS if any(_shows(study, chart, point) for point in points)]
 
 
-def draw_panel(axes: Any, study: Tradeoff, panel: Panel) -> None:
+def _shows(study: Tradeoff, chart: Chart, point: Point) -> bool:
+    spot = chart.spot(study, point)
+    return spot is not None and spot[1] > chart.scale(study) * chart.floor
+
+
+def draw_chart(axes: Any, study: Tradeoff, chart: Chart) -> None:
     """Draw one chart."""
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_title(panel.title(study), fontsize=10, loc="left", color=INK)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
-    if panel.front:
-        _draw_front(axes, study, panel)
+    axes.set_title(chart.title(study), fontsize=10, loc="left", color=INK)
+    axes.set_xlabel(chart.x_label)
+    axes.set_ylabel(chart.y_label)
+    if chart.front:
+        _draw_front(axes, study, chart)
     for place, curve in enumerate(study.curves):
-        _draw_curve(axes, study, panel, curve, place)
-    if panel.is_cost:
+        _draw_curve(axes, study, chart, curve, place)
+    if chart.is_cost:
         for place, model in enumerate(study.models):
-            _draw_model(axes, study, panel, model, place)
-    _levels(axes, study, panel)
+            _draw_model(axes, study, chart, model, place)
+    _levels(axes, study, chart)
 
 
 def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
@@ -152,10 +147,10 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
 def tips(study: Tradeoff) -> dict[str, str]:
     """Say what each point is when it is pointed at, by the gid of its artist."""
     return {
-        f"tip-{place}-{number}": _told(curve, point)
+        f"tip-{place}-{number}": words.point_told(curve, point)
         for place, curve in enumerate(study.curves)
         for number, point in enumerate(curve.points)
-    } | {f"tip-model-{place}": model_told(model) for place, model in enumerate(study.models)}
+    } | {f"tip-model-{place}": words.model_told(model) for place, model in enumerate(study.models)}
 
 
 def colour_of(engine: str) -> str:
@@ -168,11 +163,11 @@ def marker_of(curve: CurveResult) -> str:
     return _NATIVE_MARKER if curve.variation == NATIVE else palette.marker_of(curve.method)
 
 
-def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, place: int) -> None:
+def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, place: int) -> None:
     colour, marker = colour_of(curve.engine), marker_of(curve)
     varied = bool(curve.variation) and curve.variation != NATIVE
     size = 3.5 if varied else 10 if curve.variation else 5.5
-    spots = [_spot(study, panel, point) for point in curve.points]
+    spots = [chart.spot(study, point) for point in curve.points]
     for run in _unbroken(spots):
         (line,) = axes.plot(
             *zip(*run, strict=True),
@@ -184,7 +179,7 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
     for number, (point, spot) in enumerate(zip(curve.points, spots, strict=True)):
         if spot is None:
             continue
-        if panel.is_cost and not varied:
+        if chart.is_cost and not varied:
             spread = [point.wall_low_s, point.wall_high_s]
             (bar,) = axes.plot(spread, [spot[1]] * 2, color=colour, lw=0.8)
             bar.set_gid(f"curve-{place}")
@@ -202,10 +197,10 @@ def _draw_curve(axes: Any, study: Tradeoff, panel: Panel, curve: CurveResult, pl
         dot.set_gid(f"tip-{place}-{number}")
 
 
-def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place: int) -> None:
+def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: Learned, place: int) -> None:
     """Draw a model alone, and hollow in a batch."""
     colour = palette.model_colour(model.model)
-    spots = [_spot(study, panel, point) for point in (model.alone, model.batched)]
+    spots = [chart.spot(study, point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:
             (dot,) = axes.plot(
@@ -216,13 +211,6 @@ def _draw_model(axes: Any, study: Tradeoff, panel: Panel, model: Learned, place:
     for run in _unbroken(spots):
         (line,) = axes.plot(*zip(*run, strict=True), color=colour, lw=0.6, alpha=0.5)
         line.set_gid("curve-model")
-
-
-def _spot(study: Tradeoff, panel: Panel, point: Point) -> tuple[float, float] | None:
-    x, y = panel.x(point), panel.y(point)
-    if x is None or y is None:
-        return None
-    return x, min(max(y, panel.floor(study)), panel.top(study))
 
 
 def _unbroken(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[float, float]]]:
@@ -237,30 +225,30 @@ def _unbroken(spots: list[tuple[float, float] | None]) -> Iterator[list[tuple[fl
         run = []
 
 
-def _draw_front(axes: Any, study: Tradeoff, panel: Panel) -> None:
+def _draw_front(axes: Any, study: Tradeoff, chart: Chart) -> None:
     spots = sorted(
         spot
         for curve in study.curves
         for point in curve.points
-        if point.on_front and (spot := _spot(study, panel, point)) is not None
+        if point.on_front and (spot := chart.spot(study, point)) is not None
     )
     if spots:
         axes.plot(*zip(*spots, strict=True), color=GREY, lw=7, alpha=0.3, solid_joinstyle="round")
 
 
-def _levels(axes: Any, study: Tradeoff, panel: Panel) -> None:
+def _levels(axes: Any, study: Tradeoff, chart: Chart) -> None:
     """Draw budget, real time and the accuracy of the reference."""
-    budget = panel.budget(study)
+    budget = chart.budget(study)
     values = [line.get_ydata() for line in axes.lines]
     if budget is not None and any(len(value) for value in values):
         axes.axhline(budget, color=INK, lw=0.9, ls=(0, (1, 2)))
         _note(axes, "budget", (1.0, budget), ("axes fraction", "data"), ha="right")
-    if panel.is_cost:
+    if chart.is_cost:
         left, right = axes.get_xlim()
         axes.set_xlim(left, max(right, 1.5 * _REAL_TIME))
         axes.axvline(_REAL_TIME, color=INK, lw=0.9, ls=(0, (1, 2)))
         _note(axes, "real time", (_REAL_TIME, 0.02), ("data", "axes fraction"), ha="right")
-    floor = panel.floor(study)
+    floor = chart.scale(study) * chart.floor
     if floor > 1e-12:
         low, high = axes.get_ylim()
         if low <= floor * 1.5:
@@ -277,18 +265,6 @@ def _note(
         textcoords="offset points", ha=ha, fontsize=8, color=INK,
         bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
     )  # fmt: skip
-
-
-def _told(curve: CurveResult, point: Point) -> str:
-    broken = f"\nover budget: {', '.join(point.broken)}" if point.broken else "\nwithin all budgets"
-    return (
-        f"{curve.name}\nstep {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)\n"
-        f"cost {quantity.span(point.wall_s)} a simulated second "
-        f"({quantity.span(point.wall_low_s)} to {quantity.span(point.wall_high_s)})\n"
-        f"error {quantity.length(point.error_m)}, over all times "
-        f"{quantity.length(point.error_weighted_m)}\ngap {quantity.length(point.gap_m)}, energy "
-        f"{quantity.number(point.energy)}{broken}"
-    )
 
 
 def _what(study: Tradeoff) -> str:

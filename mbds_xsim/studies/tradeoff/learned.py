@@ -74,7 +74,13 @@ def with_models(
     found = explore(
         bench,
         [
-            LearnedSimulator(model, f"{model.run} {model.variant}", variation, together, quiet)
+            LearnedSimulator.of(
+                model,
+                f"{model.run} {model.variant}",
+                variation=variation,
+                together=together,
+                quiet=quiet,
+            )
             for model in able
             for variation, together in (("", 1), (_BATCHED, AT_ONCE))
         ],

@@ -29,14 +29,13 @@ from mbds_xsim.report.blocks import (
 from mbds_xsim.report.themed import INK, PAPER
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.figures import (
-    Panel,
+    Chart,
+    charts_of,
     colour_of,
-    draw_panel,
+    draw_chart,
     legend_entries,
-    panels_of,
     tips,
 )
-from mbds_xsim.studies.tradeoff.models import models_short, models_table, models_told
 from mbds_xsim.studies.tradeoff.rows import Point, Tradeoff
 
 _MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)
@@ -65,7 +64,7 @@ def present(study: Tradeoff, picture: str = "") -> Report:
         title=study.scene,
         what="speed against accuracy",
         description=study.description,
-        conclusion=f"{sentence(models_short(study))}{sentence(words.conclusion(study))}".rstrip(),
+        conclusion=f"{sentence(words.models_short(study))}{sentence(words.conclusion(study))}".rstrip(),
         blocks=tuple(_blocks(study)),
         command=study.command,
         made=f"{words.machine_told(study)}; {rows}, in {quantity.span(study.wall_s)}; {versions}",
@@ -76,8 +75,8 @@ def present(study: Tradeoff, picture: str = "") -> Report:
 def _blocks(study: Tradeoff) -> Iterator[Block]:
     yield _main(study)
     if study.models:
-        yield models_table(study)
-        yield Remarks.of([("trained models", models_told(study))])
+        yield words.models_table(study)
+        yield Remarks.of([("trained models", words.models_told(study))])
     yield Remarks.of(
         [
             ("error", words.what_is_charted(study)),
@@ -114,22 +113,23 @@ def _charts(study: Tradeoff) -> Iterator[Block]:
     changed = tuple(key for varied, key in keys if varied)
     if changed:
         yield Section("changed options and native settings", (Legend(changed),), folded=True)
-    told, panels = tips(study), panels_of(study)
+    told = tips(study)
     yield Figures(
-        tuple(_chart(study, panel, told, main=not k) for k, panel in enumerate(panels)), least=480
+        tuple(_figure(study, chart, told, main=not k) for k, chart in enumerate(charts_of(study))),
+        least=480,
     )
 
 
-def _chart(study: Tradeoff, panel: Panel, told: dict[str, str], *, main: bool) -> Figure:
+def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) -> Figure:
     def draw(figure: Any) -> None:
         axes = figure.subplots()
-        draw_panel(axes, study, panel)
+        draw_chart(axes, study, chart)
         if main:
             for label, colour, marker in legend_entries(study):
                 axes.plot([], [], marker, color=colour, label=label, ls="-")
             figure.legend(loc="outside right upper", frameon=False, fontsize=8)
 
-    return Figure(panel.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
+    return Figure(chart.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
 
 
 def _point_rows(study: Tradeoff) -> Iterator[Row]:
@@ -172,11 +172,11 @@ def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
 
 def _draw_row(figure: Any, study: Tradeoff) -> None:
     charts = figure.subplots(1, 2)
-    for axes, panel in zip(charts, (*panels_of(study), None, None), strict=False):
-        if panel is None:
+    for axes, chart in zip(charts, (*charts_of(study), None, None), strict=False):
+        if chart is None:
             axes.set_axis_off()
         else:
-            draw_panel(axes, study, panel)
+            draw_chart(axes, study, chart)
     handles = [
         charts[0].plot([], [], marker, color=colour, label=label, ls="-")[0]
         for label, colour, marker in legend_entries(study)
@@ -193,7 +193,7 @@ def _draw_row(figure: Any, study: Tradeoff) -> None:
 def _footnotes(study: Tradeoff) -> list[str]:
     lines = textwrap.wrap(words.what_is_charted(study), _LONGEST)
     if study.models:
-        lines += textwrap.wrap(f"Trained models {models_told(study)}", _LONGEST)
+        lines += textwrap.wrap(f"Trained models {words.models_told(study)}", _LONGEST)
     failed = [f"{name}: {steps}: {what}" for name, steps, what in words.failures(study)]
     lines += failed[:_MOST_LINES]
     if len(failed) > _MOST_LINES:

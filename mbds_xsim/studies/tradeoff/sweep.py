@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 
 from mbds_xsim.base.errors import Unsupported
@@ -39,7 +40,7 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod],
             continue
         for method in adapter.methods:
             counts = _counts(scene, matched, method)
-            curve = EngineMethod(name, method, "", dict(matched.options), counts)
+            curve = EngineMethod(name, method, given=dict(matched.options), counts=counts)
             if refusal := curve.refusal(scene):
                 left_out[f"{name} {method}"] = refusal
             else:
@@ -67,8 +68,12 @@ def _variations(
         used = usual.get(option, adapter.options[option].default)
         for value in sweep.values:
             if value != used:
-                changed, name = {**usual, option: value}, f"{option} = {value}"
-                yield EngineMethod(base.engine, base.method, name, changed, _THIN)
+                yield dataclasses.replace(
+                    base,
+                    variation=f"{option} = {value}",
+                    given={**usual, option: value},
+                    counts=_THIN,
+                )
 
 
 def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
@@ -78,5 +83,7 @@ def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
     except Unsupported:
         return
     count = settings.substeps(scene.clock.frame)
-    options = dict(settings.options)
-    yield EngineMethod(adapter.name, settings.method, NATIVE, options, (count,), "native")
+    yield EngineMethod(
+        adapter.name, settings.method, variation=NATIVE, given=dict(settings.options),
+        counts=(count,), profile="native",
+    )  # fmt: skip

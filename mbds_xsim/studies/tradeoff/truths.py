@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim import reference
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -24,7 +23,6 @@ INSTANT = 1.0
 LIMIT_COUNT = 2 * SPAN
 """Steps a frame that stand for a vanishing step."""
 
-_TIMEOUT = 3600.0
 _GRACE = 30.0
 _PATIENCE = 5.0
 
@@ -111,29 +109,16 @@ def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) 
     """Solve the reference of each start.
 
     Raises:
-        InputError: It failed; without it no error can be told.
+        InputError: It failed; without it no error can be measured.
     """
-    tasks = [Task(_reference, (scene, batch[[k]], cache), _TIMEOUT) for k in range(len(batch))]
-    truths = run_tasks(tasks, workers=workers)
-    for truth in truths:
-        reason = truth.reason if isinstance(truth, Crash) else _failed(truth)
-        if reason:
-            msg = f"the reference solution failed, so no error can be told: {reason}"
-            raise InputError(msg)
-    return truths
+    solved = run_references(scene, batch, cache=cache, workers=workers)
+    return [Truth(solved.trajectory[[k]], solved.growth[[k]]) for k in range(len(batch))]
 
 
 def first_impact(truths: Sequence[Truth]) -> float | None:
     """Time of the first impact after which a motion has no unique solution [s]."""
     ends = [truth.trajectory.failures[0] for truth in truths]
     return min((end.time for end in ends if isinstance(end, FirstImpact)), default=None)
-
-
-def _reference(scene: Scene, start: Batch, cache: bool) -> Truth:
-    trajectory = reference.solve(scene, start, cache=cache)
-    growth = reference.sensitivity(scene, start, cache=cache)
-    growth[~np.isfinite(trajectory.position).all(axis=(2, 3))] = np.nan
-    return Truth(trajectory, growth)
 
 
 def _limit(simulator: Simulator, scene: Scene, start: Batch) -> Truth:
@@ -144,9 +129,3 @@ def _limit(simulator: Simulator, scene: Scene, start: Batch) -> Truth:
 
 def _own_limit(motion: Trajectory) -> Truth:
     return Truth(motion, np.ones((1, len(motion.time))), judged=False)
-
-
-def _failed(truth: Truth) -> str:
-    """Why a reference ended, where no impact explains it."""
-    failure = truth.trajectory.failures[0]
-    return failure.reason if failure and not isinstance(failure, FirstImpact) else ""

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import Column
+from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Ratio, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Ratio, Tradeoff
 
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""
@@ -224,3 +224,100 @@ def _best_error(curve: CurveResult) -> str:
 
 def _speed(point: Point) -> str:
     return f"{_digits(1.0 / point.wall_s)} ×" if point.wall_s else quantity.NONE
+
+
+def point_told(curve: CurveResult, point: Point) -> str:
+    """Say what a point of a curve is when it is pointed at."""
+    over = f"over budget: {', '.join(point.broken)}" if point.broken else "within all budgets"
+    return (
+        f"{curve.name}\nstep {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)\n"
+        f"cost {quantity.span(point.wall_s)} a simulated second "
+        f"({quantity.span(point.wall_low_s)} to {quantity.span(point.wall_high_s)})\n"
+        f"{_errors(point)}\n{over}"
+    )
+
+
+def model_told(model: Learned) -> str:
+    """Say what the points of a model are when they are pointed at."""
+    return (
+        f"{model.name}\ncost {quantity.span(model.alone.wall_s)} a simulated second alone, "
+        f"{quantity.span(model.batched.wall_s)} in a batch of {model.at_once}\n"
+        f"{_errors(model.alone)}\ntraining took {quantity.span(model.train_wall_s)}"
+    )
+
+
+def _errors(point: Point) -> str:
+    return (
+        f"error {quantity.length(point.error_m)}, over all times "
+        f"{quantity.length(point.error_weighted_m)}\ngap {quantity.length(point.gap_m)}, energy "
+        f"{quantity.number(point.energy)}"
+    )
+
+
+def models_table(study: Tradeoff) -> Table:
+    """Give a row a model."""
+    together = f"of {study.models[0].at_once}"
+    columns: dict[Column, Callable[[Learned], str]] = {
+        Column("model", words=True): lambda m: m.model,
+        Column("trained on", "Training and seed", words=True): lambda m: (
+            f"{m.training} {m.variant}"
+        ),
+        Column("alone", "Wall time per simulated second of one trajectory at a time"): lambda m: (
+            quantity.span(m.alone.wall_s)
+        ),
+        Column(together, f"The same of one trajectory in a batch {together}"): lambda m: (
+            quantity.span(m.batched.wall_s)
+        ),
+        Column(
+            f"error {study.horizon_s:g} s", "RMS distance of the particles to the reference then"
+        ): _error,
+        Column(
+            "all times", "The largest over the growth of a disturbance", narrow=False
+        ): lambda m: quantity.length(m.alone.error_weighted_m),
+        Column(
+            "gap", "Largest deviation of a distance that no motion changes", narrow=False
+        ): lambda m: quantity.length(m.alone.gap_m),
+        Column(
+            "energy",
+            "Largest unexplained change of the particles' energy over its scale",
+            narrow=False,
+        ): lambda m: quantity.number(m.alone.energy),
+        Column("steps", "Steps of training", narrow=False): lambda m: (
+            quantity.NONE if m.train_steps is None else f"{m.train_steps:.0f}"
+        ),
+        Column("training", "Wall time of training"): lambda m: quantity.span(m.train_wall_s),
+    }
+    rows = [[tell(model) for tell in columns.values()] for model in study.models]
+    return table_of(columns, rows, title="Trained models")
+
+
+def models_short(study: Tradeoff) -> str:
+    """Give the errors of all models in a sentence, the least first; "" without models."""
+    order = sorted(study.models, key=lambda m: (m.alone.kind != "done", m.alone.error_m or 0.0))
+    if not order:
+        return ""
+    each = ", ".join(f"{m.model} {_error(m)}" for m in order)
+    return f"trained models are off at {study.horizon_s:g} s by: {each}"
+
+
+def models_told(study: Tradeoff) -> str:
+    """Say what models are given, and what their figures are; "" where there are none."""
+    if not study.models:
+        return ""
+    known = study.models[0].known_frames
+    return (
+        f"start with the reference's first {known} frames, which no engine is given, and are not "
+        "told the random forces, which engines are; wall time is that of the frames behind, alone "
+        f"or as a share of a batch of {study.models[0].at_once} on one core; training is in no "
+        "other time; gap and energy are what particles show" + _elsewhere(study)
+    )
+
+
+def _elsewhere(study: Tradeoff) -> str:
+    other = dict.fromkeys(m.machine for m in study.models if m.machine != study.machine)
+    return f"; timed on another machine than engines: {', '.join(other)}" if other else ""
+
+
+def _error(model: Learned) -> str:
+    point = model.alone
+    return quantity.length(point.error_m) if point.kind == "done" else point.reason
