@@ -97,6 +97,7 @@ def train(
     """Train learned models on engines' data, all on equally much of it; see docs/train.md."""
     check_torch("train")
     from mbds_xsim.learn.groups import groups
+    from mbds_xsim.learn.model import trainable
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
@@ -104,9 +105,10 @@ def train(
     console = console_for(json)
     check_targets(json=json, png=png)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
+    named = [word.strip() for word in dict.fromkeys((models or "").split(","))]
     request = TrainingRequest(
         groups=groups(data),
-        models=_names(models),
+        models=trainable() if models is None else named,
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -117,26 +119,23 @@ def train(
         events=tensorboard,
     )
     trainings = planned(request, only=plan)
-    print_blocks(_left_out(trainings), console)
+    left_out = ((f"{name} left out", reason) for name, reason in trainings.left_out.items())
+    print_blocks([Remarks.of(left_out)], console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             measured = _costs(trainings, *carrier, console)
-            print_blocks(_blocked(trainings), console)
+            if trainings.blocked:
+                first = next(iter(trainings.blocked.values()))
+                count = len(trainings.blocked)
+                text = f"{count} of these runs could not be written there: {first}"
+                print_blocks([Text(text)], console)
             write_json(encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json)
             return
         told = _trained(trainings, request, *carrier, console)
     write_json(encoded(told, "train"), json)
     _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
-
-
-def _names(models: str | None) -> list[str]:
-    from mbds_xsim.learn.model import trainable
-
-    if models is None:
-        return trainable()
-    return [word.strip() for word in dict.fromkeys(models.split(","))]
 
 
 def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
@@ -256,18 +255,6 @@ def _cost_blocks(plan: TrainingPlan, costs: Sequence[Cost], workers: int) -> Ite
         f"{total / workers:.3g} h with {workers}; measured on a few steps, runs "
         "that are level end before"
     )
-
-
-def _blocked(plan: TrainingPlan) -> Iterator[Block]:
-    """Say why what is planned could not be trained into the folder that was named."""
-    if plan.blocked:
-        first = next(iter(plan.blocked.values()))
-        yield Text(f"{len(plan.blocked)} of these runs could not be written there: {first}")
-
-
-def _left_out(plan: TrainingPlan) -> Iterator[Block]:
-    """Say what a model cannot represent, and which engines have no data."""
-    yield Remarks.of((f"{name} left out", reason) for name, reason in plan.left_out.items())
 
 
 def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:

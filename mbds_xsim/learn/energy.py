@@ -203,7 +203,9 @@ class EnergyNetwork(nn.Module):
         kind = np.concatenate([node_kind[: points.free], node_kinds + distinct(rods)])
         keep(self, kind=kind)
         self.kinds = int(kind.max()) + 1
-        self.length, self.square_speed = _units(mechanics)
+        scene = mechanics.mechanism.scene
+        self.length, gravity = scene.length, math.hypot(*scene.gravity)
+        self.square_speed = (gravity or scene.length) * scene.length
         self.unit = self.square_speed * float(points.mass[points.mass > 0].mean())
         self.of_speed = ConvexScalar(self.kinds, shape)
         self.of_place = Potential(mechanics, shape)
@@ -257,13 +259,6 @@ def _bend(value: Tensor, first: Tensor, second: Tensor | None) -> tuple[Tensor, 
 def _perceptron(before: int, after: int, shape: EnergyShape) -> nn.Sequential:
     layers = shape.hidden_layers + 1
     return mlp(before, after, hidden=shape.width, layers=layers, activation=SquarePlus)
-
-
-def _units(mechanics: Mechanics) -> tuple[float, float]:
-    """Length [m] and squared speed [m²/s²] of the scene."""
-    scene = mechanics.mechanism.scene
-    gravity = math.hypot(*scene.gravity)
-    return scene.length, (gravity or scene.length) * scene.length
 
 
 def _edges(mechanics: Mechanics) -> tuple[Tensor, Tensor, Tensor]:

@@ -134,7 +134,9 @@ class GNS(PointModel):
         """Give the normalised acceleration, shape (batch, particle, 3)."""
         # Nodes come first, so that gathering and adding up move whole rows of memory.
         nodes = self.node_encoder(self._node_features(history, inputs))
-        edges = self.edge_encoder(self._edge_features(history[:, -1]))
+        ends = self.graph.with_anchors(history[:, -1]).transpose(0, 1) / self.graph.spacing
+        apart = ends[self.senders] - ends[self.receivers]
+        edges = self.edge_encoder(torch.cat([apart, apart.norm(dim=-1, keepdim=True)], dim=-1))
         for interaction in self.interactions:
             nodes, edges = interaction(nodes, edges, self.senders, self.receivers)
         acceleration: Tensor = self.decoder(nodes[: self.graph.particle_count])
@@ -156,12 +158,6 @@ class GNS(PointModel):
         if self.graph.ground:
             features.append((nodes[:, :, -1, 2:] / self.graph.spacing).clamp(-1.0, 1.0))
         return torch.cat(features, dim=-1)
-
-    def _edge_features(self, particles: Tensor) -> Tensor:
-        """Shape (edge, batch, 4)."""
-        nodes = self.graph.with_anchors(particles).transpose(0, 1) / self.graph.spacing
-        apart = nodes[self.senders] - nodes[self.receivers]
-        return torch.cat([apart, apart.norm(dim=-1, keepdim=True)], dim=-1)
 
 
 class Interaction(nn.Module):

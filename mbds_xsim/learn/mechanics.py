@@ -11,7 +11,7 @@ element, products of directions: work with rows², not with rows² · nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ from torch.autograd.function import once_differentiable
 
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.layers import keep
-from mbds_xsim.learn.mechanics_points import NodePoints, PointRows, points_of, rows_of
+from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 
@@ -150,13 +150,24 @@ class Mechanics(nn.Module):
         self.free, springs = points.free, self.mechanism.springs
         rows = rows_of(self.mechanism, points)
         self.redundant = rows.redundant
-        moved_mass, speed_map = _terms(points)
+        # Terms of the kinetic energy: nodes, then rods.
+        moved_mass = np.concatenate([points.mass[: self.free], points.rod_mass])
+        ends = np.eye(points.count)[points.rods, : self.free]
+        speed_map = np.concatenate([np.eye(self.free), ends[:, 0] - ends[:, 1]])
         mass = speed_map.T @ (moved_mass[:, None] * speed_map)
         mass_inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
         self.terms = Terms(rows, points.fixed, mass_inverse)
         coupling, block = _blocks(speed_map)
         hinges = self.mechanism.hinges
         axes = [points.of_body(j.child).vector(j.axis, points.count) for j in hinges]
+        # Where torques act: hinge, tip, centre of mass, ±1 / (2 d²).
+        turning = [
+            (k, tip, body.com, sign / (2.0 * distance**2))
+            for k, hinge in enumerate(hinges)
+            for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0))
+            for body in (points.of_body(end),)
+            for tip, distance in zip(body.tips, body.distances, strict=True)
+        ]
         keep(
             self,
             fixed=points.fixed,
@@ -169,7 +180,7 @@ class Mechanics(nn.Module):
             spring_law=_table([(s.stiffness, s.length, s.damping) for s in springs], 3),
             com=np.array([body.com for body in points.bodies]),
             hinge_axis=_table(axes, points.count),
-            turning=_table(list(_turning(self.mechanism, points)), 4),
+            turning=_table(turning, 4),
             gravity=np.array(scene.gravity),
             moved_mass=moved_mass,
             speed_map=speed_map,
@@ -225,8 +236,13 @@ class Mechanics(nn.Module):
         return q, v - self._least(jacobian, jacobian.along(v))
 
     def factored(self, jacobian: Jacobian) -> Callable[[Tensor], Tensor]:
-        """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row)."""
-        factor = _factor(_filled(jacobian.over_mass(), self.redundant))
+        """Factorise A M⁻¹ Aᵀ, and give what solves with it for (batch, row).
+
+        Where it has no factor the solution is not a number, so that a row fails alone.
+        """
+        matrix = _filled(jacobian.over_mass(), self.redundant)
+        factor, info = torch.linalg.cholesky_ex(matrix)
+        factor = torch.where((info > 0)[:, None, None], torch.nan, factor)
         return lambda goal: torch.cholesky_solve(goal[..., None], factor)[..., 0]
 
     def _least(self, jacobian: Jacobian, goal: Tensor) -> Tensor:
@@ -248,22 +264,6 @@ class Mechanics(nn.Module):
         return -self.spring.T @ (self.spring_law[:, 2:] * stretch * along)
 
 
-def _factor(matrix: Tensor) -> Tensor:
-    """Cholesky's factor; of what has none, numbers that are none, so that a row fails alone."""
-    factor, info = torch.linalg.cholesky_ex(matrix)
-    return torch.where((info > 0)[:, None, None], torch.nan, factor)
-
-
-def _terms(points: NodePoints) -> tuple[Array, Array]:
-    """Masses and velocities of the terms of the kinetic energy: nodes, then rods."""
-    rods = np.arange(len(points.rods))
-    span = np.zeros((len(rods), points.count))
-    span[rods, points.rods[:, 0]], span[rods, points.rods[:, 1]] = 1.0, -1.0
-    free = points.free
-    mass = np.concatenate([points.mass[:free], points.rod_mass])
-    return mass, np.concatenate([np.eye(free), span[:, :free]])
-
-
 def _blocks(speed_map: Array) -> tuple[Array, Indices]:
     """See `Mechanics.coupling` and `Mechanics.block`."""
     coupling = np.einsum("ki,kj->ijk", speed_map, speed_map)
@@ -276,15 +276,6 @@ def _blocks(speed_map: Array) -> tuple[Array, Indices]:
 def _table(rows: Sequence[ArrayLike], width: int) -> Array:
     """Rows as an array, which there may be none of."""
     return np.array(rows, dtype=np.float64).reshape(-1, width)
-
-
-def _turning(mechanism: Mechanism, points: NodePoints) -> Iterator[tuple[float, ...]]:
-    """Where torques act: hinge, tip, centre of mass, ±1 / (2 d²)."""
-    for k, hinge in enumerate(mechanism.hinges):
-        for end, sign in ((hinge.child, 1.0), (hinge.parent, -1.0)):
-            body = points.of_body(end)
-            for tip, distance in zip(body.tips, body.distances, strict=True):
-                yield k, tip, body.com, sign / (2.0 * distance**2)
 
 
 class Terms(nn.Module):

@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import torch
@@ -162,7 +162,7 @@ class _Whole(msgspec.Struct, frozen=True):
 
 
 def _read(path: Path) -> _Whole:
-    whole = read_stored(path, "trained model", "give another, or remove it")
+    whole = read_stored(path, "trained model", "give another, or remove it", dict[str, Any])
     if whole.get("format") != _FORMAT:
         msg = f"{path}: no trained model of this version; train it again"
         raise InputError(msg)
@@ -172,6 +172,7 @@ def _read(path: Path) -> _Whole:
         raise _other_code(path, error) from error
 
 
+Stored = TypeVar("Stored")
 _LONGEST = 1 << 24  # of the pickle, which holds names and shapes [bytes]
 _PROTOCOL = 2
 _NAMED = {
@@ -182,24 +183,22 @@ _NAMED = {
 """All that a file of this project names: functions, and the types of arrays."""
 
 
-def read_stored(path: Path, what: str, remedy: str) -> dict[str, Any]:
-    """Read a file of `torch.save`; its arrays still lie in the file: copy them by `array`.
+def read_stored(path: Path, what: str, remedy: str, kind: type[Stored]) -> Stored:
+    """Read a file of `torch.save`, of a type for `msgspec.convert`.
 
-    InputError says what it should be ("trained model"), and how that is remedied.
+    Arrays still lie in the file: copy them by `array`. InputError says what the file should be
+    ("trained model"), and how that is remedied.
     """
     try:
         _check_archive(path)
         whole = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
+        return msgspec.convert(whole, kind)
     except OSError as error:
         msg = f"{path}: no {what} can be read ({error.strerror or error})"
         raise InputError(msg) from error
     except Exception as error:  # whatever a file makes torch say, it tells a user nothing
         msg = f"{path}: no {what}, or a damaged one; {remedy}"
         raise InputError(msg) from error
-    if not isinstance(whole, dict):
-        msg = f"{path}: no {what}, or a damaged one; {remedy}"
-        raise InputError(msg)
-    return whole
 
 
 def array(value: object) -> Tensor:

@@ -78,11 +78,15 @@ class SGNN(PointModel):
         self.output = Unit(kinds[settings.target])
         self.channels = Channels(graph)
         self.register_buffer("channel_size", unit.channels.float())
+        # Bodies are objects, and so is every anchor.
+        alone = -1 - torch.arange(graph.node_count)
+        body = torch.where(graph.static.cpu(), alone, graph.body.cpu())
+        edges = graph.senders.cpu(), graph.receivers.cpu(), graph.inner.cpu()
         heavy = graph.mass / graph.mass.max()
         about = torch.stack([graph.static.to(heavy), heavy], dim=-1).float()
         keep(self, about=about, up=UP)
         self.network = Network(
-            _hierarchy(graph),
+            Hierarchy(*edges, body),
             externals=len(CHANNELS) + graph.ground,
             scalars=about.shape[-1] + graph.ground,
             down=nn.functional.normalize(graph.gravity, dim=0).float(),
@@ -169,13 +173,6 @@ class Unit(nn.Module):
     def restore(self, vectors: Tensor) -> Tensor:
         """Undo `normalise`."""
         return vectors * self.std + self.mean
-
-
-def _hierarchy(graph: Graph) -> Hierarchy:
-    """Bodies are objects, and so is every anchor."""
-    alone = -1 - torch.arange(graph.node_count)
-    body = torch.where(graph.static.cpu(), alone, graph.body.cpu())
-    return Hierarchy(graph.senders.cpu(), graph.receivers.cpu(), graph.inner.cpu(), body)
 
 
 def nearest_rigid(shape: Tensor, predicted: Tensor, object_of: Tensor) -> Tensor:

@@ -22,8 +22,8 @@ from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.scene.sampling_terms import HingeTorque
 
 Array = NDArray[np.float64]
-AxisWeights = tuple[Array, Array, Array, Array]
-"""How a hinge's axis follows from the particles: `along`, `first`, `second` and `fixed`."""
+AxisWeights = dict[str, Array]
+"""How a hinge's axis follows from the particles: see the buffers of `Channels`."""
 
 CHANNELS = ("force", "torque")
 """Of each node: its share of the force on its body by mass [N]; the torque on its body [N·m]."""
@@ -52,20 +52,25 @@ class Channels(nn.Module):
 
     def __init__(self, graph: Graph) -> None:
         super().__init__()
-        none = np.zeros(graph.particle_count)
-        idle = (none, none, none, np.zeros(3))
         driven = {load.joint for load in graph.scene.torques}
         for term in graph.scene.sampling:
             driven |= set(term.joints) if isinstance(term, HingeTorque) else set()
         hinges = graph.mechanism.hinges
+        idle = _idle(graph)
         weights = [_weights(graph, hinge) if hinge.name in driven else idle for hinge in hinges]
-        for k, (name, size) in enumerate(
-            (("along", len(none)), ("first", len(none)), ("second", len(none)), ("fixed", 3))
-        ):
-            values = np.array([each[k] for each in weights]).reshape(-1, size)
+        for name, nothing in idle.items():
+            values = np.array([each[name] for each in weights]).reshape(-1, len(nothing))
             keep(self, **{name: torch.from_numpy(values).float()})
-        owner = graph.body.clamp(min=0)
-        keep(self, acts=_acts(graph).float(), share=_share(graph).float(), owner=owner)
+        # 1 where a hinge's child has a node, −1 where its parent has, (node, hinge).
+        body, mass = graph.body.cpu(), graph.mass.cpu()
+        child = torch.tensor([hinge.child for hinge in hinges], dtype=torch.int64)
+        parent = torch.tensor([hinge.parent for hinge in hinges], dtype=torch.int64)
+        acts = (body[:, None] == child).double() - (body[:, None] == parent).double()
+        acts = acts * (body >= 0)[:, None]
+        # Of its body's mass in a node, 0 in anchors, (node,).
+        whole = torch.from_numpy(graph.mechanism.mass)
+        share = torch.where(body >= 0, mass / whole[body.clamp(min=0)], 0.0)
+        keep(self, acts=acts.float(), share=share.float(), owner=graph.body.clamp(min=0))
 
     def forward(self, particles: Tensor, inputs: KnownInputs) -> Tensor:
         """Give the vectors at the nodes, shape (…, node, channel, 3).
@@ -82,25 +87,15 @@ class Channels(nn.Module):
         return nn.functional.normalize(self.along @ particles + normal + self.fixed, dim=-1)
 
 
-def _acts(graph: Graph) -> Tensor:
-    """1 where a hinge's child has a node, −1 where its parent has, shape (node, hinge)."""
-    owner, hinges = graph.body.cpu()[:, None], graph.mechanism.hinges
-    child = torch.tensor([hinge.child for hinge in hinges], dtype=torch.int64)
-    parent = torch.tensor([hinge.parent for hinge in hinges], dtype=torch.int64)
-    return ((owner == child).double() - (owner == parent).double()) * (owner >= 0)
-
-
-def _share(graph: Graph) -> Tensor:
-    """Of its body's mass in a node, 0 in anchors, shape (node,)."""
-    owner, mass = graph.body.cpu(), graph.mass.cpu()
-    whole = torch.from_numpy(graph.mechanism.mass)
-    return torch.where(owner >= 0, mass / whole[owner.clamp(min=0)], 0.0)
+def _idle(graph: Graph) -> AxisWeights:
+    """Weights of a hinge that is not driven."""
+    particles = {name: np.zeros(graph.particle_count) for name in ("along", "first", "second")}
+    return {**particles, "fixed": np.zeros(3)}
 
 
 def _weights(graph: Graph, hinge: PlacedJoint) -> AxisWeights:
-    none = np.zeros(graph.particle_count)
     if hinge.parent == WORLD_INDEX or graph.scene.dimension < 3:
-        return none, none, none, hinge.axis
+        return {**_idle(graph), "fixed": hinge.axis}
     for body in (hinge.parent, hinge.child):
         weights = _of_body(graph, body, hinge.axis)
         if weights is not None:
@@ -125,12 +120,13 @@ def _of_body(graph: Graph, body: int, axis: Array) -> AxisWeights | None:
     if rank < 2 and np.linalg.norm(outside) > _RANK:
         return None
     back = np.linalg.pinv(arms.T, rcond=_RANK)
-    along, first, second = (np.zeros(graph.particle_count) for _ in range(3))
-    along[mine] = back @ inside
+    weights = _idle(graph)
+    weights["along"][mine] = back @ inside
     if rank == 2:
         normal = np.cross(spanned[0], spanned[1])
-        first[mine], second[mine] = back @ spanned[0] * (outside @ normal), back @ spanned[1]
-    return along, first, second, np.zeros(3)
+        weights["first"][mine] = back @ spanned[0] * (outside @ normal)
+        weights["second"][mine] = back @ spanned[1]
+    return weights
 
 
 @dataclass(frozen=True, eq=False)

@@ -250,7 +250,7 @@ class _Loop:
 
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint."""
-        state, model = _read(path), self.training.model
+        state, model = read_stored(path, "checkpoint", _ANEW, _Checkpoint), self.training.model
         check_identity(path, "a checkpoint", state.identity, self.identity)
         try:
             model.load_state_dict(arrays(state.model))
@@ -301,15 +301,7 @@ def check_identity(
 
 def read_identity(path: Path) -> dict[str, str]:
     """Read what the run of a checkpoint is known by, or raise InputError."""
-    return _read(path).identity
-
-
-def _read(path: Path) -> _Checkpoint:
-    whole = read_stored(path, "checkpoint", _ANEW)
-    try:
-        return msgspec.convert(whole, _Checkpoint)
-    except Exception as error:  # an array in the place of a dictionary is an `AttributeError`
-        raise InputError(f"{path}: no checkpoint, or a damaged one; {_ANEW}") from error
+    return read_stored(path, "checkpoint", _ANEW, _Checkpoint).identity
 
 
 def _on_plateau(rate: float, schedule: Plateau, curve: list[CurvePoint]) -> float:

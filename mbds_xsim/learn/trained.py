@@ -173,19 +173,17 @@ def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
     """
     models: list[TrainedModel] = []
     for place in places:
-        paths = _files(place)
+        if place.is_dir():
+            paths = sorted(place.rglob("*.pt"))
+        elif glob.has_magic(str(place)) and not place.exists():
+            paths = sorted(map(Path, glob.glob(str(place))))
+        else:
+            paths = [place]
         if not paths:
             msg = f"{place}: no trained models (*.pt) there; make some with mbds-xsim train"
             raise InputError(msg)
         models += map(trained_model, paths)
     return models
-
-
-def _files(place: Path) -> list[Path]:
-    if place.is_dir():
-        return sorted(place.rglob("*.pt"))
-    pattern = glob.has_magic(str(place)) and not place.exists()
-    return sorted(map(Path, glob.glob(str(place)))) if pattern else [place]
 
 
 @dataclass(frozen=True, eq=False)

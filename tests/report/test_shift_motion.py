@@ -15,7 +15,7 @@ def test_a_particle_without_edges_is_a_dot(line: str, face: str) -> None:
     axes = Figure().subplots()
     look = {"color": "C0", "ls": line, "lw": 1.0, "alpha": 1.0}
     nodes = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [2.0, 0.0, 3.0]])
-    shift_motion._draw_nodes(axes, np.array([0, 1]), np.array([1, 0]), nodes, look)
+    shift_motion._draw_nodes(axes, np.array([[0, 1]]), nodes, look)
     edge, dots = axes.lines
     assert np.array_equal(edge.get_xydata(), [[0.0, 0.0], [1.0, 1.0]])
     assert np.array_equal(dots.get_xydata(), [[2.0, 3.0]])

@@ -24,6 +24,7 @@ import torch
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.base.versions import MODELS
 from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.points import Points
@@ -47,6 +48,9 @@ Paths = dict[tuple[TrainedModel, str], Path]
 """Where the figures of a model on a domain are kept."""
 
 
+SILENT = Silent()
+
+
 class RolloutMeter(Protocol):
     """A bar: it begins anew for each kind of work."""
 
@@ -54,7 +58,7 @@ class RolloutMeter(Protocol):
         """Say how many pieces of work there are."""
 
     def advance(self, what: str) -> None:
-        """Tell of one that is done."""
+        """Report a piece of work that is done."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,7 @@ def evaluate(
     *,
     cache: bool = True,
     workers: int | None = None,
-    meter: RolloutMeter | None = None,
+    meter: RolloutMeter = SILENT,
 ) -> Evaluated:
     """Test every model on every domain; without `cache` what was done is done anew.
 
@@ -111,14 +115,13 @@ def evaluate(
     missing = [m for m in models if not all(read_figures(paths[m, d.name]) for d in domains)]
     parts = [missing[k : k + _MODELS] for k in range(0, len(missing), _MODELS)]
     wanted = [{key: path for key, path in paths.items() if key[0] in part} for part in parts]
-    if meter is not None and missing:
+    if missing:
         meter.begin(len(missing))
 
     def finished(place: int, answer: object) -> None:
         del answer
-        if meter is not None:
-            for model in parts[place]:
-                meter.advance(f"{model.model} {model.training}")
+        for model in parts[place]:
+            meter.advance(f"{model.model} {model.training}")
 
     tasks = [Task(_test, (scene, part, domains, plan), _TIMEOUT) for part in wanted]
     answers = run_tasks(tasks, workers=process_count(workers, plan.device), finished=finished)
@@ -182,7 +185,7 @@ def restarted(
     *,
     cache: bool = True,
     workers: int | None = None,
-    meter: RolloutMeter | None = None,
+    meter: RolloutMeter = SILENT,
 ) -> tuple[dict[tuple[str, str], RolloutFigures], dict[str, str]]:
     """Let every engine go on from every domain; with `cache` what was done is not done again.
 
@@ -200,7 +203,7 @@ def restarted(
             lost[engine.name] = str(error)
         else:
             restarts += each
-    if meter is not None and missing:
+    if missing:
         meter.begin(len(missing))
     lost |= _run(test.batch, list(_shares(missing)), workers, meter)
     kept = {(one.engine.name, one.domain.name): read_figures(one.path) for one in restarts}
@@ -211,7 +214,7 @@ def _run(
     inputs: Batch,
     shares: Sequence[list[Restart]],
     workers: int | None,
-    meter: RolloutMeter | None,
+    meter: RolloutMeter,
     *,
     alone: bool = False,
 ) -> dict[str, str]:
@@ -225,7 +228,7 @@ def _run(
         for restart in shares[place]:
             if isinstance(answer, Crash) and read_figures(restart.path) is None:
                 lost[restart] = answer.reason
-            if meter is not None and (alone or restart not in lost):
+            if alone or restart not in lost:
                 meter.advance(restart.name)
 
     tasks = [Task(_go_on, (inputs, share), _TIMEOUT) for share in shares]

@@ -46,7 +46,7 @@ from mbds_xsim.learn.shift.models import (
     trivial_models,
 )
 from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, ModelFacts, Shift
-from mbds_xsim.learn.shift.rollouts import RolloutMeter, RolloutPlan, evaluate, restarted
+from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
@@ -98,7 +98,7 @@ def study(
     cache: bool = True,
     workers: int | None = None,
     device: str = "cpu",
-    meter: RolloutMeter | None = None,
+    meter: RolloutMeter = SILENT,
     command: str = "",
 ) -> ShiftStudy:
     """Test all models of a scene on all domains, and say what a change of engine does.

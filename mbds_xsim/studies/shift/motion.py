@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
 from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
@@ -41,7 +42,6 @@ def pack(samples: Samples) -> dict[str, Any]:
     reach = _REACH * max(float(np.linalg.norm(high - low)), graph.length)
     styles = (None, *styles_of(samples))
     motions = [("truth", truth), *((name_of(s), s.position) for s in samples.models)]
-    edges = np.stack([graph.senders.numpy(), graph.receivers.numpy()], axis=1)
     return {
         "frames": truth.shape[1],
         "step": graph.frame_s,
@@ -50,7 +50,9 @@ def pack(samples: Samples) -> dict[str, Any]:
         "base": packed_base(truth, low, high),
         "reach": reach,
         "entries": [
-            packed_entry(name, style, motion, truth, reach) | {"error": _error(motion, truth)}
+            packed_entry(name, style, motion, truth, reach)
+            # Root mean square distance of the particles, frame by frame.
+            | {"error": encoded(np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)), "<f4")}
             for (name, motion), style in zip(motions, styles, strict=True)
         ],
         "trajectories": [
@@ -61,15 +63,10 @@ def pack(samples: Samples) -> dict[str, Any]:
         "points": graph.particle_count,
         "radius": [0.0] * graph.particle_count,
         "fixed": graph.anchor_positions.tolist(),
-        "edges": edges[edges[:, 0] < edges[:, 1]].tolist(),
+        "edges": _edges(graph).tolist(),
         "ground": graph.ground,
         "dimension": samples.evaluation.test.scene.dimension,
     }
-
-
-def _error(motion: Array, truth: Array) -> str:
-    """Root mean square distance of the particles, frame by frame."""
-    return encoded(np.sqrt(((motion - truth) ** 2).sum(-1).mean(-1)), "<f4")
 
 
 def picture_size(samples: Samples) -> tuple[float, float]:
@@ -104,15 +101,22 @@ def draw_samples(figure: Any, samples: Samples) -> None:
     for sample, style in zip(samples.models, styles_of(samples), strict=True):
         line = "--" if style.dashed else "-"
         motions.append((sample.position, LIGHT[style.colour], line, name_of(sample), 1.3))
-    fixed = graph.anchor_positions.numpy()
+    fixed, edges = graph.anchor_positions.numpy(), _edges(graph)
     for row, number in enumerate(samples.index.tolist()):
+        # The truth's whole motion is in view, however far a rollout goes.
+        points = np.concatenate([samples.truth[row].reshape(-1, 3), fixed])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, half = 0.5 * (low + high), _ROOM * max(float((high - low).max()), 1e-3)
         for axes, shot in zip(charts[row], shots, strict=True):
             for position, colour, line, label, width in motions:
                 nodes = np.concatenate([position[row, shot], fixed])
                 look = {"color": colour, "ls": line, "lw": width, "alpha": 0.85}
-                _draw_nodes(axes, graph.senders.numpy(), graph.receivers.numpy(), nodes, look)
+                _draw_nodes(axes, edges, nodes, look)
                 axes.plot([], [], label=label, **look)
-            _frame(axes, np.concatenate([samples.truth[row].reshape(-1, 3), fixed]))
+            axes.set_xlim(middle[0] - half, middle[0] + half)
+            axes.set_ylim(middle[2] - half, middle[2] + half)
+            axes.set_aspect("equal")
+            axes.tick_params(labelsize=7)
             if not row:
                 axes.set_title(f"t = {shot}", fontsize=9)
         charts[row, 0].set_ylabel(f"trajectory {number}: z [m]")
@@ -122,27 +126,15 @@ def draw_samples(figure: Any, samples: Samples) -> None:
     )  # fmt: skip
 
 
-def _frame(axes: Any, points: Array) -> None:
-    """Show the truth's whole motion, however far a rollout goes."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    half = _ROOM * max(float((high - low).max()), 1e-3)
-    middle = 0.5 * (low + high)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[2] - half, middle[2] + half)
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=7)
-
-
-def _draw_nodes(
-    axes: Any,
-    senders: NDArray[np.int64],
-    receivers: NDArray[np.int64],
-    nodes: Array,
-    look: dict[str, Any],
-) -> None:
-    for one, two in zip(senders, receivers, strict=True):
-        if one < two:
-            axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
-    loose = np.setdiff1d(np.arange(len(nodes)), np.concatenate([senders, receivers]))
+def _draw_nodes(axes: Any, edges: NDArray[np.int64], nodes: Array, look: dict[str, Any]) -> None:
+    for one, two in edges:
+        axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
+    loose = np.setdiff1d(np.arange(len(nodes)), edges)
     hollow = {} if look["ls"] == "-" else {"mfc": "none"}  # as dashed lines are
     axes.plot(nodes[loose, 0], nodes[loose, 2], "o", ms=4, **{**look, "lw": 0.0}, **hollow)
+
+
+def _edges(graph: Graph) -> NDArray[np.int64]:
+    """Pairs of nodes, each once, shape (edge, 2)."""
+    edges = np.stack([graph.senders.numpy(), graph.receivers.numpy()], axis=1)
+    return edges[edges[:, 0] < edges[:, 1]]
