@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbds_xsim import load_dataset
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.studies.diff.compare import compare_files
 
 _SCENES = (

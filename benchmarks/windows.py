@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import both_s, print_table
-from mbds_xsim import load_dataset
 from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 

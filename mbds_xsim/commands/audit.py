@@ -45,23 +45,24 @@ def audit(
     opened: shared.Opened = False,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model."""
-    from mbds_xsim.api import audit as run
+    from mbds_xsim.dataset.audit import audit_file
+    from mbds_xsim.dataset.foreign import Provenance
+    from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit.present import present
 
     console = shared.console_for(json)
     shared.check_targets(json=json, html=html)
-    audited = run(
-        file,
-        None if scene is None else shared.scene_named(scene),
-        index=index,
+    origin = Provenance(
+        index=None if index is None else tuple(parse_numbers(index, "--index")),
         seed=seed,
         noise=noise,
-        order=order,
-        step=step,
-        velocity_lag=velocity_lag,
-        contact_time=contact_time,
+        step_s=step,
+        method_order=order,
+        velocity_lag_s=velocity_lag,
+        contact_time_s=contact_time,
     )
+    audited = audit_file(file, None if scene is None else shared.scene_named(scene), origin)
     report = present(audited, shared.command_line())
     print_report(report, console)
     shared.deliver([report], audited.file, console, html=html, opened=opened)

@@ -31,9 +31,9 @@ def inspect(
     json: shared.JsonFile = None,
 ) -> None:
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
+    from mbds_xsim.dataset.paths import draw_paths
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.dataset.summary import summaries
-    from mbds_xsim.report.paths import draw_paths
 
     shared.check_targets(json=json, png=png)
     found = summaries(path)

@@ -233,7 +233,7 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
             console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.base.write import write_whole
     from mbds_xsim.learn.curves import read_curve
-    from mbds_xsim.report.training_curves import to_png
+    from mbds_xsim.learn.training_curves import to_png
 
     write_whole(png, to_png([read_curve(path) for path in there]))
 

@@ -164,7 +164,7 @@ class Motion:
     """Motions to be played, by the viewer of pages."""
 
     data: dict[str, Any]
-    """What the viewer reads: see `animation.pack`."""
+    """What the viewer reads: see `mbds_xsim.report.animation`."""
     truth: str
     """What the others are drawn over."""
     entries: tuple[tuple[str, Style], ...]

@@ -10,7 +10,6 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.simulate import registry
 
 ENGINES = ("#009e73", "#cc79a7", "#0072b2", "#d55e00", "#e69f00", "#56b4e9")
@@ -54,8 +53,6 @@ METHODS = {
 """Markers of methods: filled forms, which nothing else has."""
 _MORE_MARKERS = "h8d"
 
-_DASHED = {"native"}
-
 
 @dataclass(frozen=True)
 class Style:
@@ -67,13 +64,6 @@ class Style:
     """Native settings are dashed, beside the same engine's matched ones."""
     letter: str = ""
     """On curves, for those who do not see colours."""
-
-
-def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
-    """Give the results of engines their styles."""
-    listed = list(results)
-    others = [result.engine for result in listed]
-    return tuple(engine_style(r.engine, others, dashed=r.profile in _DASHED) for r in listed)
 
 
 def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = False) -> Style:

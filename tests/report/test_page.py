@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.report import animation, palette
+from mbds_xsim.report import palette
 from mbds_xsim.report.page import to_html
 from mbds_xsim.report.skeleton import skeleton
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
+from mbds_xsim.studies.validate.motion import pack
 from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case, Fake, make_case
@@ -192,7 +193,7 @@ def test_a_motion_out_of_reach_ends_in_the_view(case: Case) -> None:
     flown.position[0, 20:] += 1e6
     evidence = dataclasses.replace(case.evidence, trajectories=(flown,), errors=(None,))
 
-    packed = animation.pack(evidence, ("x",), (palette.Style(0, False),))
+    packed = pack(evidence, ("x",), (palette.Style(0, False),))
 
     assert packed["entries"][1]["shown"] == [20, 101, 101]
 
@@ -206,7 +207,7 @@ def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
         case.evidence, reference=cut, trajectories=(motion,), errors=(None,)
     )
 
-    packed = animation.pack(evidence, ("x",), (palette.Style(0, False),))
+    packed = pack(evidence, ("x",), (palette.Style(0, False),))
 
     assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
 
@@ -215,8 +216,8 @@ def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
     style = (palette.Style(0, False),) * len(case.evidence.trajectories)
     names = tuple(f"n{k}" for k in range(len(style)))
 
-    frames = animation.pack(case.evidence, names, style, limit=20_000)
-    trajectories = animation.pack(case.evidence, names, style, limit=3_000)
+    frames = pack(case.evidence, names, style, limit=20_000)
+    trajectories = pack(case.evidence, names, style, limit=3_000)
 
     assert (frames["frames"], frames["left_out"]) == (51, 0)
     assert frames["step"] == pytest.approx(0.08)

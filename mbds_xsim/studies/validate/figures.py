@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
-from mbds_xsim.report.palette import LIGHT, Style, styles
+from mbds_xsim.report.palette import LIGHT, Style
 from mbds_xsim.report.themed import GREY, INK, PAPER
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact
+from mbds_xsim.studies.validate.motion import styles
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

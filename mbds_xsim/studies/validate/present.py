@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mbds_xsim.measure.result import EngineResult, Evidence, FindingResult, Validation
-from mbds_xsim.report import animation, quantity
+from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import (
     Block,
     Cell,
@@ -23,10 +23,11 @@ from mbds_xsim.report.blocks import (
     columns_of,
     table_of,
 )
-from mbds_xsim.report.palette import Style, styles
+from mbds_xsim.report.palette import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
-from mbds_xsim.studies.validate import contact_table, figures, timeline, words
+from mbds_xsim.studies.validate import contact_table, figures, motion, timeline, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of
+from mbds_xsim.studies.validate.motion import styles
 
 _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
@@ -118,7 +119,7 @@ def _motion(
     looks = styles(validation.engines)
     names = tuple(words.label(result) for result in validation.engines)
     entries = tuple(zip(names, looks, strict=True))
-    data = animation.pack(evidence, names, looks)
+    data = motion.pack(evidence, names, looks)
     if not contacts:
         return Motion(data, "reference", entries)
     count = len(data["trajectories"])
