@@ -32,7 +32,7 @@ _CONSTANT = 1e-9  # spread of a feature that says nothing, over its size
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Separation:
     """How far apart the distributions of two samples are."""
 
     distance: float
@@ -61,7 +61,7 @@ def features(record: Record, frame: int) -> Array:
 
 def compare_runs(
     scene: Scene, batch: Batch, runs: Sequence[Trajectory]
-) -> dict[tuple[int, int], Comparison]:
+) -> dict[tuple[int, int], Separation]:
     """Compare runs of one batch in pairs, at the last frame; keys are their numbers.
 
     Pairs are left out that have fewer than 20 trajectories in common, or of which most agree to
@@ -82,7 +82,7 @@ def compare_runs(
     return found
 
 
-def compare(one: Array, other: Array, *, seed: int = 0) -> Comparison | None:
+def compare(one: Array, other: Array, *, seed: int = 0) -> Separation | None:
     """Compare two paired samples, shapes (trajectory, feature).
 
     Features count by their spread in both samples together; such as hardly vary are left out. The
@@ -97,7 +97,7 @@ def compare(one: Array, other: Array, *, seed: int = 0) -> Comparison | None:
     spread = pooled.std(axis=0)
     told = spread > _CONSTANT * np.maximum(1.0, np.abs(pooled).max(axis=0))
     if not told.any():
-        return Comparison(0.0, 1.0, count)
+        return Separation(0.0, 1.0, count)
     scaled = pooled[:, told] / spread[told]
     apart = np.linalg.norm(scaled[:, None] - scaled, axis=-1)
     sides = np.random.default_rng(seed).choice((-1.0, 1.0), size=(_PERMUTATIONS, count))
@@ -107,7 +107,7 @@ def compare(one: Array, other: Array, *, seed: int = 0) -> Comparison | None:
     distances = -np.sum((signs @ apart) * signs, axis=1) / count**2
     between = 2.0 * apart[:count, count:].mean()
     reached = distances >= distances[0] * (1.0 - 1e-9)
-    return Comparison(
+    return Separation(
         distance=float(max(distances[0], 0.0) / between) if between else 0.0,
         p_value=float(reached.mean()),
         count=count,

@@ -26,7 +26,7 @@ _ERRORS = 6.0  # standard errors
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class BalanceEvidence:
     """Of some trajectories, what their balances say."""
 
     names: tuple[str, ...]
@@ -44,12 +44,12 @@ class Evidence:
     """What single impacts show; None without contact, or of balls alone."""
 
 
-def evidence_of(record: Record) -> Evidence | None:
+def evidence_of(record: Record) -> BalanceEvidence | None:
     """Collect what coefficients found; None where nothing flies, or the method is unknown."""
     if record.method is None or not record.flying().any():
         return None
     parts, steps = parts_of(record), steps_of(record)
-    return Evidence(
+    return BalanceEvidence(
         names=tuple(part.name for part in parts),
         errors=tuple(part.errors for part in parts),
         share=np.stack([np.where(part.known, part.share, np.nan) for part in parts]),
@@ -60,7 +60,7 @@ def evidence_of(record: Record) -> Evidence | None:
     )
 
 
-def shared_faults(found: Iterable[Evidence | None]) -> list[str]:
+def shared_faults(found: Iterable[BalanceEvidence | None]) -> list[str]:
     """Say in a line each what the trajectories have together that no sound engine has."""
     kept = [each for each in found if each is not None]
     if not kept:
@@ -76,7 +76,7 @@ def shared_faults(found: Iterable[Evidence | None]) -> list[str]:
     return [*_of_parts(kept[0], share, error), *_of_steps(missing, weight), *_of_impacts(impacts)]
 
 
-def _of_parts(parts: Evidence, share: Array, error: Array) -> Iterator[str]:
+def _of_parts(parts: BalanceEvidence, share: Array, error: Array) -> Iterator[str]:
     known = np.isfinite(share)
     mean, spread = _mean(np.nan_to_num(share), np.where(known, error**-2, 0.0))
     for k, name in enumerate(parts.names):

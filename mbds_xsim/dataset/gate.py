@@ -19,7 +19,7 @@ from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, Record, agreement, audited
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
-from mbds_xsim.checks.shared import Evidence, evidence_of, shared_faults
+from mbds_xsim.checks.shared import BalanceEvidence, evidence_of, shared_faults
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
 from mbds_xsim.measure.convergence import convergence, further_step, smooth
@@ -171,7 +171,7 @@ def judge_rows(
     return verdict
 
 
-def _evidence_of(record: Record) -> Evidence | None:
+def _evidence_of(record: Record) -> BalanceEvidence | None:
     # A blow-up may overflow on its way to infinity; the check `finite` reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return evidence_of(record)

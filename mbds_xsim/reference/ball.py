@@ -52,7 +52,7 @@ class Load:
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class BallContact:
     """What the contact with the ground is made of."""
 
     mass: float
@@ -77,7 +77,7 @@ class Ball(Protocol):
     """The laws of motion of one body."""
 
     @property
-    def contact(self) -> Contact:
+    def contact(self) -> BallContact:
         """What it touches the ground with."""
         ...
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import Ball, BallState, Contact, Load, time_to_ground
+from mbds_xsim.reference.ball import Ball, BallContact, BallState, Load, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.first_impact import TOUCHING
@@ -110,7 +110,7 @@ def _ball_of(mechanism: Mechanism, body: int, state: Array, force: Array, radius
     ground = mechanism.scene.ground
     assert ground is not None
     mass = float(mechanism.mass[body])
-    contact = Contact(mass, radius, ground.friction, ground.restitution)
+    contact = BallContact(mass, radius, ground.friction, ground.restitution)
     moments = dynamics_of(mechanism).topology.inertia_root[body] ** 2
     if np.ptp(moments) <= _EVEN * moments.max():
         return EvenBall(contact, float(moments.mean()))

@@ -10,7 +10,6 @@ orientation of the principal frame (wxyz), velocity, angular velocity in W.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,15 +50,6 @@ def _turn_map() -> Array:
 _TURN = _turn_map()
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Constraints at some states: residual and bias (batch, row), Jacobian slot by slot."""
-
-    residual: Array
-    bias: Array
-    jacobian: Array
-
-
 @functools.lru_cache(maxsize=64)
 def dynamics_of(mechanism: Mechanism) -> Dynamics:
     """Prepare a mechanism (once each)."""
@@ -80,7 +70,7 @@ class Dynamics:
         self.near = 0.0
         if self._closes:
             states = typical_states(self, self.pack(_pose(mechanism)))
-            usual = self._multipliers.choose(self._rows(self._motion(states)).jacobian)
+            usual = self._multipliers.choose(self._rows(self._motion(states))[2])
             self.near = min(POOR, _FEWER * usual)
 
     def pack(self, bodies: BodyStates) -> Array:
@@ -145,15 +135,15 @@ class Dynamics:
         """
         state, share = self._closed(state)
         motion = self._motion(state)
-        rows = self._rows(motion)
-        change, _ = self._least(rows.jacobian, self._rates(rows.jacobian, motion, state))
+        jacobian = self._rows(motion)[2]
+        change, _ = self._least(jacobian, self._rates(jacobian, motion, state))
         state[..., _V] -= change[..., :3] * self._inverse_mass_root
         state[..., _W] -= _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
         return _normalised(state), share if self._closes else np.ones(len(state))
 
     def residual(self, state: Array) -> Array:
         """Constraint residuals [m or rad], shape (batch, row), as `mbds_xsim.scene.constraints`."""
-        return self._rows(self._motion(state)).residual
+        return self._rows(self._motion(state))[0]
 
     def is_singular(self, state: Array) -> bool:
         """Whether the constraints of one state have lost rank, or nearly so."""
@@ -172,8 +162,8 @@ class Dynamics:
 
     def _closed(self, state: Array) -> tuple[Array, Array]:
         motion = self._motion(state)
-        rows = self._rows(motion)
-        change, share = self._least(rows.jacobian, rows.residual)
+        residual, _, jacobian = self._rows(motion)
+        change, share = self._least(jacobian, residual)
         moved = state.copy()
         moved[..., _X] -= change[..., :3] * self._inverse_mass_root
         turn = _times(motion.turn, change[..., 3:] * self._inverse_inertia_root)
@@ -229,13 +219,12 @@ class Dynamics:
     def _constrained(self, motion: Moving, applied: Array) -> tuple[Array, Array]:
         if not self._constrains:
             return applied, np.ones(len(applied))
-        rows = self._rows(motion)
-        goal = self._sum(rows.jacobian, applied)
-        goal += rows.bias
-        change, share = self._least(rows.jacobian, goal)
-        for k in self._broken(rows.jacobian, goal, change):
-            load, share[k] = self._multipliers.solve_anew(rows.jacobian[k], goal[k])
-            change[k] = self._loaded(rows.jacobian[k], load)
+        _, bias, jacobian = self._rows(motion)
+        goal = self._sum(jacobian, applied) + bias
+        change, share = self._least(jacobian, goal)
+        for k in self._broken(jacobian, goal, change):
+            load, share[k] = self._multipliers.solve_anew(jacobian[k], goal[k])
+            change[k] = self._loaded(jacobian[k], load)
         return applied - change, share if self._closes else np.ones(len(applied))
 
     def _broken(self, jacobian: Array, goal: Array, change: Array) -> Indices:
@@ -271,13 +260,14 @@ class Dynamics:
         scaled[..., 3:] = _times(motion.turn.swapaxes(-1, -2), state[..., _W]) * top.inertia_root
         return self._sum(jacobian, scaled)
 
-    def _rows(self, motion: Moving) -> _Rows:
+    def _rows(self, motion: Moving) -> tuple[Array, Array, Array]:
+        """Residuals and biases (batch, row), and the scaled Jacobian slot by slot."""
         residual, bias, halves = evaluate(self.topology.layout, motion)
         slots = halves.reshape(len(halves), -1, 6)[:, self._multipliers.slot_half]
         slots[..., :3] *= self._inverse_mass_root[:, None]
         scale = motion.turn * self._inverse_inertia_root[:, None]
         slots[..., 3:] = np.matmul(slots[..., 3:], scale)
-        return _Rows(residual, bias, slots)
+        return residual, bias, slots
 
 
 def accelerations(

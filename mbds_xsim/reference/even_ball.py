@@ -15,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import STILL, BallState, Contact, Load, flown
-from mbds_xsim.reference.sliding import Slide, slide
+from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
+from mbds_xsim.reference.sliding import Sliding, slide
 from mbds_xsim.reference.turning import turned
 
 Array = NDArray[np.float64]
-_Law = Callable[[float], Slide]
+_Law = Callable[[float], Sliding]
 
 
 @dataclass(frozen=True, slots=True)
 class EvenBall:
     """Laws of motion of such a ball."""
 
-    contact: Contact
+    contact: BallContact
     inertia: float
     """[kg·m²]"""
 
@@ -62,7 +62,7 @@ class EvenBall:
         return part.duration, self._carried(motion, load, slip, part, law)
 
     def _carried(
-        self, motion: BallState, load: Load, slip: complex, part: Slide, law: _Law
+        self, motion: BallState, load: Load, slip: complex, part: Sliding, law: _Law
     ) -> BallState:
         """Follow the centre of mass and the spin along a slip that is known."""
         t = part.duration
@@ -90,8 +90,8 @@ class EvenBall:
         return 1j * self.contact.radius / (self.inertia * self.yielding)
 
 
-def _no_slide(limit: float) -> Slide:
-    return Slide(limit, 0j, 0j)
+def _no_slide(limit: float) -> Sliding:
+    return Sliding(limit, 0j, 0j)
 
 
 def _rolled(

@@ -22,7 +22,7 @@ _STRAIGHT = 1e-15
 
 
 @dataclass(frozen=True, slots=True)
-class Slide:
+class Sliding:
     """A stretch of sliding."""
 
     duration: float
@@ -33,7 +33,7 @@ class Slide:
     """∫ s dt [m]."""
 
 
-def slide(slip: complex, drive: complex, brake: float, limit: float) -> Slide:
+def slide(slip: complex, drive: complex, brake: float, limit: float) -> Sliding:
     """Slide until the slip stops, and no longer than a limit.
 
     A slip of zero starts along the drive, which must then be stronger than the brake.
@@ -50,17 +50,17 @@ def slide(slip: complex, drive: complex, brake: float, limit: float) -> Slide:
     return _curved(slip, drive, brake, limit)
 
 
-def _straight(slip: complex, drive: complex, brake: float, limit: float) -> Slide:
+def _straight(slip: complex, drive: complex, brake: float, limit: float) -> Sliding:
     speed = abs(slip)
     ahead = slip / speed if speed else drive / abs(drive)
     slowing = brake - (drive * ahead.conjugate()).real
     stops = slowing > 0.0 and speed <= slowing * limit
     t = min(speed / slowing, limit) if stops else limit
     end = 0.0 if stops else speed - slowing * t
-    return Slide(t, end * ahead, t * (speed - 0.5 * slowing * t) * ahead)
+    return Sliding(t, end * ahead, t * (speed - 0.5 * slowing * t) * ahead)
 
 
-def _curved(slip: complex, drive: complex, brake: float, limit: float) -> Slide:
+def _curved(slip: complex, drive: complex, brake: float, limit: float) -> Sliding:
     a, b, unit = abs(drive), brake, drive / abs(drive)
     turned = slip * unit.conjugate()
     # P and Q are (|s| ± s∥)/2, the smaller one without cancellation.
@@ -82,7 +82,7 @@ def _curved(slip: complex, drive: complex, brake: float, limit: float) -> Slide:
         turned.imag * math.exp(-b * end),
     )
     duration = time(end) if stopped else limit
-    return Slide(duration, 0j if stopped else unit * left, unit * travelled)
+    return Sliding(duration, 0j if stopped else unit * left, unit * travelled)
 
 
 def _decayed(rate: float, stretched: float) -> float:

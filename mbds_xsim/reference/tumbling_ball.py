@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mbds_xsim.base import rotation
-from mbds_xsim.reference.ball import STILL, BallState, Contact, Load, flown
+from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
 from mbds_xsim.reference.turning import cross, integrated, turning
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ _PLACES, _WEIGHTS = _panels(128)
 class TumblingBall:
     """Laws of motion of such a ball."""
 
-    contact: Contact
+    contact: BallContact
     moments: Array
     """Principal moments of inertia [kg·m²], shape (3,)."""
 

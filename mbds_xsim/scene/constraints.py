@@ -48,7 +48,7 @@ _ARM = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ConstraintRows:
     """Every row of a mechanism at given states."""
 
     parent: Indices
@@ -92,7 +92,7 @@ class Layout:
     row_body: Indices
     """Bodies of the two ends of every row, shape (2, row)."""
     owner: Indices
-    """As of `Rows`."""
+    """As of `ConstraintRows`."""
 
     @property
     def row_count(self) -> int:
@@ -118,7 +118,7 @@ def constraint_rows(
     native: Array,
     velocity: Array,
     angular_velocity: Array,
-) -> Rows:
+) -> ConstraintRows:
     """Evaluate all rows, point rows first, then along, normal, distance.
 
     Args:
@@ -137,7 +137,7 @@ def constraint_rows(
     still = np.broadcast_to(rotation.IDENTITY, (*world.shape[:-1], 4))
     turn = rotation.matrix(np.concatenate([native, still], axis=-2))
     residual, bias, halves = evaluate(layout, motion_of(layout, turn, x, v, w))
-    return Rows(
+    return ConstraintRows(
         parent=layout.row_body[0],
         child=layout.row_body[1],
         owner=layout.owner,
@@ -148,7 +148,7 @@ def constraint_rows(
     )
 
 
-def dense_jacobian(rows: Rows, body_count: int) -> Array:
+def dense_jacobian(rows: ConstraintRows, body_count: int) -> Array:
     """Scatter the blocks into one matrix, shape (…, row, 6 · body), without the world."""
     count = len(rows.parent)
     lead = rows.jacobian_parent.shape[:-2]
@@ -159,7 +159,7 @@ def dense_jacobian(rows: Rows, body_count: int) -> Array:
     return dense[..., :body_count, :].reshape(*lead, count, 6 * body_count)
 
 
-def sparse_jacobian(rows: Rows, body_count: int) -> csr_array:
+def sparse_jacobian(rows: ConstraintRows, body_count: int) -> csr_array:
     """Do the same for rows of one state, without the zeros."""
     count = len(rows.parent)
     ends = np.concatenate([rows.parent, rows.child])

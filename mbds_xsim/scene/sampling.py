@@ -94,7 +94,7 @@ def noise_components(scene: Scene) -> list[int]:
 
 
 @dataclass
-class _Drawing:
+class _Draft:
     """A trajectory while it is drawn."""
 
     mechanism: Mechanism
@@ -132,11 +132,11 @@ class _Drawing:
         self.angular_velocity[bodies] += rate
 
 
-def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> _Drawing:
+def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> _Draft:
     scene = mechanism.scene
     start = assemble(mechanism)
     force, torque = _scene_inputs(mechanism)
-    drawing = _Drawing(
+    drawing = _Draft(
         mechanism=mechanism,
         index=index,
         interval=terms.INTERVALS[index % len(terms.INTERVALS)],
@@ -173,7 +173,7 @@ def _held(series: Array, hold: int, steps: int) -> Array:
     return np.asarray(series[rows])
 
 
-def _add_noise(drawing: _Drawing, switched_on: bool) -> None:
+def _add_noise(drawing: _Draft, switched_on: bool) -> None:
     scene = drawing.mechanism.scene
     components = noise_components(scene)
     steps, count = scene.clock.steps, drawing.mechanism.body_count
@@ -185,7 +185,7 @@ def _add_noise(drawing: _Drawing, switched_on: bool) -> None:
         drawing.force[:, :, components] += sigma[None, :, None] * normal
 
 
-def _swing(term: terms.Swing, drawing: _Drawing) -> None:
+def _swing(term: terms.Swing, drawing: _Draft) -> None:
     hung = _hung(drawing.mechanism, term.bodies)
     drawn = [
         (
@@ -261,7 +261,7 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
     )
 
 
-def _pivots(hung: _Hung, drawing: _Drawing, turn: Array, rate: Array) -> tuple[Array, Array]:
+def _pivots(hung: _Hung, drawing: _Draft, turn: Array, rate: Array) -> tuple[Array, Array]:
     """Joints from their parents' centres of mass, and what the parents' turning adds there."""
     swung = hung.above[:, None] >= 0
     native = np.where(swung, turn[hung.above], drawing.native[hung.parent])
@@ -272,7 +272,7 @@ def _pivots(hung: _Hung, drawing: _Drawing, turn: Array, rate: Array) -> tuple[A
     return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
 
 
-def _turn(term: terms.Turn, drawing: _Drawing) -> None:
+def _turn(term: terms.Turn, drawing: _Draft) -> None:
     axis = np.array(term.axis) / np.linalg.norm(term.axis)
     everything = list(range(drawing.mechanism.body_count))
     angle, rate = drawing.uniform(term.angle), drawing.uniform(term.rate)
@@ -281,7 +281,7 @@ def _turn(term: terms.Turn, drawing: _Drawing) -> None:
     drawing.add_twist(everything, point, rate * axis)
 
 
-def _throw(term: terms.Throw, drawing: _Drawing) -> None:
+def _throw(term: terms.Throw, drawing: _Draft) -> None:
     body = drawing.body(term.body)
     carried = _carried(drawing.mechanism, body)
     drawing.position[carried] += [drawing.uniform(span) for span in term.displacement]
@@ -298,7 +298,7 @@ def _throw(term: terms.Throw, drawing: _Drawing) -> None:
     drawing.add_twist(carried, center, rate)
 
 
-def _roll(term: terms.Roll, drawing: _Drawing) -> None:
+def _roll(term: terms.Roll, drawing: _Draft) -> None:
     mechanism = drawing.mechanism
     body = drawing.body(term.body)
     carried = _carried(mechanism, body)
@@ -313,7 +313,7 @@ def _roll(term: terms.Roll, drawing: _Drawing) -> None:
     drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
 
 
-def _hinge_rate(term: terms.HingeRate, drawing: _Drawing) -> None:
+def _hinge_rate(term: terms.HingeRate, drawing: _Draft) -> None:
     mechanism = drawing.mechanism
     links = {link.joint.name: link for link in mechanism.links if link.joint is not None}
     rates, driven = [], set()
@@ -337,7 +337,7 @@ def _hinge_rate(term: terms.HingeRate, drawing: _Drawing) -> None:
         drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
 
 
-def _hinge_torque(term: terms.HingeTorque, drawing: _Drawing) -> None:
+def _hinge_torque(term: terms.HingeTorque, drawing: _Draft) -> None:
     hinges = [joint.name for joint in drawing.mechanism.hinges]
     columns = [hinges.index(name) for name in term.joints]
     steps = drawing.mechanism.scene.clock.steps
@@ -350,7 +350,7 @@ def _hinge_torque(term: terms.HingeTorque, drawing: _Drawing) -> None:
                 drawing.torque[first : first + term.hold, column] += value
 
 
-def _wind(term: terms.Wind, drawing: _Drawing) -> None:
+def _wind(term: terms.Wind, drawing: _Draft) -> None:
     mechanism = drawing.mechanism
     clock = mechanism.scene.clock
     azimuth, mean = drawing.rng.uniform(0.0, 2.0 * np.pi), drawing.uniform(term.mean)
@@ -387,7 +387,7 @@ def _outboard(mechanism: Mechanism, body: int) -> list[int]:
     return found
 
 
-_DRAWS: dict[type, Callable[[Any, _Drawing], None]] = {
+_DRAWS: dict[type, Callable[[Any, _Draft], None]] = {
     terms.Swing: _swing,
     terms.Turn: _turn,
     terms.Throw: _throw,

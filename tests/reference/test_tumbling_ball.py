@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.reference.ball import BallState, Contact, Load
+from mbds_xsim.reference.ball import BallContact, BallState, Load
 from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 G, MU, MASS, RADIUS = 9.81, 0.43, 1.5, 0.1
 MOMENTS = (0.004, 0.007, 0.009)
 TILT = (0.8, 0.36, -0.48, 0.0)
-CONTACT = Contact(MASS, RADIUS, MU, 0.8)
+CONTACT = BallContact(MASS, RADIUS, MU, 0.8)
 DOWN = np.array([0.0, 0.0, -RADIUS])
 
 

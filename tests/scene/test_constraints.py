@@ -10,7 +10,12 @@ import pytest
 
 from benchmarks.four_bars import four_bars
 from mbds_xsim.base import rotation
-from mbds_xsim.scene.constraints import Rows, constraint_rows, degrees_of_freedom, dense_jacobian
+from mbds_xsim.scene.constraints import (
+    ConstraintRows,
+    constraint_rows,
+    degrees_of_freedom,
+    dense_jacobian,
+)
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
@@ -38,7 +43,7 @@ def _moved(states: BodyStates, time: float) -> BodyStates:
     )
 
 
-def _rows(mechanism: Mechanism, states: BodyStates) -> Rows:
+def _rows(mechanism: Mechanism, states: BodyStates) -> ConstraintRows:
     return constraint_rows(
         mechanism, states.position, states.native, states.velocity, states.angular_velocity
     )
