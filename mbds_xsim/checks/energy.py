@@ -6,7 +6,6 @@ import functools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_simpson
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
@@ -139,6 +138,8 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
     damping = np.array([spring.damping for spring in record.mechanism.springs])
     if not damping.any():
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
+    from scipy.integrate import cumulative_simpson  # takes long to import
+
     power = pair_rate(record.bodies.with_world(), record.mechanism.springs) ** 2 @ damping
     loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
     if record.steps < 4:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mbds_xsim.scene.state import Failure
 
@@ -84,5 +83,7 @@ def first_touch(height: Callable[[float], float], places: Array) -> float | None
         if height(place) <= 0.0:
             if height(0.0) <= 0.0:
                 return 0.0
+            from scipy.optimize import brentq  # takes long to import
+
             return float(brentq(height, 0.0, place, xtol=1e-15))
     return None

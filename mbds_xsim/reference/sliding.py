@@ -15,8 +15,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 # Of the slip, across the drive, below which the path is straight to rounding.
 _STRAIGHT = 1e-15
 
@@ -92,6 +90,8 @@ def _decayed(rate: float, stretched: float) -> float:
 
 def _reach(time: Callable[[float], float], limit: float, guess: float) -> float:
     """Find σ where the increasing time(σ) is the limit."""
+    from scipy.optimize import brentq  # takes long to import
+
     high = guess
     while time(high) < limit:
         high *= 2.0

@@ -6,16 +6,19 @@ An explicit method would take steps as short as the fastest decay although nothi
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import Radau
 
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless, stopped
 from mbds_xsim.reference.singular import BIFURCATION
 from mbds_xsim.scene.state import Failure
+
+if TYPE_CHECKING:
+    from scipy.integrate import Radau
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -78,6 +81,8 @@ def _through_frame(
     rate: _Rate, state: Array, step: float, frame: float, k: int, rtol: float
 ) -> tuple[Array | Failure, float]:
     """States at the end of frame `k`, or why it is not reached, and the last free step."""
+    from scipy.integrate import Radau  # takes long to import
+
     # Radau's estimate is of order 3 only; so it is asked for less (Hairer and Wanner, Solving
     # Ordinary Differential Equations II, 1996, section IV.8: the transformation of radau5).
     loose = 0.1 * rtol ** (2.0 / 3.0)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mbds_xsim.base import rotation
 from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
@@ -167,6 +166,8 @@ def _impact(yielding: Array, slip: Array, most: float) -> Array:
     In the coordinates of the eigenvectors of K each part of the slip fades as exp(−k σ), where
     |s| dσ = μ dp; the impact ends where p is all there is, or lasts for ever in σ and sticks.
     """
+    from scipy.optimize import brentq  # takes long to import
+
     rates, axes = np.linalg.eigh(yielding)
     parts = axes.T @ slip
     longest = _FADED / rates[0]
@@ -185,6 +186,7 @@ def _impact(yielding: Array, slip: Array, most: float) -> Array:
 
 def _breakaway(yielding: Array, drive: Array, most: float) -> Array:
     """Direction d in which a slip starts to grow: drive − most · K d = λ d with λ ≥ 0."""
+    from scipy.optimize import brentq  # takes long to import
 
     def direction(growth: float) -> Array:
         return np.asarray(np.linalg.solve(most * yielding + growth * np.eye(2), drive))

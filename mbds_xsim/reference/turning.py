@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 
@@ -51,6 +50,8 @@ def integrated(
     Raises:
         ArithmeticError: The integration fails.
     """
+    from scipy.integrate import solve_ivp  # takes long to import
+
     for end in ends:
         end.terminal, end.direction = True, -1.0  # type: ignore[attr-defined]
     rtol = _RTOL[method]

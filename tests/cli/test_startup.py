@@ -41,12 +41,12 @@ def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
     assert not loaded & (_ENGINES | {"torch", "matplotlib"})
 
 
-def test_studies_of_engines_do_without_torch() -> None:
+def test_studies_of_engines_begin_without_torch_and_optimisers() -> None:
     studies = ("studies.tradeoff.study", "studies.stability.survey", "studies.validate.validation")
     reports = ("studies.tradeoff.present", "studies.stability.present")
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 
-    assert "torch" not in _loaded(f"import {modules}")
+    assert not _loaded(f"import {modules}") & {"torch", "scipy.optimize"}
 
 
 def test_the_process_of_an_engine_does_without_scipy(adapter: Adapter) -> None:
