@@ -25,6 +25,10 @@ _ENOUGH = 0.2  # of timing [s]
 _MOST_REPEATS = 7
 
 
+_TURNS_AND_RATES = (("orientation", 4), ("velocity", 3), ("angular_velocity", 3))
+"""Of states of bodies: names, and numbers of each body."""
+
+
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """What an engine made of a batch, and how long it took."""
@@ -99,26 +103,16 @@ def checked(trajectory: Trajectory, batch: Batch) -> Trajectory:
     from the start's, whichever an engine gives.
 
     Raises:
-        ValueError: An array has another shape or type than it must, or failures are not told.
+        ValueError: An array has another shape or type than it must, or failures are none.
     """
     rows = (len(batch), batch.steps + 1, batch.position.shape[1])
-    shapes = {
-        "time": rows[1:2],
-        "position": (*rows, 3),
-        "orientation": (*rows, 4),
-        "velocity": (*rows, 3),
-        "angular_velocity": (*rows, 3),
-    }
-    for name, shape in shapes.items():
-        given = getattr(trajectory, name, None)
-        if not isinstance(given, np.ndarray) or given.dtype != float or given.shape != shape:
-            got = f"{given.dtype} {given.shape}" if isinstance(given, np.ndarray) else type(given)
-            msg = f"the adapter gave {name} as {got}, not as float64 {shape}"
-            raise ValueError(msg)
-    told: object = trajectory.failures
-    sound = isinstance(told, tuple) and all(isinstance(one, Failure | None) for one in told)
+    _check_array("gave", trajectory, "time", rows[1:2])
+    for name, size in (("position", 3), *_TURNS_AND_RATES):
+        _check_array("gave", trajectory, name, (*rows, size))
+    ends: object = trajectory.failures
+    sound = isinstance(ends, tuple) and all(isinstance(end, Failure | None) for end in ends)
     if not sound or len(trajectory.failures) != len(batch):
-        msg = f"the adapter gave failures {told!r:.80}, not a Failure or None for each trajectory"
+        msg = f"the adapter gave failures {ends!r:.80}, not a Failure or None for each trajectory"
         raise ValueError(msg)
     whole = trajectory.cut_at_failures()
     turned = rotation.continuous(whole.orientation, batch.orientation)
@@ -131,21 +125,22 @@ def _read_back(run: Run, batch: Batch) -> Readback:
     if not isinstance(found, Readback) or not isinstance(found.step, float | None):
         raise TypeError(f"the adapter read back {found!r:.60}, not a Readback with a step or None")
     bodies = batch.position.shape[1]
-    shapes: dict[str, tuple[int, ...]] = {
-        "mass": (bodies,),
-        "inertia": (bodies, 3, 3),
-        "com": (bodies, 3),
-        "orientation": (bodies, 4),
-        "velocity": (bodies, 3),
-        "angular_velocity": (bodies, 3),
-    }
-    for name in {field.name: None for field in dataclasses.fields(found)}.keys() - {"step"}:
-        given, shape = getattr(found, name), shapes.get(name)
-        sound = isinstance(given, np.ndarray) and given.dtype == float
-        if not (sound and shape in (None, given.shape)) and (shape or given is not None):
-            msg = f"the adapter read back {name} as {given!r:.60}, not as float64 {shape or ''}"
-            raise ValueError(msg)
+    shapes = {"mass": (bodies,), "inertia": (bodies, 3, 3), "com": (bodies, 3)}
+    shapes |= {name: (bodies, size) for name, size in _TURNS_AND_RATES}
+    for name in {field.name for field in dataclasses.fields(found)} - {"step"}:
+        if name in shapes or getattr(found, name) is not None:
+            _check_array("read back", found, name, shapes.get(name))
     return found
+
+
+def _check_array(did: str, source: object, name: str, shape: tuple[int, ...] | None) -> None:
+    """Raise ValueError unless it has an array of that name, type and shape; None: any shape."""
+    given = getattr(source, name, None)
+    array = given if isinstance(given, np.ndarray) else None
+    if array is None or array.dtype != float or shape not in (None, array.shape):
+        got = type(given) if array is None else f"{array.dtype} {array.shape}"
+        msg = f"the adapter {did} {name} as {got}, not as float64 {shape or ''}"
+        raise ValueError(msg)
 
 
 def _size(run: Run) -> ModelSize:
