@@ -8,7 +8,7 @@ from typing import ClassVar
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import ContactScales, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW, PenaltyContact
 from .model import Formulation, RigidBodies
@@ -31,19 +31,13 @@ _NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
 }
 # With fewer steps an impact is not resolved.
 _SHORTEST_IMPACT = 4
-_LOOPS = (
-    Feature.LOOP_BALL,
-    Feature.LOOP_HINGE,
-    Feature.LOOP_SLIDER,
-    Feature.LOOP_FIXED,
-    Feature.DISTANCE_LINK,
-)
+_CONSTRAINTS = LOOPS | {Feature.DISTANCE_LINK}
 _NO_FRICTION = {
     Feature.CONTACT: "friction in an impact is too stiff for Exudyn's explicit solvers, which "
     "then create energy",
 }
 _NO_JOINTS = _NO_FRICTION | dict.fromkeys(
-    (Feature.BALL, Feature.HINGE, Feature.SLIDER, Feature.FIXED, *_LOOPS),
+    (Feature.BALL, Feature.HINGE, Feature.SLIDER, Feature.FIXED, *_CONSTRAINTS),
     "Exudyn's explicit solvers take no constraints",
 )
 _ONLY_A_TREE = {
@@ -52,7 +46,7 @@ _ONLY_A_TREE = {
     Feature.FIXED: "a kinematic tree has hinges and sliders only; make the two bodies one",
     Feature.FREE_BODY: "a kinematic tree stands on the world",
     **_NO_FRICTION,
-    **dict.fromkeys(_LOOPS, "Exudyn's explicit solvers take no constraints"),
+    **dict.fromkeys(_CONSTRAINTS, "Exudyn's explicit solvers take no constraints"),
 }
 
 
