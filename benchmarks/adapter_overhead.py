@@ -30,7 +30,7 @@ from mbds_xsim.simulate.registry import load_adapter, load_scene
 SCENES = ("6pendulum", "3ladder", "simplecubli")
 STARTS = {"mujoco": (10, 1), "pybullet": (1,), "dart": (1,), "exudyn": (1,)}
 """In one call; of MuJoCo, which takes but milliseconds for one, several as data sets have them."""
-ROUNDS, PATIENCE = (7, 41), 4.0  # rounds, and the seconds that a line may take if they are enough
+ROUNDS, PATIENCE = (5, 21), 2.0  # rounds, and the seconds that a line may take if they are enough
 ENGINE: dict[str, tuple[tuple[Any, str], ...]] = {
     "mujoco": ((mujoco, "mj_step mj_forward mj_kinematics mj_comPos mj_comVel mj_resetData"),),
     "pybullet": (
