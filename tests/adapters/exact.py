@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,7 +15,8 @@ from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.sampling_terms import HingeRate
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.matched import settings_for
@@ -123,3 +125,18 @@ def cubli_loses_energy(rollout: Rollout, starts: int, *, depth: float, rise: flo
         energy = energy_of(Record(scene, batch, motion)).total[row, gap[row] > 0]
         assert np.max(energy - np.minimum.accumulate(energy)) < rise * energy[0]
         assert energy[-1] < 0.8 * energy[0]  # it has hit the ground, hard
+
+
+def car_slips_on_the_ground(alone: Callable[[Scene], Trajectory], frames: int) -> None:
+    """Its wheels start at 100 rad/s and the car at rest: they slip at 20 m/s, none lifts off."""
+    car = load_scene("particlecar")
+    rates = HingeRate(tuple(j.name for j in car.joints), rate=(100.0, 100.0))
+    clock = Clock(steps=frames)
+    scene = msgspec.structs.replace(car, sampling=(rates,), noise=0.0, clock=clock)
+    motion = alone(scene)
+
+    first = motion.angular_velocity[0, 1, 1:, 1]
+    slowing = 0.43 * 18.0 * 9.81 * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
+    assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
+    gap = gaps(scene, motion).min(axis=-1)
+    assert -1e-3 < gap.min() <= gap.max() < 1e-3

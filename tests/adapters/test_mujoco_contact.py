@@ -15,18 +15,18 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import audit
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.sampling_terms import HingeRate
 from mbds_xsim.scene.scene import Clock, Ground, Torque
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
-from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
+from mbds_xsim.testing.contact_cases import ball, laid_cubli, rolling
 from tests.adapters.exact import (
     Runs,
     balldrop_followed,
     ballscroll_followed,
+    car_slips_on_the_ground,
     cubli_followed,
     cubli_loses_energy,
 )
@@ -198,17 +198,7 @@ def test_wheels_driven_evenly_push_the_car_as_the_equations_say() -> None:
 
 
 def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
-    """Its wheels start at 100 rad/s and the car at rest: they slip at 20 m/s, none lifts off."""
-    car = load_scene("particlecar")
-    rates = HingeRate(tuple(j.name for j in car.joints), rate=(100.0, 100.0))
-    scene = msgspec.structs.replace(car, sampling=(rates,), noise=0.0, clock=Clock(steps=50))
-    motion = alone(scene)
-
-    first = motion.angular_velocity[0, 1, 1:, 1]
-    slowing = MU * 18.0 * G * 0.2 / Mechanism.of(scene).inertia[1, 1, 1] * 0.02
-    assert 100.0 - first.mean() == pytest.approx(slowing, rel=0.02)
-    gap = gaps(scene, motion).min(axis=-1)
-    assert -1e-3 < gap.min() <= gap.max() < 1e-3
+    car_slips_on_the_ground(alone, 50)
 
 
 def test_a_car_whose_wheels_rattle_by_nanometres_is_not_recorded_as_in_flight() -> None:

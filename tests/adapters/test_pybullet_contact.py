@@ -13,19 +13,11 @@ from mbds_xsim import reference
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import (
-    PARTICLE_RADIUS,
-    Body,
-    Clock,
-    ContactSphere,
-    Ground,
-    Inertia,
-    Scene,
-    Torque,
-)
+from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene, Torque
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, crate, gaps, rolling
 from tests.adapters.exact import Runs
 
@@ -35,7 +27,7 @@ ENGINE = load_adapter("pybullet")
 METHOD = "semi-implicit-euler"
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-G, R = 9.81, PARTICLE_RADIUS
+G = 9.81
 MU, E = 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)
 HEADINGS = [0.0, 0.4, math.pi / 4, 2.0]

@@ -16,7 +16,6 @@ from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
-    PARTICLE_RADIUS,
     Body,
     Clock,
     ContactSphere,
@@ -30,6 +29,7 @@ from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps
 from tests.adapters.exact import Runs
 
@@ -40,7 +40,6 @@ METHOD = "semi-implicit-euler"
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-R = PARTICLE_RADIUS
 MU, E = 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)
 
