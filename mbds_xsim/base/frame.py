@@ -1,8 +1,9 @@
-"""Results as pandas data frames, where pandas is installed."""
+"""Packages that not everybody has, and results as data frames of one of them."""
 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,18 +12,30 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 
 
+def optional(module: str, wanted_by: str, extra: str) -> Any:
+    """Import what is part of an optional package.
+
+    Raises:
+        InputError: The package is not installed; the line says what needs it, and what to do.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        msg = (
+            f"{wanted_by} needs {module}, which is not installed: "
+            f"pip install 'mbds-xsim[{extra}]' ({error})"
+        )
+        raise InputError(msg) from error
+
+
 def frame_of(rows: Sequence[Any]) -> Any:
     """Give a `pandas.DataFrame` with a row for each struct and a column for each field.
 
     Raises:
         InputError: pandas is not installed.
     """
-    try:
-        from pandas import DataFrame
-    except ImportError as error:
-        msg = "to_frame() needs pandas, which is not installed: pip install 'mbds-xsim[frames]'"
-        raise InputError(msg) from error
-    return DataFrame([_fields(row) for row in rows])
+    pandas = optional("pandas", "to_frame()", "frames")
+    return pandas.DataFrame([_fields(row) for row in rows])
 
 
 def _fields(row: Any) -> dict[str, Any]:

@@ -7,7 +7,6 @@ what it was at is tried again.
 
 from __future__ import annotations
 
-import importlib
 import platform
 import time
 import uuid
@@ -19,6 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
 from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.simulate.registry import package_version
 
@@ -203,11 +203,7 @@ class Cluster:
 
 
 def _dask() -> Any:
-    try:
-        return importlib.import_module("distributed")
-    except ImportError as error:
-        msg = f"--scheduler needs Dask: pip install 'mbds-xsim[cluster]' ({error})"
-        raise InputError(msg) from error
+    return optional("distributed", "--scheduler", "cluster")
 
 
 def _carry_out(task: Task) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.frame import optional
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,
     attributes_of,
@@ -292,13 +293,9 @@ def labelled(arrays: Mapping[str, tuple[tuple[str, ...], Any]], **coordinates: A
     Raises:
         InputError: xarray is not installed.
     """
-    try:
-        from xarray import Dataset
-    except ImportError as error:
-        msg = "to_xarray() needs xarray, which is not installed: pip install 'mbds-xsim[frames]'"
-        raise InputError(msg) from error
+    xarray = optional("xarray", "to_xarray()", "frames")
     used = {axis for axes, _ in arrays.values() for axis in axes}
-    return Dataset(
+    return xarray.Dataset(
         dict(arrays), coords={axis: coordinates[axis] for axis in coordinates if axis in used}
     )
 

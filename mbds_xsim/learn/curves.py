@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
 from mbds_xsim.learn.train import CurvePoint
 
 
@@ -82,8 +82,4 @@ def log_whole(curve: Path, folder: Path) -> None:
 
 
 def _writer() -> Any:
-    try:
-        return importlib.import_module("torch.utils.tensorboard").SummaryWriter
-    except ImportError as error:
-        msg = f"--tensorboard needs TensorBoard: pip install 'mbds-xsim[learn]' ({error})"
-        raise InputError(msg) from error
+    return optional("torch.utils.tensorboard", "--tensorboard", "learn").SummaryWriter
