@@ -5,23 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
-import typer
+from typer import Argument, Option
 
-from mbds_xsim.commands.shared import (
-    CacheUse,
-    HtmlFile,
-    JsonFile,
-    ModelPlaces,
-    Opened,
-    WorkerCount,
-    check_targets,
-    check_torch,
-    command,
-    command_line,
-    console_for,
-    deliver,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
     from mbds_xsim.simulate.adapter import Profile
@@ -34,7 +20,7 @@ T = TypeVar("T")
 _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json": ".json"}
 
 
-@command(
+@shared.command(
     "study",
     epilog="Examples:  mbds-xsim stability --list  ·  mbds-xsim stability stiffness --png map.png"
     "  ·  mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01"
@@ -43,44 +29,40 @@ _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json
 def stability(
     studies: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
+        Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
     ] = None,
-    listed: Annotated[bool, typer.Option("--list", help="Name the studies, and end.")] = False,
+    listed: Annotated[bool, Option("--list", help="Name the studies, and end.")] = False,
     engines: Annotated[
         str | None,
-        typer.Option(help="Comma-separated; all installed when left out; none: only --models."),
+        Option(help="Comma-separated; all installed when left out; none: only --models."),
     ] = None,
-    models: ModelPlaces = None,
+    models: shared.ModelPlaces = None,
     methods: Annotated[
-        str | None, typer.Option("--methods", "--method", help="Comma-separated; all by default.")
+        str | None, Option("--methods", "--method", help="Comma-separated; all by default.")
     ] = None,
     settings: Annotated[
-        str, typer.Option(help="matched (all methods), native, or both: matched,native.")
+        str, Option(help="matched (all methods), native, or both: matched,native.")
     ] = "matched,native",
     value: Annotated[
-        str | None, typer.Option(help="Only this value; any number, or a name of the study.")
+        str | None, Option(help="Only this value; any number, or a name of the study.")
     ] = None,
     step: Annotated[
-        float | None, typer.Option(help="Only this step [s]; divides a frame of 0.1 s.")
+        float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Three values and three steps.")] = False,
-    limit: Annotated[float, typer.Option(help="Longest that a cell may take [s].", min=1.0)] = 30.0,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Run again what was run earlier.")] = False,
-    cache: CacheUse = True,
-    workers: WorkerCount = None,
+    quick: Annotated[bool, Option("--quick", help="Three values and three steps.")] = False,
+    limit: Annotated[float, Option(help="Longest that a cell may take [s].", min=1.0)] = 30.0,
+    fresh: Annotated[bool, Option("--fresh", help="Run again what was run earlier.")] = False,
+    cache: shared.CacheUse = True,
+    workers: shared.WorkerCount = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all files of every study there.")
+        Path | None, Option(metavar="DIR", help="Write all files of every study there.")
     ] = None,
-    json: JsonFile = None,
-    csv: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the cells as CSV.")
-    ] = None,
-    html: HtmlFile = None,
-    opened: Opened = False,
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the maps.")] = None,
-    markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
-    ] = None,
+    json: shared.JsonFile = None,
+    csv: Annotated[Path | None, Option(metavar="FILE", help="Write the cells as CSV.")] = None,
+    html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
+    png: Annotated[Path | None, Option(metavar="FILE", help="Write the maps.")] = None,
+    markdown: shared.MarkdownFile = None,
 ) -> None:
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
     from mbds_xsim.base.isolate import core_count
@@ -92,11 +74,11 @@ def stability(
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
     from mbds_xsim.studies.stability.survey import Plan, survey
 
-    console = console_for(json)
+    console = shared.console_for(json)
     if listed:
         print_blocks([listing(STUDIES.values())], console)
         return
-    check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    shared.check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     others = _models(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None
@@ -114,7 +96,7 @@ def stability(
             workers=workers,
             fresh=fresh or single,
             cache=cache,
-            command=command_line(),
+            command=shared.command_line(),
         )
         for study in map(study_named, studies or STUDIES)
     ]
@@ -125,11 +107,11 @@ def stability(
         write_if(files["png"], lambda: to_png(sweeps, rows))
         reports = [present(sweep) for sweep in sweeps]
         last = files is asked
-        deliver(
+        shared.deliver(
             reports, "Where methods fail", console,
             html=files["html"], markdown=files["markdown"], opened=opened and last, quiet=not last,
         )  # fmt: skip
-        write_json(results_json(sweeps), files["json"])
+        shared.write_json(results_json(sweeps), files["json"])
 
     asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
     sweeps = []
@@ -149,7 +131,7 @@ def stability(
 def _models(places: list[Path] | None) -> tuple[Simulator, ...]:
     if not places:
         return ()
-    check_torch("stability --models")
+    shared.check_torch("stability --models")
     from mbds_xsim.learn.simulator import simulators_in
 
     return simulators_in(places)

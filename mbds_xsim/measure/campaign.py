@@ -153,6 +153,10 @@ class ReferenceOutcome:
     cached: int
     wall_s: float
 
+    def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
+        """Take some of the trajectories."""
+        return dataclasses.replace(self, trajectory=self.trajectory[rows], growth=self.growth[rows])
+
 
 def run_campaign(
     scene: Scene,

@@ -118,38 +118,23 @@ def failed_trial(crash: Crash) -> Trial:
 
 def joined(parts: Sequence[Trial]) -> Trial:
     """Put the parts of one setting's trajectories together: worst figures, mean times."""
-    count = sum(part.trajectories for part in parts)
+    counts = [part.trajectories for part in parts]
 
-    def mean(name: str) -> float:
-        if not all(part.trajectories for part in parts):
-            return math.inf  # a process was lost
-        return sum(part.trajectories * float(getattr(part, name)) for part in parts) / count
+    def mean(times: list[float]) -> float:
+        # Where a process was lost, there is no time.
+        return float(np.average(times, weights=counts)) if all(counts) else math.inf
 
-    def worst(name: str) -> float | None:
+    figures = {}
+    for name in ("error_1s_m", "error_weighted_m", "gap_m", "energy"):
         values = [getattr(part, name) for part in parts]
-        return max((value for value in values if value is not None), default=None)
-
+        figures[name] = max((value for value in values if value is not None), default=None)
     return Trial(
         reasons=tuple(reason for part in parts for reason in part.reasons),
         excess=max(part.excess for part in parts),
-        cpu_s=mean("cpu_s"),
-        wall_s=mean("wall_s"),
-        error_1s_m=worst("error_1s_m"),
-        error_weighted_m=worst("error_weighted_m"),
-        gap_m=worst("gap_m"),
-        energy=worst("energy"),
-        trajectories=count,
-    )
-
-
-def part_of(reference: ReferenceOutcome, rows: list[int]) -> ReferenceOutcome:
-    """Take some of the trajectories of a reference."""
-    return ReferenceOutcome(
-        reference.trajectory[rows],
-        reference.growth[rows],
-        reference.rtol,
-        reference.cached,
-        reference.wall_s,
+        cpu_s=mean([part.cpu_s for part in parts]),
+        wall_s=mean([part.wall_s for part in parts]),
+        trajectories=sum(counts),
+        **figures,
     )
 
 

@@ -17,7 +17,7 @@ from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.runner import Meter
-from mbds_xsim.measure.trial import Trial, failed_trial, joined, part_of, run_trial
+from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -163,7 +163,7 @@ class _Field:
 
     def _task(self, curve: EngineMethod, count: int, rows: list[int], sample: int) -> Task:
         settings: Settings = curve.settings(self.scene, count)
-        reference = part_of(self.reference, rows)
+        reference = self.reference[rows]
         arguments = (self.scene, self.batch[rows], curve.engine, settings, reference, sample)
         return Task(run_trial, arguments, _GRACE + _PATIENCE * self.limit * len(rows))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 from mbds_xsim.scene.sampling_terms import HingeRate, Throw
@@ -31,18 +33,21 @@ WHEELS = Study(
 )
 
 
-_HEIGHT = 1.0  # [m]
 _NONE = (0.0, 0.0)
+_UP = (_NONE, _NONE, (1.0, 1.0))  # [m]
+
+
+def _ball(throw: Throw, dimension: Literal[2, 3] = 2, ground: Ground | None = None) -> Scene:
+    """Make the ball start as thrown, above its usual ground or another."""
+    scene = load_scene("ballscroll")
+    return msgspec.structs.replace(
+        scene, sampling=(throw,), ground=ground or scene.ground, dimension=dimension
+    )
 
 
 def _thrown(speed: float) -> Scene:
-    scene = load_scene("ballscroll")
-    throw = Throw(
-        "ball",
-        displacement=(_NONE, _NONE, (_HEIGHT, _HEIGHT)),
-        velocity=(_NONE, _NONE, (-speed, -speed)),
-    )
-    return msgspec.structs.replace(scene, sampling=(throw,), dimension=2)
+    down = (_NONE, _NONE, (-speed, -speed))
+    return _ball(Throw("ball", displacement=_UP, velocity=down))
 
 
 THROW = Study(
@@ -59,13 +64,8 @@ _SPEED = (3.5, 3.5)  # along x and along y [m/s]
 
 
 def _sliding(friction: float) -> Scene:
-    scene = load_scene("ballscroll")
-    return msgspec.structs.replace(
-        scene,
-        sampling=(Throw("ball", velocity=(_SPEED, _SPEED, (0.0, 0.0))),),
-        ground=Ground(friction, 0.0),
-        dimension=3,
-    )
+    along = (_SPEED, _SPEED, _NONE)
+    return _ball(Throw("ball", velocity=along), 3, Ground(friction, 0.0))
 
 
 FRICTION = Study(
@@ -78,17 +78,8 @@ FRICTION = Study(
 )
 
 
-_DROP_HEIGHT = (1.0, 1.0)  # [m]
-
-
 def _dropped(restitution: float) -> Scene:
-    scene = load_scene("ballscroll")
-    return msgspec.structs.replace(
-        scene,
-        sampling=(Throw("ball", displacement=(_NONE, _NONE, _DROP_HEIGHT)),),
-        ground=Ground(0.43, restitution),
-        dimension=2,
-    )
+    return _ball(Throw("ball", displacement=_UP), ground=Ground(0.43, restitution))
 
 
 RESTITUTION = Study(

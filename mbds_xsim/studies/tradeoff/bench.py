@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.identity import machine, row_key
+from mbds_xsim.measure.judge import error_findings
 from mbds_xsim.measure.runner import Case, Meter, Runner, in_time
 from mbds_xsim.measure.store import Store
 from mbds_xsim.scene.mechanism import Mechanism
@@ -20,7 +21,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
 from mbds_xsim.studies.tradeoff.rows import Measurement
-from mbds_xsim.studies.tradeoff.truths import INSTANT, Place, Truth, Truths
+from mbds_xsim.studies.tradeoff.truths import Place, Truth, Truths
 
 Array = NDArray[np.float64]
 
@@ -173,17 +174,16 @@ def _of_bodies(
     if failure is not None:
         reason = " ".join(f"frame {failure.frame}: {failure.reason}".split())
         return {"kind": "failed", "reason": reason}
-    checked = audit(scene, start, motion, ran.method, step=ran.step, contact_time=ran.contact_time)
-    found = {finding.check: finding for finding in checked}
     error = agreement.particle_error(Mechanism.of(scene), motion, truth.trajectory)
     errors = _errors(scene, error, truth)
+    checked = audit(scene, start, motion, ran.method, step=ran.step, contact_time=ran.contact_time)
+    found = {finding.check: finding for finding in checked}
+    if errors and truth.judged:
+        checked = [*error_findings(scene, start, error, truth.trajectory, truth.growth), *checked]
     return errors | {
         "gap_m": _figure(found, "gap"),
         "energy": _figure(found, "passivity" if scene.contacts else "energy"),
-        "broken": (
-            *(_over_budget(scene, truth, error, errors) if errors and truth.judged else ()),
-            *(name for name, finding in found.items() if not finding.passed.all()),
-        ),
+        "broken": tuple(one.check for one in checked if not one.passed.all()),
     }
 
 
@@ -207,18 +207,6 @@ def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
     known = truth.known
     (weighted,) = agreement.growth_weighted(error[:, known], truth.growth[:, known])
     return {"error_m": float(error[0, frame]), "error_weighted_m": float(weighted)}
-
-
-def _over_budget(
-    scene: Scene, truth: Truth, error: Array, errors: dict[str, float]
-) -> Iterator[str]:
-    """Name the budgets of accuracy that are not kept."""
-    at_instant = np.abs(truth.trajectory.time - INSTANT) < 0.5 * scene.clock.frame
-    at_instant &= truth.known
-    if not (error[0, at_instant] <= scene.budget.error_1s * scene.length).all():
-        yield "error at 1 s"
-    if not errors["error_weighted_m"] <= scene.budget.error * scene.length:
-        yield "error growth-weighted"
 
 
 def _figure(findings: dict[str, Finding], check: str) -> float | None:

@@ -112,7 +112,8 @@ def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) 
         InputError: It failed; without it no error can be measured.
     """
     solved = run_references(scene, batch, cache=cache, workers=workers)
-    return [Truth(solved.trajectory[[k]], solved.growth[[k]]) for k in range(len(batch))]
+    each = (solved[[k]] for k in range(len(batch)))
+    return [Truth(one.trajectory, one.growth) for one in each]
 
 
 def first_impact(truths: Sequence[Truth]) -> float | None:
