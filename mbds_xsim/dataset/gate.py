@@ -98,7 +98,8 @@ class CheckTable:
             self.frame[rows[about], column] = finding.frame[about]
             self.failed[rows, column] = ~finding.passed
             for k in np.flatnonzero(~finding.passed):
-                self.reasons[rows[k]].append(_reason(finding, int(k)))
+                line = f"{finding.line(int(k))}, frame {finding.frame[k]}"
+                self.reasons[rows[k]].append(line)
 
     def published(self, *, certified: bool) -> NDArray[np.bool_]:
         """Tell which trajectories came to their end and pass all checks, or those of integrity."""
@@ -194,10 +195,6 @@ def _steps_compared(scene: Scene, group: int) -> tuple[int, int]:
     if scene.clock.steps < _MANY:
         return EVERY_SECOND
     return 2 * (group % (_SPARSE // 2)), _SPARSE
-
-
-def _reason(finding: Finding, row: int) -> str:
-    return f"{finding.line(row)}, frame {finding.frame[row]}"
 
 
 def sample_findings(

@@ -7,6 +7,7 @@ import json
 import secrets
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,10 @@ _AGAIN = 3  # trajectories of a shard that are simulated again
 _SHARDS_AGAIN = 3  # shards of a variant of which some are
 _OWN = ("kind", "first", "count", "published", "rejected", CONTENT)
 """Attributes that a joined file does not share with its shards."""
+_ABOUT = (
+    "scene_name", "engine", "engine_version", "profile", "certification", "method", "step_s",
+    "seed", "noise", "count", "published", "rejected", "audit_sample", "mbds_xsim_version",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,8 +91,8 @@ def verify(
         InputError: There is nothing to check.
     """
     begin, progress = time.perf_counter(), progress or Silent()
-    files = _files(path)
-    kinds = {file: _kind(file) for file in files}
+    about = _files(path)
+    files, kinds = list(about), {file: str(attrs["kind"]) for file, attrs in about.items()}
     shards = [file for file, kind in kinds.items() if kind == "shard"]
     joined = [file for file, kind in kinds.items() if kind == "joined"]
     seed = secrets.randbits(32) if seed is None else seed
@@ -111,36 +116,39 @@ def verify(
         if report.file in loose:
             note = "not joined yet: run mbds-xsim generate again to finish the set"
             report.notes.append(note)
-    about = tuple(_about(file) for file in joined or shards[:1])
-    return Verified(str(path), reports, about, time.perf_counter() - begin, seed)
+    variants = tuple(
+        {"file": str(file), **{key: about[file].get(key) for key in _ABOUT}}
+        for file in joined or shards[:1]
+    )
+    return Verified(str(path), reports, variants, time.perf_counter() - begin, seed)
 
 
-def _files(path: Path) -> list[Path]:
-    """Give the files to look at: all of a folder, or one and what it joins."""
+def _files(path: Path) -> dict[Path, dict[str, Any]]:
+    """Give files and their attributes: all of a folder, or one and what it joins."""
     if path.is_dir():
-        files = sorted(path.rglob(f"*{SUFFIX}"))
-        if not files:
+        about = {file: _attributes(file) for file in sorted(path.rglob(f"*{SUFFIX}"))}
+        if not about:
             msg = f"{path} holds no {SUFFIX} file; name a folder that mbds-xsim generate has made"
             raise InputError(msg)
-        folders = dict.fromkeys(file.parent for file in files if _kind(file) == "joined")
+        joined = (file for file, attrs in about.items() if attrs["kind"] == "joined")
+        folders = dict.fromkeys(file.parent for file in joined)
         texts = (folder / name for folder in folders for name in _TEXTS)
-        return [*files, *(text for text in texts if text.is_file())]
+        return about | {text: {"kind": _TEXTS[text.name]} for text in texts if text.is_file()}
     refuse_other(path)
-    if _kind(path) != "joined":
-        return [path]
-    try:
-        return [path, *load_dataset(path).files]
-    except InputError:
-        return [path]  # which will be told in its report
+    files = [path]
+    if _attributes(path)["kind"] == "joined":
+        with suppress(InputError):  # which will be told in its report
+            files += load_dataset(path).files
+    return {file: _attributes(file) for file in files}
 
 
-def _kind(path: Path) -> str:
+def _attributes(path: Path) -> dict[str, Any]:
     if path.name in _TEXTS:
-        return _TEXTS[path.name]
+        return {"kind": _TEXTS[path.name]}
     try:
-        return str(attributes_of(path).get("kind"))
+        return attributes_of(path)
     except InputError:
-        return "unknown"
+        return {"kind": "unknown"}
 
 
 def _resimulated(shards: list[Path], seed: int) -> set[Path]:
@@ -157,20 +165,9 @@ def _loose(shards: list[Path], joined: list[Path]) -> set[str]:
     """Shards that no joined file names, as an interrupted run leaves them."""
     named: set[Path] = set()
     for file in joined:
-        try:
+        with suppress(InputError):
             named |= {part.resolve() for part in load_dataset(file).files}
-        except InputError:
-            continue
     return {str(shard.resolve()) for shard in shards if shard.resolve() not in named}
-
-
-def _about(file: Path) -> dict[str, Any]:
-    keys = (
-        "scene_name", "engine", "engine_version", "profile", "certification", "method", "step_s",
-        "seed", "noise", "count", "published", "rejected", "audit_sample", "mbds_xsim_version",
-    )  # fmt: skip
-    attributes = attributes_of(file)
-    return {"file": str(file), **{key: attributes.get(key) for key in keys}}
 
 
 def recheck(path: Path, kind: str, resimulated: int = 0, seed: int = 0) -> FileReport:

@@ -154,12 +154,32 @@ class ShardProgress(Protocol):
 @contextmanager
 def watched(folders: Sequence[Path], progress: ShardProgress) -> Iterator[None]:
     """Tell what is added to the logs of some folders while the block runs."""
-    tails = [_Tail(folder / LOG) for folder in folders]
+    logs = [folder / LOG for folder in folders]
+    places = {path: path.stat().st_size if path.exists() else 0 for path in logs}
+
+    def look() -> None:
+        facts = [line for path in places for line in _added(path, places)]
+        if facts:
+            done = sum(line["count"] for line in facts)
+            progress.advance(done, sum(line["rejected"] for line in facts))
+
     try:
-        with repeating(lambda: _tell(tails, progress)):
+        with repeating(look):
             yield
     finally:
-        _tell(tails, progress)
+        look()
+
+
+def _added(path: Path, places: dict[Path, int]) -> list[dict[str, int]]:
+    """Read the lines of a log that were added since, and note the place up to which it is read."""
+    if not path.exists():
+        return []
+    with path.open("rb") as file:
+        file.seek(places[path])
+        text = file.read()
+    whole = text[: text.rfind(b"\n") + 1]
+    places[path] += len(whole)
+    return [json.loads(line) for line in whole.splitlines()]
 
 
 @contextmanager
@@ -178,28 +198,3 @@ def repeating(look: Callable[[], None]) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-
-
-def _tell(tails: Sequence[_Tail], progress: ShardProgress) -> None:
-    facts = [line for tail in tails for line in tail.new()]
-    if facts:
-        done = sum(line["count"] for line in facts)
-        progress.advance(done, sum(line["rejected"] for line in facts))
-
-
-class _Tail:
-    """Reads the lines that are added to a file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._place = path.stat().st_size if path.exists() else 0
-
-    def new(self) -> list[dict[str, int]]:
-        if not self._path.exists():
-            return []
-        with self._path.open("rb") as file:
-            file.seek(self._place)
-            text = file.read()
-        whole = text[: text.rfind(b"\n") + 1]
-        self._place += len(whole)
-        return [json.loads(line) for line in whole.splitlines()]
