@@ -215,8 +215,7 @@ def _board(error: Callable[[str, str, int], Array], floor: float) -> Evaluation:
 
 
 def _gaps(board: Evaluation) -> list[Gap]:
-    nothing = np.full(2, np.nan)
-    return list(gaps_of(board, Draws(board), nothing, nothing))
+    return list(gaps_of(Draws(board)))
 
 
 def test_a_perfect_model_has_no_gap_and_no_shift_is_resolved() -> None:
@@ -282,7 +281,7 @@ def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
     gaps = _gaps(board)
     assert {gap.training for gap in gaps if not all(gap.resolved)} == {"a-native"}
     assert {why for gap in gaps if gap.training == "a-native" for why in gap.why} == {UNKNOWN}
-    told = next(answers_of(board, Draws(board), gaps, FRAMES)).answer
+    told = next(answers_of(Draws(board), gaps, FRAMES)).answer
     assert "2 of 4 shifts from one engine's data to another's are resolved: 2 times the" in told
     assert "2 because the model's own domain is not tested. Of 2 intervals at 95 %" in told
     near = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in apart}
@@ -295,7 +294,7 @@ def test_of_trainings_on_one_engine_no_shift_is_asked() -> None:
     board = dataclasses.replace(board, figures=alone)
     gaps = _gaps(board)
     assert gaps == []
-    (told,) = answers_of(board, Draws(board), gaps, FRAMES)
+    (told,) = answers_of(Draws(board), gaps, FRAMES)
     assert "cannot be asked" in told.answer
 
 
@@ -364,7 +363,7 @@ def test_cells_are_told_by_interval_and_engines_are_models_too() -> None:
 def _answer(board: Evaluation) -> str:
     draws = Draws(board)
     gaps = _gaps(board)
-    found = {answer.question: answer.answer for answer in answers_of(board, draws, gaps, FRAMES)}
+    found = {answer.question: answer.answer for answer in answers_of(draws, gaps, FRAMES)}
     return found["Which model is most robust (native)?"]
 
 
@@ -400,7 +399,7 @@ def test_resolved_gains_are_not_told_as_losses() -> None:
 
     board = _board(error, floor=100.0)
     gaps = _gaps(board)
-    told = next(answers_of(board, Draws(board), gaps, FRAMES)).answer
+    told = next(answers_of(Draws(board), gaps, FRAMES)).answer
     assert "6 of 6 shifts" in told
     assert "5 times the model errs more than the one trained there, 1 times less" in told
 
@@ -414,10 +413,10 @@ def test_a_model_that_errs_as_much_at_home_is_not_harmed_by_the_change() -> None
         return _shifted(training, engine, seed) / 4.0
 
     board = _board(error, floor=100.0)
-    told = next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+    told = next(answers_of(Draws(board), _gaps(board), FRAMES)).answer
     assert "than the one trained there (in 2 of these no more than at home: its data" in told
     board = _board(_shifted, floor=100.0)
-    assert "at home" not in next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+    assert "at home" not in next(answers_of(Draws(board), _gaps(board), FRAMES)).answer
 
 
 def test_only_resolved_gaps_tell_which_model_is_most_robust() -> None:
@@ -492,7 +491,7 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
         figures |= {(entry, test): _figures(np.full((COUNT, FRAMES), error)) for test in tested}
     test = dataclasses.replace(board.test, domains=domains)
     board = Evaluation(test, board.frames, figures, board.oracles)
-    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
     assert "helps" in found["Does training on all engines help gns (native)?"]
 
 
@@ -529,14 +528,14 @@ def test_whether_matched_data_remove_a_shift(
     native: float, matched: float, spread: float, says: str
 ) -> None:
     board = _of_variants({"native": native, "matched": matched}, spread)
-    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
     assert says in found["Does matched data remove the shift of gns?"]
 
 
 def test_changes_of_engine_are_counted_apart_from_those_of_settings() -> None:
     """Of 12 pairs of four domains 4 are of two engines at the same settings."""
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
-    told = next(answers_of(board, Draws(board), _gaps(board), FRAMES)).answer
+    told = next(answers_of(Draws(board), _gaps(board), FRAMES)).answer
     apart = "of 12 shifts from one engine's data to another's are resolved (2 of 4 at the same "
     assert f"{apart}settings, " in told
     assert " of 8 from other settings)" in told
@@ -546,7 +545,7 @@ def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
     same = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in board.oracles}
     board = dataclasses.replace(board, oracles=same)
-    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
     told = found["Does matched data remove the shift of gns?"]
     assert "this cannot be told: where no gap is resolved" in told
     assert "Mean gap ratio 4 [4, 4] on native" in told
@@ -560,7 +559,7 @@ def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
         for pair, apart in board.oracles.items()
     }
     board = dataclasses.replace(board, oracles=oracles)
-    found = {a.question: a.answer for a in answers_of(board, Draws(board), _gaps(board), FRAMES)}
+    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
     told = found["Does matched data remove the shift of gns?"]
     assert "no shift is resolved on matched data, whose engines differ by less than" in told
     assert "2 [2, 2] on matched data" in told

@@ -58,10 +58,9 @@ class _Trainings:
     everything: TrainedModel | None
 
 
-def answers_of(
-    evaluation: Evaluation, draws: Draws, gaps: Sequence[Gap], at: int
-) -> Iterator[Answer]:
+def answers_of(draws: Draws, gaps: Sequence[Gap], at: int) -> Iterator[Answer]:
     """Answer what can be answered at a frame from the trainings that there are."""
+    evaluation = draws.evaluation
     place = evaluation.frames.index(at)
     variants = dict.fromkeys(domain.variant for domain in evaluation.test.domains)
     pairs = itertools.product(evaluation.models, variants)

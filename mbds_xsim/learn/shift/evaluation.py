@@ -43,6 +43,8 @@ class Evaluation:
     """By the domain that is taken as the prediction, and the domain it is held against."""
     restarted: Mapping[tuple[str, str], RolloutFigures] = field(default_factory=dict)
     """The same, where engines go on from the domain's last known frame."""
+    floors: Mapping[str, Array] = field(default_factory=dict)
+    """Floors of noise and chaos, as far as the reference is known, (trajectory, frame) [m²]."""
 
     @property
     def at(self) -> NDArray[np.int64]:
@@ -243,17 +245,14 @@ def chaos_floor(test: Paired, truth: ReferenceFrames, horizon: int) -> Array:
     return np.minimum((CHAOS_START * growth) ** 2, (EXPLODED * test.scene.length) ** 2)
 
 
-def floors_of(
-    evaluation: Evaluation, noise: Array | None, chaos: Array | None
-) -> Iterator[ErrorFloor]:
+def floors_of(evaluation: Evaluation) -> Iterator[ErrorFloor]:
     """Give all floors of all intervals."""
     errors = {
         (kind, first, test): figures.error
         for (kind, first, _, test), figures in evaluation.rolled()
         if kind in (ENGINE, RESTART)
     }
-    known = {"noise": noise, "chaos": chaos}
-    errors |= {(k, REFERENCE, REFERENCE): e for k, e in known.items() if e is not None}
+    errors |= {(kind, REFERENCE, REFERENCE): error for kind, error in evaluation.floors.items()}
     for key, error in errors.items():
         for interval, rows in evaluation.intervals():
             yield ErrorFloor(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
-from mbds_xsim.learn.shift.evaluation import Evaluation
+from mbds_xsim.learn.shift.evaluation import Evaluation, known_mean
 from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, values
 from mbds_xsim.learn.trained import TrainedModel
 
@@ -124,11 +124,9 @@ def kind_of(training: TrainedModel, test: str, every: Sequence[str]) -> str:
     return "" if test.rpartition("-")[0] in training.engines else LEAVE_ONE_OUT
 
 
-def gaps_of(evaluation: Evaluation, draws: Draws, noise: Array, chaos: Array) -> Iterator[Gap]:
-    """Give all gaps to models that were trained on the target.
-
-    Beside them stand the mean noise and chaos floors at the frames [m²], NaN where not known.
-    """
+def gaps_of(draws: Draws) -> Iterator[Gap]:
+    """Give all gaps to models that were trained on the target."""
+    evaluation = draws.evaluation
     every = [domain.name for domain in evaluation.test.domains]
     for model in evaluation.models:
         trainings = trainings_of(evaluation, model)
@@ -136,7 +134,7 @@ def gaps_of(evaluation: Evaluation, draws: Draws, noise: Array, chaos: Array) ->
         for training, test in itertools.product(trainings, every):
             kind = kind_of(training, test, every)
             if kind and test in targets:
-                yield _gap(draws, kind, training, targets[test], (noise, chaos))
+                yield _gap(draws, kind, training, targets[test])
 
 
 def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
@@ -152,14 +150,9 @@ def why_unresolved(own: float, floor: float, low: float, high: float) -> str:
     return "" if low > 0.0 or high < 0.0 else UNSURE
 
 
-def _gap(
-    draws: Draws,
-    kind: str,
-    training: TrainedModel,
-    target: TrainedModel,
-    floors: tuple[Array, Array],
-) -> Gap:
-    test, runs = target.domains[0], draws.evaluation.runs
+def _gap(draws: Draws, kind: str, training: TrainedModel, target: TrainedModel) -> Gap:
+    test, evaluation = target.domains[0], draws.evaluation
+    unknown = np.full((1, max(evaluation.frames)), np.nan)
     own, floor = _own_and_floor(draws, training, test)
     ratio = draws.bounded(lambda look: look(training, test) / look(target, test))
     difference = draws.bounded(lambda look: look(training, test) - look(target, test))
@@ -176,15 +169,17 @@ def _gap(
         "difference_low": difference.low,
         "difference_high": difference.high,
         "engine_floor": floor,
-        "noise_floor": floors[0],
-        "chaos_floor": floors[1],
+        **{
+            f"{name}_floor": known_mean(evaluation.counted(evaluation.floors.get(name, unknown)))
+            for name in ("noise", "chaos")
+        },
     }
     return Gap(
         model=training.model,
         kind=kind,
         training=training.training,
         test=test,
-        seeds=(len(runs(training)), len(runs(target))),
+        seeds=(len(evaluation.runs(training)), len(evaluation.runs(target))),
         **{name: values(figure) for name, figure in figures.items()},
         resolved=tuple(not reason for reason in why),
         why=why,
@@ -241,9 +236,9 @@ def _weights(rng: np.random.Generator, draws: int, count: int) -> Array:
     return np.asarray(rng.multinomial(count, np.full(count, 1.0 / count), draws) / count)
 
 
-def agreements_of(evaluation: Evaluation, draws: Draws) -> Iterator[Agreement]:
+def agreements_of(draws: Draws) -> Iterator[Agreement]:
     """Compare the orders of models that were trained where they are tested, and the paper's."""
-    orders = _orders(evaluation, draws)
+    evaluation, orders = draws.evaluation, _orders(draws)
     paper = paper_errors(evaluation.test.scene.name, flagged=False)
     if orders and paper:
         orders[PAPER] = paper
@@ -278,9 +273,9 @@ def paper_errors(scene: str, *, flagged: bool = True) -> Errors:
     }
 
 
-def _orders(evaluation: Evaluation, draws: Draws) -> dict[str, Errors]:
+def _orders(draws: Draws) -> dict[str, Errors]:
     """Mean errors at home by domain."""
-    orders: dict[str, Errors] = {}
+    evaluation, orders = draws.evaluation, dict[str, Errors]()
     tested = {domain.name for domain in evaluation.test.domains}
     for training in (t for model in evaluation.models for t in trainings_of(evaluation, model)):
         home = training.domains[0]

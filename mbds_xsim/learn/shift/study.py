@@ -32,7 +32,6 @@ from mbds_xsim.learn.shift.evaluation import (
     cells_of,
     chaos_floor,
     floors_of,
-    known_mean,
     noise_floor,
     oracles,
 )
@@ -123,16 +122,16 @@ def study(
     gone_on, refused = restarted(
         test, domains, plan.horizon, cache=cache, workers=workers, meter=meter
     )
-    evaluation = Evaluation(test, frames, figures, oracles(domains, plan.horizon), gone_on)
-    floors: tuple[Array | None, Array | None] = (None, None)
+    apart, floors = oracles(domains, plan.horizon), {}
     if solved is not None:
         truth = read_reference(solved.path)
-        floors = noise_floor(truth, plan.horizon), chaos_floor(test, truth, plan.horizon)
+        floors["noise"] = noise_floor(truth, plan.horizon)
+        floors["chaos"] = chaos_floor(test, truth, plan.horizon)
+    evaluation = Evaluation(test, frames, figures, apart, gone_on, floors)
     shift = _shift(
         evaluation,
         plan,
         at,
-        floors,
         command=command,
         domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
         left_out={
@@ -149,18 +148,10 @@ def study(
     )
 
 
-def _shift(
-    evaluation: Evaluation,
-    plan: RolloutPlan,
-    at: int,
-    floors: tuple[Array | None, Array | None],
-    **facts: Any,
-) -> Shift:
+def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> Shift:
     """Say what was measured and what follows from it."""
     test, draws = evaluation.test, Draws(evaluation)
-    unknown = np.full(len(evaluation.frames), np.nan)
-    means = [unknown if f is None else known_mean(evaluation.counted(f)) for f in floors]
-    gaps = tuple(gaps_of(evaluation, draws, *means))
+    gaps = tuple(gaps_of(draws))
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -179,11 +170,11 @@ def _shift(
         index=tuple(test.index.tolist()),
         noise=test.noise,
         cells=tuple(cells_of(evaluation)),
-        floors=tuple(floors_of(evaluation, *floors)),
+        floors=tuple(floors_of(evaluation)),
         gaps=gaps,
-        agreements=tuple(agreements_of(evaluation, draws)),
+        agreements=tuple(agreements_of(draws)),
         answers=(
-            *answers_of(evaluation, draws, gaps, at),
+            *answers_of(draws, gaps, at),
             *answers_by_interval(evaluation, at),
         ),
         wall_s=0.0,
