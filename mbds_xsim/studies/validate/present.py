@@ -25,7 +25,7 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.report.palette import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
-from mbds_xsim.studies.validate import contact_table, figures, motion, timeline, words
+from mbds_xsim.studies.validate import contact_strips, figures, motion, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of
 from mbds_xsim.studies.validate.motion import styles
 
@@ -123,11 +123,11 @@ def _motion(
     if not contacts:
         return Motion(data, "reference", entries)
     count = len(data["trajectories"])
-    data["contact"] = timeline.pack(validation, evidence, contacts, count)
+    data["contact"] = contact_strips.pack(validation, evidence, contacts, count)
     every = (("reference", _REFERENCE), *entries)
     numbers = [trajectory["index"] for trajectory in data["trajectories"]]
-    tables = contact_table.tables(contacts, every, numbers)
-    reading = timeline.reading(evidence, slips=data["contact"]["slips"])
+    tables = contact_strips.tables(contacts, every, numbers)
+    reading = contact_strips.reading(evidence, slips=data["contact"]["slips"])
     about = words.contact_words(validation, evidence)
     return Motion(data, "reference", entries, tables, (about, reading))
 
