@@ -18,10 +18,10 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 
 
-class Matched(msgspec.Struct, frozen=True):
+class Matched(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of one engine as they stand in a file, whatever frame interval they are used with.
 
-    What else a table of the file says, as the figures that they gave, is for people.
+    The figures that they gave, `found` in each table of the file, are for people.
     """
 
     method: str
@@ -57,7 +57,7 @@ def read_matched(path: Path) -> dict[str, Matched]:
         InputError: The file cannot be read or is none of settings; the text says where.
     """
     try:
-        found = _tables(path.read_text("utf-8"))
+        found = _tables(path.read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         msg = f"--settings {path}: cannot be read: {error}"
         raise InputError(msg) from error
@@ -89,6 +89,9 @@ def _stored(scene_name: str) -> Mapping[str, Matched]:
 
 def _tables(text: str) -> dict[str, Matched]:
     tables: Any = tomllib.loads(text)
+    for table in tables.values():
+        if isinstance(table, dict):
+            table.pop("found", None)
     return msgspec.convert(tables, dict[str, Matched])
 
 

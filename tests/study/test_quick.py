@@ -138,7 +138,8 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
     path = tmp_path / "my.toml"
     path.write_text(
         '[mujoco]\nmethod = "RK4"\nsteps_per_frame = 3\n[mujoco.options]\nspin = false\n'
-        '[mujoco.found]\nversion = "1"\n'
+        '[mujoco.found]\nversion = "1"\n',
+        encoding="utf-8-sig",
     )
     scene = cart_pole()
     choice = Choice.parse(profiles=str(path))
@@ -160,6 +161,10 @@ def test_a_file_of_settings_is_used_and_names_its_engines(tmp_path: Path) -> Non
         ('[mujoco]\nmethod = "RK4"', "missing required field `steps_per_frame`"),
         ('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 0', "got 0, allowed is 1 or more"),
         ('[muoco]\nmethod = "RK4"\nsteps_per_frame = 1', "no engine is called 'muoco'"),
+        (
+            '[mujoco]\nmethod = "RK4"\nsteps_per_frame = 1\n[mujoco.option]\nspin = false',
+            "unknown field `option`",
+        ),
         ("", "no engine has settings there"),
         ("[", "cannot be read"),
     ],
