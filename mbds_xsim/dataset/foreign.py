@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any
 
 import msgspec
@@ -211,7 +212,7 @@ def _member(file: IO[bytes], path: Path) -> Any:
     except KeyError:
         msg = f"{path}: holds an array in version {version} of npy, allowed are 1.0 and 2.0"
         raise InputError(msg) from None
-    except ValueError as error:
+    except (ValueError, TokenError) as error:  # the latter for a header that is cut off
         msg = f"{path}: holds {file.name}, which is no array; allowed are arrays of numbers"
         raise InputError(msg) from error
     if dtype.hasobject:

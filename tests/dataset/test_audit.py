@@ -369,6 +369,11 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds notes\.txt, which is no array"):
         audit_file(tmp_path / "foreign.npz", None, Provenance())
 
+    with zipfile.ZipFile(tmp_path / "cut.npz", "w") as archive:
+        archive.writestr("time.npy", b"\x93NUMPY\x01\x00\x10\x00{'descr': garbage")
+    with pytest.raises(InputError, match=r"holds time\.npy, which is no array"):
+        audit_file(tmp_path / "cut.npz", None, Provenance())
+
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("position.npy", bytes(2**27))
     with pytest.raises(InputError, match="MB say that they unpack to 134 MB, allowed is 100"):
