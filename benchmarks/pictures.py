@@ -20,7 +20,7 @@ from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
 from mbds_xsim.studies.stability import present as stability
-from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Sweep
+from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability.studies import study_named
 from mbds_xsim.studies.stability.verdict import CRITERIA
 from mbds_xsim.studies.tradeoff import present as tradeoff
@@ -67,12 +67,12 @@ def _shift(stored: bytes) -> bytes:
     return shift_figures.to_png([msgspec.json.decode(stored, type=Shift)], stored)
 
 
-def sweep_of(table: str) -> Sweep:
+def sweep_of(table: str) -> Survey:
     """Read a map's cells from their CSV; what a picture does not show stays empty."""
     cells = [_cell(row) for row in csv.DictReader(io.StringIO(table))]
     study = study_named(cells[0].study)
     panels = _panels(cells)
-    return Sweep(
+    return Survey(
         schema=SCHEMA,
         study=study.name,
         sentence=study.sentence,

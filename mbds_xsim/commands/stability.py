@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from mbds_xsim.simulate.adapter import Profile
     from mbds_xsim.simulate.simulator import Simulator
     from mbds_xsim.studies.stability.definition import Study, Value
-    from mbds_xsim.studies.stability.rows import Sweep
+    from mbds_xsim.studies.stability.rows import Survey
 
 T = TypeVar("T")
 
@@ -101,7 +101,7 @@ def stability(
         for study in map(study_named, studies or STUDIES)
     ]
 
-    def write(sweeps: list[Sweep], files: dict[str, Path | None]) -> None:
+    def write(sweeps: list[Survey], files: dict[str, Path | None]) -> None:
         rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
         write_if(files["csv"], lambda: rows)
         write_if(files["png"], lambda: to_png(sweeps, rows))

@@ -26,7 +26,7 @@ _ONE_SECOND = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class Judged:
     """An engine's result and the arrays behind it."""
 
     result: EngineResult
@@ -43,7 +43,7 @@ def judge(
     reference: ReferenceOutcome,
     *,
     native: bool = True,
-) -> Row:
+) -> Judged:
     """Check everything an engine delivered and give the verdict.
 
     Args:
@@ -56,7 +56,7 @@ def judge(
     truth = reference.trajectory
     trajectory = outcome.trajectory(truth.time, len(batch), len(scene.bodies))
     if trajectory is None:
-        return Row(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
+        return Judged(_result(scene, batch, outcome, [], None, reference, native), None, None, {})
     settings = outcome.contender.settings
     method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
     spread = outcome.simulations[0].contact_time
@@ -70,7 +70,9 @@ def judge(
         *convergence(scene, batch, outcome, reference),
     ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
-    return Row(result, trajectory, error, {finding.check: finding.series for finding in findings})
+    return Judged(
+        result, trajectory, error, {finding.check: finding.series for finding in findings}
+    )
 
 
 def _together(record: Record) -> list[Finding]:

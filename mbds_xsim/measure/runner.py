@@ -5,12 +5,15 @@ measured earlier is taken from the store; the rest runs side by side in fresh pr
 limit; a crash becomes a row like any other; every row is kept as soon as it is there, so that a
 study that was interrupted goes on where it stopped. In outline:
 
-    class Row(msgspec.Struct, frozen=True): key: str; engine: str; kind: str; error_m: float | None
+    class Row(Keyed, frozen=True, kw_only=True): engine: str; error_m: float | None = None
 
     def error(scene, start, settings): ...  # runs in its process; gives {"error_m": 0.01}
 
-    runner = Runner(Store.of("my-study", scene.name, Row), crashed=lambda row, crash: ...)
-    rows = runner.rows([Case(Row(key, name, "done", None), name, error, lambda: (...), 30.0), ...])
+    runner = Runner(Store.of("my-study", scene.name, Row), crashed=lambda row, crash: row)
+    row = Row(key=row_key(...), engine=name)
+    rows = runner.rows([StudyCase(row, name, error, lambda: (scene, start, settings), 30.0)])
+
+`docs/add-a-study.md` has a complete study.
 
 Cases of one `group` follow each other in one process, which spares most of its start. What is left
 of them when that process crashes, hangs, or has used up half of its time is run once more, each
@@ -54,7 +57,7 @@ class Meter(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Case(Generic[R]):
+class StudyCase(Generic[R]):
     """One piece of work, named by its content."""
 
     row: R
@@ -109,17 +112,17 @@ class Runner(Generic[R]):
     _now: dict[str, R] = field(default_factory=dict)
     _seconds: dict[Hashable, list[float]] = field(default_factory=lambda: defaultdict(list))
 
-    def rows(self, cases: Sequence[Case[R]]) -> list[R]:
+    def rows(self, cases: Sequence[StudyCase[R]]) -> list[R]:
         """Give the row of each case, measuring those that are missing."""
         missing = self.missing(cases)
-        groups: dict[Hashable, list[Case[R]]] = {}
+        groups: dict[Hashable, list[StudyCase[R]]] = {}
         for case in missing:
             groups.setdefault(case.row.key if case.group is None else case.group, []).append(case)
         self._run(list(groups.values()), missing, last=False)
         self._run([[case] for case in self.missing(missing)], missing, last=True)
         return [self._labelled(self._now[case.row.key], case) for case in cases]
 
-    def missing(self, cases: Sequence[Case[R]]) -> list[Case[R]]:
+    def missing(self, cases: Sequence[StudyCase[R]]) -> list[StudyCase[R]]:
         """List the cases that have to be measured, each key once; the others' rows are taken."""
         for case in cases:
             kept = None if self.fresh else self.store.rows.get(case.row.key)
@@ -129,7 +132,9 @@ class Runner(Generic[R]):
         found = {case.row.key: case for case in cases if case.row.key not in self._now}
         return list(found.values())
 
-    def _run(self, groups: list[list[Case[R]]], cases: Sequence[Case[R]], *, last: bool) -> None:
+    def _run(
+        self, groups: list[list[StudyCase[R]]], cases: Sequence[StudyCase[R]], *, last: bool
+    ) -> None:
         def finished(place: int, answer: list[Answer] | Crash) -> None:
             group = groups[place]
             if isinstance(answer, Crash):
@@ -143,14 +148,14 @@ class Runner(Generic[R]):
         self._forecast(cases)
         run_tasks([_task(group) for group in groups], workers=self.workers, finished=finished)
 
-    def _keep(self, case: Case[R], row: R, seconds: float) -> None:
+    def _keep(self, case: StudyCase[R], row: R, seconds: float) -> None:
         self._now[row.key] = row
         self.store.add(row)
         self.measured += 1
         self._seconds[case.pace].append(_START + seconds)
         self.meter.advance(case.name)
 
-    def _forecast(self, cases: Sequence[Case[R]]) -> None:
+    def _forecast(self, cases: Sequence[StudyCase[R]]) -> None:
         if self.forecasts:
             left = Counter(case.pace for case in cases if case.row.key not in self._now)
             self.meter.forecast(sum(n * self._expected(pace) for pace, n in left.items()))
@@ -160,12 +165,12 @@ class Runner(Generic[R]):
         alike = self._seconds.get(pace) or list(itertools.chain(*self._seconds.values()))
         return statistics.fmean(alike) if alike else _GUESS
 
-    def _labelled(self, row: R, case: Case[R]) -> R:
+    def _labelled(self, row: R, case: StudyCase[R]) -> R:
         today = {name: getattr(case.row, name) for name in self.labels}
         return msgspec.structs.replace(row, **today)
 
 
-def _task(group: Sequence[Case[Any]]) -> Task:
+def _task(group: Sequence[StudyCase[Any]]) -> Task:
     first = group[0]
     arguments = [case.arguments() for case in group]
     return Task(in_turn, (first.function, arguments, first.limit / 2.0), first.limit)

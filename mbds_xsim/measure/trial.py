@@ -17,7 +17,7 @@ from mbds_xsim.checks import Finding, agreement
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, other_steps
 from mbds_xsim.measure.contact import contact_findings
 from mbds_xsim.measure.convergence import further_step
-from mbds_xsim.measure.judge import Row, failed_lines, finding_result, judge
+from mbds_xsim.measure.judge import Judged, failed_lines, finding_result, judge
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -140,7 +140,7 @@ def joined(parts: Sequence[Trial]) -> Trial:
 
 def _judged(
     scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> tuple[Row, list[Finding]]:
+) -> tuple[Judged, list[Finding]]:
     """Judge as `validate` does, and by the limits of contact."""
     row, contender = judge(scene, batch, outcome, reference), outcome.contender
     if row.trajectory is None:
@@ -150,7 +150,7 @@ def _judged(
     return row, contact_findings(scene, row.trajectory, reference, method, momentum)
 
 
-def _passed(row: Row, limits: Sequence[Finding]) -> bool:
+def _passed(row: Judged, limits: Sequence[Finding]) -> bool:
     return not row.result.reasons and all(limit.passed.all() for limit in limits)
 
 

@@ -146,7 +146,7 @@ def _stability() -> Json:
         told="nobody",
         energy=1e-4,
     )
-    sweep = stability_rows.Sweep(
+    sweep = stability_rows.Survey(
         schema=stability_rows.SCHEMA,
         study="spin",
         sentence="a body",

@@ -12,7 +12,7 @@ from typing import cast
 from unittest import mock
 
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, reference_of
-from mbds_xsim.measure.judge import Row, judge, reference_result
+from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.result import ReferenceResult
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -94,7 +94,7 @@ def planted(fault: Fault | None, engine: str) -> Iterator[None]:
 
 _Key = tuple[object, ...]
 _DONE: dict[_Key, Simulation] = {}
-_ROWS: dict[_Key, Row] = {}
+_ROWS: dict[_Key, Judged] = {}
 _SOLVED: dict[_Key, ReferenceOutcome] = {}
 _AUDITED: dict[_Key, ReferenceResult] = {}
 
@@ -129,7 +129,7 @@ def _audited(scene: Scene, batch: Batch, reference: ReferenceOutcome) -> Referen
 
 def _judged(
     scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome, *, native: bool
-) -> Row:
+) -> Judged:
     """Judge what stays as it is once; simulations are never made twice, so they tell."""
     key = (scene, outcome.contender.engine, native, *map(id, outcome.parts))
     if key not in _ROWS:

@@ -35,7 +35,7 @@ from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.definition import Study
 from mbds_xsim.studies.stability.present import present, to_png
-from mbds_xsim.studies.stability.rows import Outcome, Sweep
+from mbds_xsim.studies.stability.rows import Outcome, Survey
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import Plan, simulators_of, survey
 from mbds_xsim.studies.stability.verdict import judge, run_cell
@@ -220,7 +220,7 @@ def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
 
 
 @pytest.fixture(scope="module")
-def sweep(folder: Path) -> Sweep:
+def sweep(folder: Path) -> Survey:
     """A model beside an engine's method."""
     plan = Plan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
@@ -229,7 +229,7 @@ def sweep(folder: Path) -> Sweep:
     return survey(plan)
 
 
-def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Sweep, folder: Path) -> None:
+def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Survey, folder: Path) -> None:
     engine, model = sweep.panels
 
     assert (engine.learned, len(engine.steps_s)) == (False, 2)
@@ -247,7 +247,7 @@ def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Sweep, folder
 
 
 def test_what_was_predicted_is_kept_until_the_model_is_another(
-    sweep: Sweep, folder: Path, tmp_path: Path
+    sweep: Survey, folder: Path, tmp_path: Path
 ) -> None:
     plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=simulators_in([folder]))
     again = survey(plan)
@@ -261,7 +261,7 @@ def test_what_was_predicted_is_kept_until_the_model_is_another(
     assert (other.measured, other.kept) == (2, 0)
 
 
-def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep) -> None:
+def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Survey) -> None:
     ((name, told),) = words.holding(sweep)
     cell = sweep.panels[1].cells[0][0]
 
@@ -278,7 +278,7 @@ def test_pages_tell_how_far_models_hold_and_how_to_run_a_cell_again(sweep: Sweep
     assert "most stable: mujoco RK4 (4 of 4)" in words.conclusion(sweep)
 
 
-def test_values_that_hold_are_told_as_ranges(sweep: Sweep) -> None:
+def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
     model = sweep.panels[1]
     cell = model.cells[0][0]
     outcomes: list[tuple[float, Outcome]] = [

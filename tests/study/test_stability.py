@@ -20,7 +20,7 @@ from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.definition import FRAME, Study
-from mbds_xsim.studies.stability.rows import MapCell, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Survey
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
 from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
@@ -37,7 +37,7 @@ _BLIND = dataclasses.replace(STUDIES["stiffness"], known=False)
 """Without the reference, which takes longer than all the rest."""
 
 
-def _sweep(study: Study, engine: str, method: str, **how: Any) -> Sweep:
+def _sweep(study: Study, engine: str, method: str, **how: Any) -> Survey:
     plan = Plan(study, (engine,), (method,), profiles=("matched",), workers=0)
     return survey(dataclasses.replace(plan, **how))
 

@@ -24,7 +24,7 @@ from mbds_xsim.report.page import to_html
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.figures import LOOKS
 from mbds_xsim.studies.stability.present import present, to_png
-from mbds_xsim.studies.stability.rows import FAILED, Sweep
+from mbds_xsim.studies.stability.rows import FAILED, Survey
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.words import breaking, command_of, conclusion, limit, told
@@ -34,7 +34,7 @@ _VALUES = (1e2, 1e4)
 
 
 @pytest.fixture(scope="module")
-def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Survey:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
         plan = Plan(
@@ -48,7 +48,7 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
         return survey(plan)
 
 
-def test_the_table_gives_the_largest_stable_step(sweep: Sweep) -> None:
+def test_the_table_gives_the_largest_stable_step(sweep: Survey) -> None:
     rk4 = next(panel for panel in sweep.panels if panel.name == "mujoco RK4")
 
     assert [limit(rk4, row) for row in range(2)] == ["50", "10"]
@@ -57,7 +57,7 @@ def test_the_table_gives_the_largest_stable_step(sweep: Sweep) -> None:
     assert "| mujoco RK4 | 50 | 10 |" in table
 
 
-def test_what_breaks_is_counted_with_what_is_silent(sweep: Sweep) -> None:
+def test_what_breaks_is_counted_with_what_is_silent(sweep: Survey) -> None:
     failed = [cell for cell in sweep.cells if cell.failed]
     silent = [cell for cell in failed if cell.silent]
 
@@ -67,7 +67,7 @@ def test_what_breaks_is_counted_with_what_is_silent(sweep: Sweep) -> None:
     assert "without a word of the engine" in lines["pybullet semi-implicit-euler"]
 
 
-def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Sweep) -> None:
+def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Survey) -> None:
     best = sweep.panels[0]
     refused = msgspec.structs.replace(best.cells[0][0], outcome="refused")
     unable = msgspec.structs.replace(
@@ -77,10 +77,10 @@ def test_what_an_engine_cannot_do_makes_it_no_stabler(sweep: Sweep) -> None:
     assert said.split("; ")[1] == conclusion(sweep).split("; ")[1]
 
 
-def test_what_ran_out_of_time_is_not_measured(sweep: Sweep) -> None:
+def test_what_ran_out_of_time_is_not_measured(sweep: Survey) -> None:
     panel = next(panel for panel in sweep.panels if panel.name == "mujoco RK4")
 
-    def late(outcomes: Sequence[Sequence[str]]) -> Sweep:
+    def late(outcomes: Sequence[Sequence[str]]) -> Survey:
         cells = tuple(
             tuple(msgspec.structs.replace(c, outcome=o) for c, o in zip(row, told, strict=True))
             for row, told in zip(panel.cells, outcomes, strict=True)
@@ -104,7 +104,7 @@ def test_every_outcome_has_its_own_look() -> None:
     assert len({look.letter for look in LOOKS.values()}) == len(LOOKS)
 
 
-def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Sweep) -> None:
+def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Survey) -> None:
     page = to_html([present(sweep)] * 2, "")
 
     assert not re.search(r"(src|href)=[\"']?https?:", page)
@@ -115,11 +115,11 @@ def test_the_page_needs_nothing_else_and_names_every_cell(sweep: Sweep) -> None:
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
-def test_the_picture_is_one(sweep: Sweep) -> None:
+def test_the_picture_is_one(sweep: Survey) -> None:
     assert to_png([sweep]).startswith(b"\x89PNG")
 
 
-def test_a_cell_a_line(sweep: Sweep) -> None:
+def test_a_cell_a_line(sweep: Survey) -> None:
     rows = list(csv.DictReader(io.StringIO(rows_csv(sweep.cells, "silent").decode())))
 
     assert len(rows) == len(sweep.cells)
@@ -127,7 +127,7 @@ def test_a_cell_a_line(sweep: Sweep) -> None:
     assert [float(row["step_s"]) for row in rows] == [cell.step_s for cell in sweep.cells]
 
 
-def test_a_cell_is_told_with_what_why_and_how_to_see_it_again(sweep: Sweep) -> None:
+def test_a_cell_is_told_with_what_why_and_how_to_see_it_again(sweep: Survey) -> None:
     cell = next(c for c in sweep.cells if c.engine == "mujoco" and c.told == "engine")
 
     lines = dict(told(cell, sweep))
@@ -179,7 +179,7 @@ def test_the_studies_are_listed(run: Run) -> None:
         assert name in out
 
 
-def test_the_command_of_a_cell_runs_it_again(run: Run, sweep: Sweep) -> None:
+def test_the_command_of_a_cell_runs_it_again(run: Run, sweep: Survey) -> None:
     cell = next(c for c in sweep.cells if c.told == "engine")
     words = command_of(cell, sweep).split()[1:]
 
@@ -224,7 +224,7 @@ def test_wrong_words_are_told_in_one_line(run: Run, words: tuple[str, ...], told
 
 
 def test_a_value_without_a_reference_is_told(
-    sweep: Sweep, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sweep: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path))
 

@@ -205,7 +205,7 @@ def _found_entry(found: match.Found) -> Entry:
 
 
 def _stability(part: object) -> View:
-    sweep = msgspec.convert(part, stability_rows.Sweep)
+    sweep = msgspec.convert(part, stability_rows.Survey)
     return _view(
         sweep,
         _panel_entries(sweep),
@@ -214,7 +214,7 @@ def _stability(part: object) -> View:
     )
 
 
-def _panel_entries(sweep: stability_rows.Sweep) -> Iterator[tuple[str, Entry]]:
+def _panel_entries(sweep: stability_rows.Survey) -> Iterator[tuple[str, Entry]]:
     for panel in sweep.panels:
         cells = [cell for row in panel.cells for cell in row]
         stable = sum(cell.outcome == "stable" for cell in cells)

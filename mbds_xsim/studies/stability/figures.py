@@ -12,7 +12,7 @@ from typing import Any
 from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.definition import text_of
-from mbds_xsim.studies.stability.rows import MapCell, Outcome, Panel, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Outcome, Panel, Survey
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ _CELL = (0.36, 0.30)  # [in]
 _MARGIN = (1.15, 0.85)  # [in]
 
 
-def charts_of(sweep: Sweep) -> list[tuple[int, ...]]:
+def charts_of(sweep: Survey) -> list[tuple[int, ...]]:
     """Give the places of the panels of each map: one an engine's method, one of all models."""
     models = tuple(k for k, panel in enumerate(sweep.panels) if panel.learned)
     engines = [(k,) for k, panel in enumerate(sweep.panels) if not panel.learned]
     return [*engines, models] if models else [*engines]
 
 
-def size_of(sweep: Sweep, places: Sequence[int] = ()) -> tuple[float, float]:
+def size_of(sweep: Survey, places: Sequence[int] = ()) -> tuple[float, float]:
     """Width and height of one map [in]; without places of an engine's."""
     panels = [sweep.panels[place] for place in places]
     columns = sum(len(panel.steps_s) for panel in panels) or len(sweep.steps_s)
@@ -71,7 +71,7 @@ def size_of(sweep: Sweep, places: Sequence[int] = ()) -> tuple[float, float]:
 
 
 def draw_map(
-    axes: Any, sweep: Sweep, places: Sequence[int], *, labelled: bool = True, columns: int = 0
+    axes: Any, sweep: Survey, places: Sequence[int], *, labelled: bool = True, columns: int = 0
 ) -> None:
     """Draw a map of panels side by side.
 
@@ -119,7 +119,7 @@ def _training_and_names(panels: Sequence[Panel]) -> tuple[str, list[str]]:
     return "", [panel.name for panel in panels]
 
 
-def draw_legend(figure: Any, sweep: Sweep, *, columns: int) -> None:
+def draw_legend(figure: Any, sweep: Survey, *, columns: int) -> None:
     """Explain the colours that occur, and the hatching, below the maps."""
     from matplotlib.patches import Patch
 
@@ -139,7 +139,7 @@ def draw_legend(figure: Any, sweep: Sweep, *, columns: int) -> None:
     )  # fmt: skip
 
 
-def tips(sweep: Sweep) -> dict[str, str]:
+def tips(sweep: Survey) -> dict[str, str]:
     """Say what each cell is when it is pointed at, by the gid of its artist."""
     return {
         f"tip-{place}-{row * len(cells) + column}": _told(cell, sweep)
@@ -171,7 +171,7 @@ def _draw_cell(axes: Any, cell: MapCell, column: int, row: int, gid: str) -> Non
         )
 
 
-def _told(cell: MapCell, sweep: Sweep) -> str:
+def _told(cell: MapCell, sweep: Survey) -> str:
     lines = [words.name_of(cell, sweep)]
     lines += [f"{subject}: {text}" for subject, text in words.told(cell, sweep)]
     return "\n".join(lines)

@@ -37,7 +37,7 @@ from mbds_xsim.studies.stability.figures import (
     size_of,
     tips,
 )
-from mbds_xsim.studies.stability.rows import Sweep
+from mbds_xsim.studies.stability.rows import Survey
 
 _ACROSS = 4
 """Maps side by side in a picture."""
@@ -66,7 +66,7 @@ def listing(studies: Iterable[Study]) -> Table:
     return table_of(columns, rows)
 
 
-def present(sweep: Sweep) -> Report:
+def present(sweep: Survey) -> Report:
     """Say what a study comes to, and show what is behind it."""
     versions = ", ".join(f"{name} {version}" for name, version in sweep.versions.items())
     return Report(
@@ -82,7 +82,7 @@ def present(sweep: Sweep) -> Report:
     )
 
 
-def _blocks(sweep: Sweep) -> Iterator[Block]:
+def _blocks(sweep: Survey) -> Iterator[Block]:
     yield _limits(sweep)
     told = words.learned_told(sweep)
     yield Remarks.of(
@@ -103,7 +103,7 @@ def _blocks(sweep: Sweep) -> Iterator[Block]:
     )
 
 
-def _limits(sweep: Sweep) -> Table:
+def _limits(sweep: Survey) -> Table:
     first = Column(f"engine and method / {words.swept(sweep)}", words=True)
     rows = [
         [panel.name, *(words.limit(panel, row) for row in range(len(sweep.values)))]
@@ -112,7 +112,7 @@ def _limits(sweep: Sweep) -> Table:
     return table_of([first, *(Column(text_of(value)) for value in sweep.values)], rows)
 
 
-def _maps(sweep: Sweep) -> Iterator[Block]:
+def _maps(sweep: Survey) -> Iterator[Block]:
     yield Text(
         f"Across: the step; upwards: {words.swept(sweep)}. The colour says what breaks first "
         f"within {sweep.duration_s:g} s; hatched cells go wrong without a word of the engine. "
@@ -129,7 +129,7 @@ def _maps(sweep: Sweep) -> Iterator[Block]:
     yield Figures(tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275)
 
 
-def _map(sweep: Sweep, places: tuple[int, ...], told: dict[str, str]) -> Figure:
+def _map(sweep: Survey, places: tuple[int, ...], told: dict[str, str]) -> Figure:
     title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
 
     def draw(figure: Any) -> None:
@@ -138,7 +138,7 @@ def _map(sweep: Sweep, places: tuple[int, ...], told: dict[str, str]) -> Figure:
     return Figure(title, draw, size_of(sweep, places), told)
 
 
-def _cells(sweep: Sweep) -> Table:
+def _cells(sweep: Survey) -> Table:
     headings = (
         "engine and method",
         "value",
@@ -165,7 +165,7 @@ def _cells(sweep: Sweep) -> Table:
     return table_of(columns, rows)
 
 
-def cells_of(sweep: Sweep) -> Iterator[Block]:
+def cells_of(sweep: Survey) -> Iterator[Block]:
     """Say what happened in each cell of a few, and why."""
     for cell in sweep.cells:
         yield Text(words.name_of(cell, sweep), "strong")
@@ -183,7 +183,7 @@ def cells_of(sweep: Sweep) -> Iterator[Block]:
     )
 
 
-def to_png(sweeps: list[Sweep], stored: bytes = b"") -> bytes:
+def to_png(sweeps: list[Survey], stored: bytes = b"") -> bytes:
     """Give a picture: the maps of each study, with their legend.
 
     Args:
@@ -202,7 +202,7 @@ def to_png(sweeps: list[Sweep], stored: bytes = b"") -> bytes:
     return themed.png(draw, size, stored)
 
 
-def _picture(sweep: Sweep) -> tuple[float, float]:
+def _picture(sweep: Survey) -> tuple[float, float]:
     _, engines, models = _parted(sweep)
     width, height = size_of(sweep)
     rows = math.ceil(len(engines) / _ACROSS)
@@ -211,7 +211,7 @@ def _picture(sweep: Sweep) -> tuple[float, float]:
     return wide, height * rows + below[1] + _HEAD
 
 
-def _parted(sweep: Sweep) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
+def _parted(sweep: Survey) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
     """Give how many maps stand side by side, those of engines, and the places of models."""
     charts = charts_of(sweep)
     models = next((places for places in charts if sweep.panels[places[0]].learned), ())
@@ -219,7 +219,7 @@ def _parted(sweep: Sweep) -> tuple[int, list[tuple[int, ...]], tuple[int, ...]]:
     return min(_ACROSS, len(engines)), engines, models
 
 
-def _draw_study(figure: Any, sweep: Sweep) -> None:
+def _draw_study(figure: Any, sweep: Survey) -> None:
     across, engines, models = _parted(sweep)
     rows = math.ceil(len(engines) / _ACROSS)
     grid = figure.add_gridspec(rows + bool(models), max(across, 1))

@@ -146,7 +146,7 @@ def _longest(cells: tuple[MapCell, ...], good: frozenset[str]) -> float | None:
     return longest
 
 
-class Sweep(msgspec.Struct, frozen=True, kw_only=True):
+class Survey(msgspec.Struct, frozen=True, kw_only=True):
     """A study carried out."""
 
     schema: str

@@ -20,7 +20,7 @@ from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.base.silence import Silent
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.identity import machine, row_key, versions_of
-from mbds_xsim.measure.runner import Case, Meter, Runner, in_time
+from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
 from mbds_xsim.measure.store import Store
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.scene import Clock, Scene
@@ -29,7 +29,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
 from mbds_xsim.studies.stability.definition import COUNTS, FRAME, Study, Value, text_of
-from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Sweep
+from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability.verdict import CRITERIA, run_cell
 
 LIMIT = 30.0
@@ -75,7 +75,7 @@ class Instance:
     truth: Trajectory | None
 
 
-def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
+def survey(plan: Plan, meter: Meter | None = None) -> Survey:
     """Carry out a study; what was measured earlier is taken from the store.
 
     Raises:
@@ -95,7 +95,7 @@ def survey(plan: Plan, meter: Meter | None = None) -> Sweep:
         meter=meter or Silent(),
     )
     panels = _panels(plan, simulators, instances, runner)
-    return Sweep(
+    return Survey(
         schema=SCHEMA,
         study=plan.study.name,
         sentence=plan.study.sentence,
@@ -244,10 +244,10 @@ def _panels(
     )
 
 
-def _case(plan: Plan, simulator: Simulator, instance: Instance, count: int) -> Case[MapCell]:
+def _case(plan: Plan, simulator: Simulator, instance: Instance, count: int) -> StudyCase[MapCell]:
     scene, batch, truth = instance.scene, instance.batch, instance.truth
     what = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
-    return Case(
+    return StudyCase(
         row=MapCell(
             key=hashlib.sha256(repr(what).encode()).hexdigest(),
             study=plan.study.name,

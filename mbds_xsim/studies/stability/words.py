@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from mbds_xsim.report import quantity
 from mbds_xsim.studies.stability.definition import text_of
-from mbds_xsim.studies.stability.rows import MapCell, Panel, Sweep
+from mbds_xsim.studies.stability.rows import MapCell, Panel, Survey
 
 _WHO = {
     "engine": "the engine",
@@ -26,7 +26,7 @@ _LEARNED = (
 )
 
 
-def swept(sweep: Sweep) -> str:
+def swept(sweep: Survey) -> str:
     """Name what is swept, with its unit."""
     return f"{sweep.quantity} [{sweep.unit}]" if sweep.unit else sweep.quantity
 
@@ -47,7 +47,7 @@ def milliseconds(step: float) -> str:
     return f"{1e3 * step:.4g}"
 
 
-def reading(sweep: Sweep) -> str:
+def reading(sweep: Survey) -> str:
     """Explain the table of limits."""
     steps = ", ".join(map(milliseconds, sweep.steps_s))
     return (
@@ -56,7 +56,7 @@ def reading(sweep: Sweep) -> str:
     )
 
 
-def breaking(sweep: Sweep) -> Iterator[tuple[str, str]]:
+def breaking(sweep: Survey) -> Iterator[tuple[str, str]]:
     """Say of every panel what breaks, how often, and how often silently."""
     for panel in sweep.panels:
         wrong = [c for row in panel.cells for c in row if c.failed or c.outcome == "off course"]
@@ -70,7 +70,7 @@ def breaking(sweep: Sweep) -> Iterator[tuple[str, str]]:
             yield panel.name, f"{text}, of {cells} cells; {silent} without a word of the engine"
 
 
-def conclusion(sweep: Sweep) -> str:
+def conclusion(sweep: Survey) -> str:
     """Say in one line what bears most, and how much goes wrong silently."""
     cells = sweep.cells
     ranked = [panel for panel in sweep.panels if not panel.learned] or sweep.panels
@@ -93,19 +93,19 @@ def _holds(cell: MapCell) -> bool:
     return not (cell.failed or cell.unmeasured or cell.outcome == "refused")
 
 
-def holding(sweep: Sweep) -> Iterator[tuple[str, str]]:
+def holding(sweep: Survey) -> Iterator[tuple[str, str]]:
     """Say of every trained model at which values it holds, and what breaks first beyond."""
     for panel in sweep.panels:
         if panel.learned:
             yield panel.name, _held([row[0] for row in panel.cells], sweep)
 
 
-def learned_told(sweep: Sweep) -> str:
+def learned_told(sweep: Survey) -> str:
     """Explain how trained models are judged; "" where there are none."""
     return _LEARNED if any(panel.learned for panel in sweep.panels) else ""
 
 
-def _held(cells: Sequence[MapCell], sweep: Sweep) -> str:
+def _held(cells: Sequence[MapCell], sweep: Survey) -> str:
     stable = _runs(cells, _holds, sweep)
     on_course = _runs(cells, lambda cell: cell.outcome == "stable", sweep)
     text = f"stable {stable}, on course {on_course}"
@@ -115,18 +115,18 @@ def _held(cells: Sequence[MapCell], sweep: Sweep) -> str:
     return f"{text}; at {text_of(beyond.value, sweep.unit)} {what_happened(beyond)}, told by nobody"
 
 
-def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Sweep) -> str:
+def _runs(cells: Sequence[MapCell], holds: Callable[[MapCell], bool], sweep: Survey) -> str:
     """Name the values that hold: neighbours as a range."""
     groups = [list(group) for held, group in itertools.groupby(cells, holds) if held]
     return " and ".join(f"at {_range(group, sweep)}" for group in groups) or "nowhere"
 
 
-def _range(cells: Sequence[MapCell], sweep: Sweep) -> str:
+def _range(cells: Sequence[MapCell], sweep: Survey) -> str:
     first, last = (text_of(cells[k].value, sweep.unit) for k in (0, -1))
     return first if len(cells) == 1 else f"{first} to {last}"
 
 
-def name_of(cell: MapCell, sweep: Sweep) -> str:
+def name_of(cell: MapCell, sweep: Survey) -> str:
     """Name a cell in one line."""
     where = f"{sweep.quantity} {text_of(cell.value, sweep.unit)}"
     profile = f" ({cell.profile} settings)"
@@ -134,7 +134,7 @@ def name_of(cell: MapCell, sweep: Sweep) -> str:
     return f"{cell.study}, {where}: {cell.engine} {cell.method}{profile}, step {step}"
 
 
-def told(cell: MapCell, sweep: Sweep) -> Iterator[tuple[str, str]]:
+def told(cell: MapCell, sweep: Survey) -> Iterator[tuple[str, str]]:
     """Tell all about a cell: what happened, who said so, the figures."""
     yield "outcome", what_happened(cell)
     if cell.failed or cell.outcome == "off course":
@@ -159,7 +159,7 @@ def what_happened(cell: MapCell) -> str:
     return text
 
 
-def command_of(cell: MapCell, sweep: Sweep) -> str:
+def command_of(cell: MapCell, sweep: Survey) -> str:
     """Give the command line that runs a cell again."""
     if cell.source:
         return (

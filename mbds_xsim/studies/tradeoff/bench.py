@@ -14,7 +14,7 @@ from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.identity import machine, row_key
 from mbds_xsim.measure.judge import error_findings
-from mbds_xsim.measure.runner import Case, Meter, Runner, in_time
+from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
 from mbds_xsim.measure.store import Store
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -48,7 +48,7 @@ class Job:
 
 
 @dataclass
-class Bench:
+class StartBench:
     """The starts of a study with what is true of them, and the runner of their jobs."""
 
     scene: Scene
@@ -69,7 +69,7 @@ class Bench:
         limit: float,
         fresh: bool,
         meter: Meter,
-    ) -> Bench:
+    ) -> StartBench:
         """Make a bench with the scene's store."""
         runner = Runner(
             store=Store.of("tradeoff", scene.name, Measurement),
@@ -81,7 +81,7 @@ class Bench:
             meter=meter,
             forecasts=False,
         )
-        return Bench(scene, batch, truths, seed, limit, runner)
+        return StartBench(scene, batch, truths, seed, limit, runner)
 
     def rows(self, jobs: Sequence[Job]) -> list[Measurement]:
         """Give the row of each job, measuring those that are not kept."""
@@ -97,9 +97,9 @@ class Bench:
         row = self._bare(Job(simulator, count, 0))
         return msgspec.structs.replace(row, key="", kind="too slow", reason=reason)
 
-    def _case(self, job: Job) -> Case[Measurement]:
+    def _case(self, job: Job) -> StudyCase[Measurement]:
         start, simulator = self.batch[[job.start]], job.simulator
-        return Case(
+        return StudyCase(
             row=self._bare(job),
             name=simulator.name,
             function=measure,

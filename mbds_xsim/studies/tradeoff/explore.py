@@ -9,7 +9,7 @@ import numpy as np
 
 from mbds_xsim.base.isolate import core_count
 from mbds_xsim.simulate.simulator import Simulator
-from mbds_xsim.studies.tradeoff.bench import Bench, Job
+from mbds_xsim.studies.tradeoff.bench import Job, StartBench
 from mbds_xsim.studies.tradeoff.rows import Measurement
 from mbds_xsim.studies.tradeoff.sweep import SPAN
 
@@ -22,7 +22,7 @@ _FINE_ENOUGH = 0.1
 """Part of the error budget below which no shorter step is asked for."""
 
 
-def explore(bench: Bench, curves: Sequence[Simulator]) -> Found:
+def explore(bench: StartBench, curves: Sequence[Simulator]) -> Found:
     """Measure all points.
 
     The first start decides which points there are: all curves go on to the next shorter step
@@ -38,7 +38,7 @@ def explore(bench: Bench, curves: Sequence[Simulator]) -> Found:
     return found
 
 
-def _wave(bench: Bench, curves: Sequence[Simulator], found: Found) -> bool:
+def _wave(bench: StartBench, curves: Sequence[Simulator], found: Found) -> bool:
     """Measure the next point of every curve; tell whether there was any."""
     bench.runner.meter.forecast(_left(bench, curves, found))
     jobs: list[tuple[int, Job]] = []
@@ -60,7 +60,7 @@ def _wave(bench: Bench, curves: Sequence[Simulator], found: Found) -> bool:
     return asked
 
 
-def _next_count(bench: Bench, curve: Simulator, rows: Sequence[Measurement]) -> int | None:
+def _next_count(bench: StartBench, curve: Simulator, rows: Sequence[Measurement]) -> int | None:
     """Steps a frame of the next point; None where the curve is done."""
     if len(rows) == len(curve.counts):
         return None
@@ -72,13 +72,13 @@ def _next_count(bench: Bench, curve: Simulator, rows: Sequence[Measurement]) -> 
     return count
 
 
-def _wants_more(bench: Bench, last: Measurement) -> bool:
+def _wants_more(bench: StartBench, last: Measurement) -> bool:
     """Whether a curve that spans two decades has not come far below the error budget yet."""
     allowed = bench.scene.budget.error_1s * bench.scene.length
     return last.error_m is not None and last.error_m > _FINE_ENOUGH * allowed
 
 
-def _round(bench: Bench, curves: Sequence[Simulator], found: Found, start: int) -> None:
+def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: int) -> None:
     """Measure the points that the first start went through at a further one."""
     points = [
         (point, Job(curves[k], point[0].steps_per_frame, start))
@@ -97,14 +97,14 @@ def _round(bench: Bench, curves: Sequence[Simulator], found: Found, start: int) 
             point.append(row)
 
 
-def _left(bench: Bench, curves: Sequence[Simulator], found: Found) -> float:
+def _left(bench: StartBench, curves: Sequence[Simulator], found: Found) -> float:
     """Work of the whole study that is left [s of one worker]."""
     pairs = zip(curves, found, strict=True)
     return math.fsum(_left_of_curve(bench, curve, points) for curve, points in pairs)
 
 
 def _left_of_curve(
-    bench: Bench, curve: Simulator, points: Sequence[Sequence[Measurement]]
+    bench: StartBench, curve: Simulator, points: Sequence[Sequence[Measurement]]
 ) -> float:
     """Work on the rest of the first start, and on the other starts of all points [s]."""
     rows = [point[0] for point in points]
@@ -113,7 +113,7 @@ def _left_of_curve(
     return ahead + (ahead + done) * (len(bench.batch) - 1)
 
 
-def _cost(bench: Bench, row: Measurement) -> float:
+def _cost(bench: StartBench, row: Measurement) -> float:
     """Time of a rollout that was measured [s]."""
     return bench.scene.clock.duration * min(row.cpu_s, default=0.0)
 

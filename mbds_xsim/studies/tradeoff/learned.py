@@ -24,7 +24,7 @@ from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.tradeoff.bench import Bench
+from mbds_xsim.studies.tradeoff.bench import StartBench
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.explore import explore
 from mbds_xsim.studies.tradeoff.rows import Learned, Measurement, Tradeoff
@@ -66,7 +66,7 @@ def with_models(
     """
     able, left_out = models_of(scene, models)
     truths = _truths(study, scene, cache=cache, workers=workers)
-    bench = Bench.of(
+    bench = StartBench.of(
         scene, truths.batch, truths, seed=study.seed, limit=_LIMIT, fresh=fresh,
         meter=meter or Silent(),
     )  # fmt: skip

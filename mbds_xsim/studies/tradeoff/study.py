@@ -21,7 +21,7 @@ from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.tradeoff.bench import Bench
+from mbds_xsim.studies.tradeoff.bench import StartBench
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 from mbds_xsim.studies.tradeoff.explore import Found, explore
 from mbds_xsim.studies.tradeoff.rows import SCHEMA, Measurement, Tradeoff
@@ -100,7 +100,7 @@ def tradeoff_with_rows(
         limit=limit,
         workers=workers,
     )
-    bench = Bench.of(
+    bench = StartBench.of(
         scene, batch, truths, seed=seed, limit=limit, fresh=fresh, meter=meter or Silent()
     )
     found = explore(bench, curves)
@@ -110,7 +110,7 @@ def tradeoff_with_rows(
 
 
 def _study(
-    bench: Bench,
+    bench: StartBench,
     curves: list[EngineMethod],
     found: Found,
     left_out: dict[str, str],

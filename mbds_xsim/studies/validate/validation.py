@@ -14,7 +14,7 @@ from mbds_xsim.base.silence import Silent
 from mbds_xsim.checks import agreement, ensemble
 from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, run_campaign
 from mbds_xsim.measure.convergence import refine
-from mbds_xsim.measure.judge import Row, judge, reference_result
+from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
 from mbds_xsim.scene.fingerprint import fingerprint
@@ -104,7 +104,7 @@ def validate_with_evidence(
 
 
 def _vote(
-    scene: Scene, rows: list[Row], reference: ReferenceOutcome
+    scene: Scene, rows: list[Judged], reference: ReferenceOutcome
 ) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
     """Hold every engine against every other and the reference, at 1 s on predictable starts."""
     present = [row for row in rows if row.trajectory is not None]
@@ -124,7 +124,7 @@ def _vote(
 
 
 def _ensembles(
-    scene: Scene, batch: Batch, rows: list[Row], reference: ReferenceOutcome
+    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
 ) -> tuple[EnsembleResult, ...]:
     """Compare distributions at the end, where motions no longer agree one by one."""
     named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in rows]
