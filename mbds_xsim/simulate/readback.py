@@ -164,6 +164,7 @@ def _columns(
     what: str, columns: tuple[str, ...], got: Array | None, wanted: Array, names: list[str]
 ) -> Iterator[_Quantity]:
     """Part a table of coefficients, shape (item, column); each has a scale of its own."""
+    wanted = wanted.reshape(-1, len(columns))  # of no items, too
     if got is None or got.shape != wanted.shape:
         yield what, got, wanted, 0.0, names
         return

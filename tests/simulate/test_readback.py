@@ -104,7 +104,7 @@ def test_a_spring_or_damper_slightly_off_is_told(
     assert lines[0].startswith(f"{told} of {spring.name}: got ")
 
 
-@pytest.mark.parametrize("what", ["joint_axis", "anchor", "sphere", "contact"])
+@pytest.mark.parametrize("what", ["joint_axis", "anchor", "sphere", "contact", "spring"])
 @pytest.mark.parametrize("given", [np.zeros(0), np.zeros((5, 2)), np.zeros((3, 11, 1, 3))])
 def test_an_array_of_another_shape_is_told(what: str, given: NDArray[np.float64]) -> None:
     scene = load_scene("particlecar")
