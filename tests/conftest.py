@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import EngineMissing
 from mbds_xsim.measure import quick
 from mbds_xsim.simulate import registry
@@ -52,6 +55,19 @@ def search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search settings where none are stored; nothing is known beforehand."""
     monkeypatch.setattr(quick, "_without", _WITHOUT)
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Carry out all tasks in this process, which spares their start where nothing may crash."""
+    real = isolate.run_tasks
+
+    def run_here(tasks: Sequence[isolate.Task], **options: Any) -> list[Any]:
+        return real(tasks, **(options | {"workers": 0}))
+
+    for module in list(sys.modules.values()):
+        if vars(module).get("run_tasks") is real:
+            monkeypatch.setattr(module, "run_tasks", run_here)
 
 
 @pytest.fixture

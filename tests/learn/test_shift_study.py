@@ -565,6 +565,7 @@ def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_process")
 def test_fewer_test_trajectories_than_intervals_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

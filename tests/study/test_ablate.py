@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim import cli
-from mbds_xsim.base.isolate import Task, run_tasks
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -270,10 +268,6 @@ def test_the_verdict_follows_the_larger_of_disagreement_and_budget(
     assert _judged(change, frames, apart).verdict == verdict
 
 
-def _in_this_process(tasks: list[Task], **options: Any) -> list[Any]:
-    return run_tasks(tasks, **(options | {"workers": 0}))
-
-
 def _call(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> int:
     monkeypatch.setattr("sys.argv", ["mbds-xsim", "ablate", *words])
     with pytest.raises(SystemExit) as ended:
@@ -281,6 +275,7 @@ def _call(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_the_command_writes_what_it_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -288,8 +283,6 @@ def test_the_command_writes_what_it_found(
     short = msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(0.02, 10))
     scene.write_text(write_scene(short), "utf-8")
     page, data = tmp_path / "a.md", tmp_path / "a.json"
-    for module in ("measure.campaign", "studies.ablate.study"):
-        monkeypatch.setattr(f"mbds_xsim.{module}.run_tasks", _in_this_process)
     words = [str(scene), "--engines", "mujoco,exudyn", "--trajectories", "1"]
     words += ["--markdown", str(page), "--json", str(data)]
     assert _call(monkeypatch, words) == 0

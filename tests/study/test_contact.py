@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from mbds_xsim import cli
-from mbds_xsim.base import isolate
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
@@ -152,10 +150,6 @@ class _Silent:
     def advance(self, what: str) -> None: ...
 
 
-def _run_here(tasks: list[isolate.Task], **options: Any) -> list[Any]:
-    return isolate.run_tasks(tasks, **(options | {"workers": 0}))
-
-
 def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
     with pytest.raises(SystemExit) as ended:
@@ -163,13 +157,13 @@ def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_the_command_writes_page_figures_and_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In this process: that parts run apart, the next test says."""
     pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(study, "run_tasks", _run_here)
     words = ["contact", "--engines", "mujoco", "--settings", "native", "--json", "c.json"]
 
     code = _call(monkeypatch, *words, "--markdown", "docs/c.md", "--figures", "docs/images")
