@@ -76,7 +76,7 @@ def _make(folder: Path) -> None:
 
 def _run(folder: Path, *words: str) -> str:
     """Give standard output; a verdict of fail (exit code 1) is a result too."""
-    command = [sys.executable, "-c", "from mbds_xsim.cli import main; main()", *words]
+    command = [sys.executable, "-c", "from mbds_xsim.__main__ import main; main()", *words]
     ended = subprocess.run(
         command,
         cwd=folder,

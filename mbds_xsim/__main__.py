@@ -1,5 +1,87 @@
-"""`python -m mbds_xsim` is `mbds-xsim`."""
+"""The command line: how a run of it ends, and what it says then.
 
-from mbds_xsim.cli import main
+What takes time to import is imported by `main`, when an interruption is already answered.
+"""
 
-main()
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+from importlib import import_module
+from types import FrameType
+
+from mbds_xsim.base.errors import InputError
+
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line: 0 passed, 1 a check failed, 2 bad input, 130 interrupted."""
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # started in the background
+    # A request to end is as good as Ctrl-C: no process and no partial file may be left.
+    ends = (signal.SIGTERM,) if ignored else (signal.SIGTERM, signal.SIGINT)
+    for number in ends:
+        signal.signal(number, _end_at_once)
+    os.environ.pop("MPLBACKEND", None)  # pictures go into files, and a name of none ends the import
+    import_module("mbds_xsim.commands")
+    for number in ends:
+        signal.signal(number, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    sys.exit(_run(sys.argv[1:] or ["--help"]))
+
+
+def _run(words: list[str]) -> int:
+    """Carry out one command line; what goes wrong is told in one line."""
+    import typer
+
+    from mbds_xsim.commands import app
+
+    try:
+        code = app(words, standalone_mode=False) or 0
+        print(end="", flush=True)
+    except typer.TyperException as error:
+        return _complain(_usage(error), 2)
+    except InputError as error:
+        return _complain(str(error), 2)
+    except MemoryError as error:
+        return _complain(f"out of memory: {error}; ask for less at a time", 2)
+    except OSError as error:
+        _drop_output()
+        return _complain(str(error), 2)
+    except KeyboardInterrupt:
+        code = _INTERRUPTED
+    return _complain("interrupted", code) if code == _INTERRUPTED else int(code)
+
+
+def _end_at_once(_number: int, _frame: FrameType | None) -> None:
+    """Nothing is begun: an exception in the midst of an import would only leave a traceback."""
+    os.write(sys.stderr.fileno(), b"mbds-xsim: interrupted\n")
+    os._exit(_INTERRUPTED)
+
+
+def _usage(error: Exception) -> str:
+    """Say what is wrong with the words of a command line, and where to read on."""
+    text = getattr(error, "format_message", error.__str__)()
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "mbds-xsim"
+    return f"{text.rstrip('.')}; see {command} --help"
+
+
+def _drop_output() -> None:
+    """Standard output cannot be written to: keep the interpreter from trying again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(text: str, code: int) -> int:
+    from mbds_xsim.base.safe_text import on_a_line
+
+    print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    main()

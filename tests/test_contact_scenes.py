@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.constraints import degrees_of_freedom

@@ -72,7 +72,7 @@ def test_the_engine_of_the_page_passes_the_contract_suite(package: Path) -> None
 
 @pytest.mark.slow
 def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> None:
-    program = "from mbds_xsim.cli import main; main()"
+    program = "from mbds_xsim.__main__ import main; main()"
 
     words = ["validate", "1pendulum", "--engines", "plain,mujoco", "--json", "v.json"]
     words += ["--step", "0.002"]

@@ -7,7 +7,7 @@ import re
 import shlex
 from pathlib import Path
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 
 __all__ = ["PAGES", "walk"]
 

@@ -13,7 +13,7 @@ from typing import IO
 
 import pytest
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base import isolate
 from mbds_xsim.measure import campaign
 

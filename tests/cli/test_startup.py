@@ -18,7 +18,7 @@ _ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
 _HEAVY = _ENGINES | {"torch", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}
 
 
-@pytest.mark.parametrize("module", ["mbds_xsim", "mbds_xsim.cli"])
+@pytest.mark.parametrize("module", ["mbds_xsim", "mbds_xsim.__main__"])
 def test_importing_loads_nothing_heavy(module: str) -> None:
     assert not _loaded(f"import {module}") & _HEAVY
 
@@ -79,7 +79,7 @@ def test_an_interruption_of_the_imports_is_told_in_a_line(
 
 _RUN = """
 import contextlib, sys
-from mbds_xsim.cli import main
+from mbds_xsim.__main__ import main
 sys.argv = ["mbds-xsim", *{words!r}]
 with contextlib.suppress(SystemExit):
     main()

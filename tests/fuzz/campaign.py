@@ -22,7 +22,7 @@ import hypothesis
 from hypothesis import HealthCheck, Phase
 from hypothesis.strategies import SearchStrategy
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base.errors import InputError
 
 __all__ = ["CASES", "Ended", "cases_of", "fuzz", "refused", "run_command"]

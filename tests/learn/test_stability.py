@@ -15,8 +15,8 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from mbds_xsim import reference
+from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.cli import main
 from mbds_xsim.commands import app
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS

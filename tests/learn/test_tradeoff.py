@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.cli import main
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
 from mbds_xsim.learn.model_file import read_model

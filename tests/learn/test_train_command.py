@@ -18,9 +18,9 @@ import pytest
 import torch
 from rich.console import Console
 
+from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Task, run_tasks
-from mbds_xsim.cli import main
 from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.cluster import Cluster
 from mbds_xsim.dataset.generate import Request as DataRequest

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.draw import draw_scene
 from mbds_xsim.report.palette import PARTS

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch

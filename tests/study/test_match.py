@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references

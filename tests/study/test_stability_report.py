@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure import runner
 from mbds_xsim.report.files import rows_csv

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from mbds_xsim import cli
+from mbds_xsim import __main__ as cli
 from mbds_xsim.report.files import link, results_json, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
 from mbds_xsim.studies.tradeoff import words as summary
