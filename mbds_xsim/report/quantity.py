@@ -12,6 +12,8 @@ NONE = "–"
 _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 _SMALLEST = 0.1
 _PLAIN = ("", "1")
+_ROUNDED = 15
+"""Digits from which on the division by a prefix can make two numbers one."""
 
 
 def length(metres: float | None) -> str:
@@ -47,6 +49,8 @@ def with_unit(value: float | None, unit: str, digits: int = 2) -> str:
     if value is None or not math.isfinite(value) or value == 0 or unit not in ("m", "s"):
         text = number(value, digits)
         return text if text == NONE or unit in _PLAIN else f"{text} {unit}"
+    if digits > _ROUNDED:
+        return f"{value:.{digits}g} {unit}"
     scale, prefix = next((p for p in _PREFIXES if abs(value) >= 0.9995 * p[0]), _PREFIXES[-1])
     scaled = value / scale
     if digits > 2:

@@ -19,11 +19,14 @@ PAGE = (Path(__file__).parents[2] / "docs" / "checks.md").read_text("utf-8")
 
 
 def _names(source: object) -> list[str]:
-    """Names that the source gives to findings: first arguments of `Finding.of`."""
+    """Names that the source gives to findings: of `Finding.of` or a module's own `_finding`."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(source)))  # type: ignore[arg-type]
     calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
-    first = [call.args[0] for call in calls if ast.unparse(call.func) == "Finding.of" and call.args]
-    return [str(arg.value) for arg in first if isinstance(arg, ast.Constant)]
+    makers = {"Finding.of": 0, "_finding": 1}  # the place of the name among the arguments
+    given = [
+        call.args[makers[name]] for call in calls if (name := ast.unparse(call.func)) in makers
+    ]
+    return [str(arg.value) for arg in given if isinstance(arg, ast.Constant)]
 
 
 def _anchors(page: str) -> list[str]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mbds_xsim.checks.finding import Finding
@@ -56,6 +56,7 @@ def test_other_units_take_no_prefix() -> None:
         (1.2e-3, 1e-3, "m", ("1.2 mm", "1.0 mm")),
         (2.999, 3.0, "1", ("3", "3")),
         (2e-11, 1e-11, "m", ("0.02 nm", "0.01 nm")),
+        (0.013000000000000001, 0.013, "m", ("0.013000000000000001 m", "0.012999999999999999 m")),
         (None, 1e-3, "m", ("–", "1.0 mm")),
         (1.0, None, "1", ("1", "–")),
     ],
@@ -66,6 +67,7 @@ def test_a_figure_over_its_budget_never_reads_as_kept(
     assert quantity.beside(figure, budget, unit) == texts
 
 
+@example(0.013, 0.0, "m")
 @given(st.floats(1e-15, 1e5), st.floats(0.0, 1e-2), st.sampled_from(["m", "s", "1", "rad"]))
 def test_texts_of_a_figure_and_its_budget_differ(budget: float, excess: float, unit: str) -> None:
     figure = math.nextafter(budget * (1.0 + excess), math.inf)
