@@ -80,10 +80,17 @@ def _cheapest(study: Tradeoff, engine: str) -> tuple[CurveResult, Point] | None:
 
 
 def _places(study: Tradeoff, engine: str) -> Iterator[tuple[CurveResult, Point]]:
-    """All points that came to their end; neither native settings nor the toolkit's stepping."""
+    """All points that came to their end; neither native settings nor the toolkit's stepping.
+
+    A point at no distance from its method's own limit is that limit itself: where an adapter parts
+    the steps in contact, fewer and longer steps in more parts are the same motion.
+    """
     for curve in study.curves:
         if curve.engine == engine and curve.own and curve.variation != NATIVE:
-            yield from ((curve, point) for point in curve.points if point.wall_s is not None)
+            for point in curve.points:
+                is_limit = study.own_limit is not None and point.error_m == 0.0
+                if point.wall_s is not None and not is_limit:
+                    yield curve, point
 
 
 def _cost(place: tuple[CurveResult, Point]) -> float:
@@ -133,7 +140,11 @@ def _off(place: tuple[CurveResult, Point]) -> tuple[int, float]:
 
 def _machines(studies: Sequence[Tradeoff]) -> str:
     """Name where times were taken, and whether anything else ran there."""
-    told = _listed(study.machine for study in studies)
+    scenes: dict[str, list[str]] = {}
+    for study in studies:
+        scenes.setdefault(study.machine, []).append(study.scene)
+    several = len(scenes) > 1
+    told = "; ".join(f"{m} ({', '.join(names)})" if several else m for m, names in scenes.items())
     busy = max(study.busy for study in studies)
     if busy < BUSY:
         return told

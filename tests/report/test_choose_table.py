@@ -154,3 +154,18 @@ def test_the_script_puts_it_between_its_marks(tmp_path: Path) -> None:
         f"a\n<!-- choose-table: begin -->\n{choose_table([_STUDY])}\n"
         "<!-- choose-table: end -->\nb\n"
     )
+
+
+def test_a_methods_own_limit_is_no_way_of_reaching_it() -> None:
+    there = msgspec.structs.replace(_point(1e-3, 0.5), error_m=0.0)
+    study = _study(_curve("mujoco", "RK4", there, _point(1e-2, 0.01, ("gap",))))
+    limit = msgspec.structs.replace(study, own_limit=200)
+
+    assert "nearest is RK4 at 10 ms, over budget: gap" in choose_table([limit])
+    assert "over budget" not in choose_table([study])
+
+
+def test_scenes_on_several_machines_name_each() -> None:
+    other = msgspec.structs.replace(_STUDY, scene="trio", machine="another")
+
+    assert f"Made on {_STUDY.machine} (pair); another (trio), with" in choose_table([_STUDY, other])
