@@ -21,6 +21,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.columns import TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
@@ -59,6 +60,12 @@ class Provenance:
     method_order: int | None = None
     velocity_lag_s: float | None = None
     contact_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse times that are no numbers."""
+        for key in ("step_s", "velocity_lag_s", "contact_time_s"):
+            if (value := getattr(self, key)) is not None:
+                bounds.finite(key, value)
 
 
 FACTS = tuple(field.name for field in fields(Provenance) if field.name != "index")

@@ -382,3 +382,10 @@ def test_what_is_no_trajectory_at_all_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "wide.csv").write_text("time\n" + "1" * 200_000 + "\n0\n0\n")
     with pytest.raises(InputError, match=r"wide\.csv cannot be read as csv \(field larger"):
         audit_file(tmp_path / "wide.csv", load_scene("1pendulum"), Provenance())
+
+
+@pytest.mark.parametrize("key", ["step_s", "velocity_lag_s", "contact_time_s"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_times_that_are_no_numbers_are_refused(key: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"^{key}: got .*, allowed are finite numbers$"):
+        Provenance(**{key: value})  # type: ignore[arg-type]
