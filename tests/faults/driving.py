@@ -58,7 +58,7 @@ def _fault(
     inputs: Change,
     **more: Any,
 ) -> Fault:
-    return Fault(name=name, scene=scene, engines=(engine,), checks=checks, inputs=inputs, **more)
+    return Fault(name, scene, (engine,), checks, inputs=inputs, **more)
 
 
 _LIMIT = ("consistency of positions", "consistency of energy")
@@ -123,17 +123,17 @@ DRIVING = (
         told="start",
     ),
     Fault(
-        name="linear damping of 0.04 left on, in the air",
-        scene="balldrop",
-        engines=("pybullet",),
-        checks=("momentum",),
+        "linear damping of 0.04 left on, in the air",
+        "balldrop",
+        ("pybullet",),
+        ("momentum",),
         settings=_options(linear_damping=0.04),
     ),
     Fault(
-        name="angular damping of 0.04 left on, of a cube",
-        scene="simplecubli",
-        engines=("pybullet",),
-        checks=("momentum",),
+        "angular damping of 0.04 left on, of a cube",
+        "simplecubli",
+        ("pybullet",),
+        ("momentum",),
         settings=_options(angular_damping=0.04),
     ),
 )

@@ -83,15 +83,7 @@ def _fault(
     told: str,
     **more: Any,
 ) -> Fault:
-    return Fault(
-        name=name,
-        scene=scene,
-        engines=(engine,),
-        checks=checks,
-        model=model,
-        told=told,
-        **more,
-    )
+    return Fault(name, scene, (engine,), checks, model=model, told=told, **more)
 
 
 _LIMIT = ("consistency of positions", "consistency of energy")

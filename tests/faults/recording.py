@@ -100,7 +100,7 @@ def _dropped(due: NDArray[np.intp]) -> NDArray[np.intp]:
 def _fault(
     name: str, scene: str, engine: str, checks: tuple[str, ...], motion: Record, odd: bool = False
 ) -> Fault:
-    return Fault(name=name, scene=scene, engines=(engine,), checks=checks, motion=motion, odd=odd)
+    return Fault(name, scene, (engine,), checks, motion=motion, odd=odd)
 
 
 RECORDING = (
