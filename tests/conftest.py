@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,11 +11,13 @@ from typing import Any
 
 import pytest
 
+from mbds_xsim import __main__ as cli
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import EngineMissing
 from mbds_xsim.measure import quick
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
+from tests.command_line import CommandLine, Ended
 from tests.farm import Farm
 
 _WITHOUT = quick._without
@@ -78,3 +81,32 @@ def farm(tmp_path: Path) -> Iterator[Farm]:
         yield farm
     finally:
         farm.close()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Stand in an empty folder, with stored references and temporary files of its own."""
+    kept = signal.getsignal(signal.SIGTERM)
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    yield folder
+    signal.signal(signal.SIGTERM, kept)
+
+
+@pytest.fixture
+def run(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> CommandLine:
+    """Call the entry point of the program in this process."""
+    del here
+
+    def call(*words: str) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["mbds-xsim", *words])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, err = capsys.readouterr()
+        return Ended(int(ended.value.code or 0), out, err)
+
+    return call

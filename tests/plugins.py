@@ -3,14 +3,104 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
 
 from mbds_xsim.simulate import plugin, registry
 
-__all__ = ["installed"]
+__all__ = ["faulty", "installed"]
+
+# Engines that stand on the ground MuJoCo gives and go wrong in one way each.
+_FAULTY = """
+import dataclasses, os, sys, time
+import numpy as np
+from mbds_xsim.scene.state import Failure, Trajectory
+from mbds_xsim_adapters.mujoco import MuJoCo
+
+class Aborting(MuJoCo):
+    name = "aborting"
+    def load(self, scene, settings):
+        os.abort()
+
+class Raising(MuJoCo):
+    name = "raising"
+    def load(self, scene, settings):
+        raise RuntimeError("the model has\\ntoo many bodies")
+
+class Leaving(MuJoCo):
+    name = "leaving"
+    def load(self, scene, settings):
+        print("licence expired")
+        sys.exit(3)
+
+class Hanging(MuJoCo):
+    name = "hanging"
+    def load(self, scene, settings):
+        time.sleep(600)
+
+class Misshapen(MuJoCo):
+    name = "misshapen"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.rollout = lambda batch: Trajectory.empty(np.arange(3.0), 1, 7)
+        return run
+
+class Ageless(MuJoCo):
+    name = "ageless"
+    def version(self):
+        raise OSError("no version file")
+
+class Leaking(MuJoCo):
+    name = "leaking"
+    def load(self, scene, settings):
+        kept = []
+        while True:
+            kept.append(bytearray(10**7))
+
+class Unread(MuJoCo):
+    name = "unread"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.readback = lambda batch: dataclasses.replace(type(run).readback(run, batch), mass=None)
+        return run
+
+class Pondering(MuJoCo):
+    name = "pondering"
+    def settings(self, scene, profile):
+        time.sleep(600)
+
+class Blowing(MuJoCo):
+    name = "blowing"
+    def load(self, scene, settings):
+        run = super().load(scene, settings)
+        run.rollout = lambda batch: _lost(scene, batch)
+        return run
+
+def _lost(scene, batch):
+    time = scene.clock.frame * np.arange(batch.steps + 1)
+    whole = Trajectory.empty(time, len(batch), len(scene.bodies))
+    fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
+    return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
+"""
+_MODULES = {
+    "faulty_engines": _FAULTY,
+    "broken_import": "raise RuntimeError('its licence\\nhas expired')",
+    "dead_import": "import os; os.abort()",
+    "endless_import": "import time; time.sleep(600)",
+}
+_PLACES = {
+    "brokenly": "broken_import:X",
+    "deadly": "dead_import:X",
+    "endlessly": "endless_import:X",
+}
+
+
+def faulty(folder: Path, *names: str) -> AbstractContextManager[None]:
+    """Install engines that go wrong, each in the way that its name says."""
+    places = {name: _PLACES.get(name, f"faulty_engines:{name.capitalize()}") for name in names}
+    return installed(folder, _MODULES, places)
 
 
 @contextmanager

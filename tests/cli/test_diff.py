@@ -16,6 +16,7 @@ from mbds_xsim.studies.diff.read import READERS
 from mbds_xsim.studies.match import search as match
 from mbds_xsim.studies.stability import rows as stability_rows
 from mbds_xsim.studies.tradeoff import rows
+from tests.tradeoffs import curve, tradeoff
 
 CommandLine = Callable[..., Any]
 Json = dict[str, Any]
@@ -48,44 +49,11 @@ def _point(step_s: float, error_m: float, broken: tuple[str, ...] = ()) -> rows.
 
 
 def _tradeoff() -> Json:
-    curves = [
-        rows.CurveResult(
-            engine="mujoco",
-            version="4.0.0",
-            method=method,
-            family="Runge–Kutta",
-            variation="",
-            options={},
-            order=4,
-            measured_order=4.0,
-            points=(_point(0.02, 1e-2, broken=("gap",)), _point(0.01, 1e-4)),
-        )
-        for method in ("RK4", "Euler")
-    ]
-    study = rows.Tradeoff(
-        schema=rows.SCHEMA,
-        scene="pair",
-        description="two bodies",
-        command="mbds-xsim tradeoff pair",
-        seed=0,
-        trajectories=(1, 4),
-        horizon_s=1.0,
-        reference_ends_s=None,
-        duration_s=4.0,
-        length_m=1.0,
-        budget={"error_1s": 1e-3, "error": 1e-2},
-        contact=False,
-        limit_s=30.0,
-        curves=tuple(curves),
+    points = (_point(0.02, 1e-2, broken=("gap",)), _point(0.01, 1e-4))
+    study = tradeoff(
+        *(curve("mujoco", method, *points, measured_order=4.0) for method in ("RK4", "Euler")),
         ratios=(rows.Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 0.1), best=0),),
-        left_out={},
-        versions={"mujoco": "4.0.0"},
-        machine="a machine",
-        workers=1,
-        busy=1.0,
         measured=2,
-        kept=0,
-        wall_s=1.0,
     )
     return json.loads(results_json([study]))
 

@@ -15,80 +15,10 @@ from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure import campaign
 from mbds_xsim.simulate import plugin, registry
-from tests.plugins import installed
+from tests.plugins import faulty
 
 _HANG = 3.0  # [s] until a hanging task is ended
 
-# Engines that stand on the ground MuJoCo gives and go wrong in one way each.
-_ENGINES = """
-import dataclasses, os, sys, time
-import numpy as np
-from mbds_xsim.scene.state import Trajectory
-from mbds_xsim_adapters.mujoco import MuJoCo
-
-class Aborting(MuJoCo):
-    name = "aborting"
-    def load(self, scene, settings):
-        os.abort()
-
-class Raising(MuJoCo):
-    name = "raising"
-    def load(self, scene, settings):
-        raise RuntimeError("the model has\\ntoo many bodies")
-
-class Leaving(MuJoCo):
-    name = "leaving"
-    def load(self, scene, settings):
-        print("licence expired")
-        sys.exit(3)
-
-class Hanging(MuJoCo):
-    name = "hanging"
-    def load(self, scene, settings):
-        time.sleep(600)
-
-class Misshapen(MuJoCo):
-    name = "misshapen"
-    def load(self, scene, settings):
-        run = super().load(scene, settings)
-        run.rollout = lambda batch: Trajectory.empty(np.arange(3.0), 1, 7)
-        return run
-
-class Ageless(MuJoCo):
-    name = "ageless"
-    def version(self):
-        raise OSError("no version file")
-
-class Leaking(MuJoCo):
-    name = "leaking"
-    def load(self, scene, settings):
-        kept = []
-        while True:
-            kept.append(bytearray(10**7))
-
-class Unread(MuJoCo):
-    name = "unread"
-    def load(self, scene, settings):
-        run = super().load(scene, settings)
-        run.readback = lambda batch: dataclasses.replace(type(run).readback(run, batch), mass=None)
-        return run
-
-class Pondering(MuJoCo):
-    name = "pondering"
-    def settings(self, scene, profile):
-        time.sleep(600)
-"""
-_MODULES = {
-    "faulty_engines": _ENGINES,
-    "broken_import": "raise RuntimeError('its licence\\nhas expired')",
-    "dead_import": "import os; os.abort()",
-    "endless_import": "import time; time.sleep(600)",
-}
-_PLACES = {
-    "brokenly": "broken_import:X",
-    "deadly": "dead_import:X",
-    "endlessly": "endless_import:X",
-}
 _RUNNING = ("aborting", "raising", "leaving", "hanging", "misshapen", "leaking", "unread")
 
 _BOB = """
@@ -115,13 +45,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     monkeypatch.setattr(campaign, "_CHUNKS", 1)
     monkeypatch.setattr(plugin, "_TIMEOUT", _HANG)
     with ExitStack() as stack:
-        yield lambda *names: stack.enter_context(
-            installed(
-                tmp_path / "packages",
-                _MODULES,
-                {n: _PLACES.get(n, f"faulty_engines:{n.capitalize()}") for n in names},
-            )
-        )
+        yield lambda *names: stack.enter_context(faulty(tmp_path / "packages", *names))
 
 
 @functools.wraps(Task)

@@ -23,7 +23,7 @@ from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.studies.shift import present as shifts
 from mbds_xsim.studies.tradeoff import present as tradeoff
 from mbds_xsim.studies.tradeoff.rows import read_tradeoff
-from tests.cli.conftest import CommandLine
+from tests.command_line import CommandLine
 
 _REPORTS = Path(__file__).parents[2] / "reports"
 _EVIL = '[red]a[/x] $\\bad$ \x1b[31m\x9b2J\u202e | `b` <script>alert(1)</script> ![i](u) & "c"'

@@ -13,8 +13,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.matched import read_matched
 from mbds_xsim.studies.match import search as match
-
-from .conftest import CommandLine
+from tests.command_line import CommandLine
 
 _SCENE = """\
 name = "rod"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.simulate.adapter import Adapter
-from tests.cli.conftest import CommandLine
+from tests.command_line import CommandLine
 
 _ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
 _HEAVY = _ENGINES | {"torch", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}

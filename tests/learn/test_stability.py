@@ -15,7 +15,6 @@ from torch import Tensor
 from typer.testing import CliRunner
 
 from mbds_xsim import reference
-from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import app
 from mbds_xsim.learn import simulator as simulating
@@ -39,6 +38,7 @@ from mbds_xsim.studies.stability.rows import Outcome, Survey
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import Plan, simulators_of, survey
 from mbds_xsim.studies.stability.verdict import judge, run_cell
+from tests.command_line import CommandLine
 from tests.learn.models import untrained
 
 Array = np.ndarray
@@ -344,20 +344,12 @@ def test_frames_are_the_models_over_the_studys_time(folder: Path) -> None:
     ],
 )
 def test_what_is_no_model_is_one_clear_line(
-    tmp_path: Path, place: str, told: str, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    tmp_path: Path, place: str, told: str, run: CommandLine
+) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "nothing").write_text("no model")
     words = ["stability", "swing", "--models", str(tmp_path / place), "--engines", "none"]
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
-
-    with pytest.raises(SystemExit) as ended:
-        main()
-
-    assert ended.value.code == 2
-    error = capsys.readouterr().err.strip()
-    assert len(error.splitlines()) == 1
+    assert run(*words).refusal
     with pytest.raises(InputError, match=told):
         simulators_in([tmp_path / place])
 

@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from mbds_xsim.__main__ import main
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn import simulator as simulating
 from mbds_xsim.learn.gns import GNS
@@ -35,6 +34,7 @@ from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, read_tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 from mbds_xsim.studies.tradeoff.truths import references
+from tests.command_line import CommandLine
 from tests.learn.models import untrained
 
 FRAMES = 60
@@ -268,9 +268,8 @@ def test_where_the_reference_ends_at_once_nothing_can_be_given(
 
 
 def test_the_command_puts_models_onto_a_stored_study(
-    engines: Tradeoff, scene: Scene, folder: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    engines: Tradeoff, scene: Scene, folder: Path, tmp_path: Path, run: CommandLine
+) -> None:
     from mbds_xsim.scene.file import write_scene
 
     path, stored, out = (tmp_path / name for name in ("scene.toml", "study.json", "both.json"))
@@ -278,12 +277,9 @@ def test_the_command_puts_models_onto_a_stored_study(
     stored.write_bytes(results_json([engines]))
     words = ["tradeoff", str(path), "--models", str(folder / "1pendulum"), "--onto", str(stored),
              "--json", str(out), "--workers", "1"]  # fmt: skip
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
 
-    with pytest.raises(SystemExit) as ended:
-        main()
+    assert run(*words).code == 0
 
-    assert not ended.value.code
     study = read_tradeoff(out)
     assert study.curves == engines.curves
     assert len(study.models) == 2
@@ -303,17 +299,8 @@ def test_the_command_puts_models_onto_a_stored_study(
     ],
 )
 def test_bad_input_is_one_clear_line(
-    words: list[str], told: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    words: list[str], told: str, folder: Path, tmp_path: Path, run: CommandLine
+) -> None:
     (tmp_path / "text").write_text("{}")
     filled = [word.format(models=folder, text=tmp_path / "text") for word in words]
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", "tradeoff", *filled])
-
-    with pytest.raises(SystemExit) as ended:
-        main()
-
-    error = capsys.readouterr().err.strip()
-    assert ended.value.code == 2
-    assert told in error
-    assert len(error.splitlines()) == 1
+    assert told in run("tradeoff", *filled).refusal

@@ -10,7 +10,8 @@ import msgspec
 
 from benchmarks.choose_table import choose_table
 from mbds_xsim.report.files import results_json
-from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Kind, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import CurveResult, Kind, Point, Tradeoff
+from tests.tradeoffs import curve, tradeoff
 
 _ROOT = Path(__file__).parents[2]
 
@@ -29,54 +30,17 @@ def _point(
     )
 
 
-def _curve(engine: str, method: str, *points: Point, variation: str = "") -> CurveResult:
-    return CurveResult(
-        engine=engine,
-        version="1.0",
-        method=method,
-        family="Runge–Kutta",
-        variation=variation,
-        options={},
-        order=4,
-        measured_order=None,
-        points=points,
-    )
-
-
 def _study(*curves: CurveResult) -> Tradeoff:
-    return Tradeoff(
-        schema=SCHEMA,
-        scene="pair",
-        description="two bodies",
-        command="mbds-xsim tradeoff pair",
-        seed=0,
-        trajectories=(1,),
-        horizon_s=1.0,
-        reference_ends_s=None,
-        duration_s=4.0,
-        length_m=1.0,
-        budget={"error_1s": 1e-3, "error": 1e-2},
-        contact=False,
-        limit_s=30.0,
-        curves=curves,
-        ratios=(),
-        left_out={"pybullet semi-implicit-euler": "pybullet cannot do ball joint"},
-        versions={"mujoco": "4.0.0"},
-        machine="a machine",
-        workers=1,
-        busy=1.0,
-        measured=1,
-        kept=0,
-        wall_s=1.0,
-    )
+    left_out = {"pybullet semi-implicit-euler": "pybullet cannot do ball joint"}
+    return tradeoff(*curves, left_out=left_out)
 
 
 _STUDY = _study(
-    _curve("mujoco", "RK4", _point(0.02, 0.001, ("gap",)), _point(0.01, 0.004), _point(0.005, 0.1)),
-    _curve("mujoco", "Euler", _point(0.01, 0.005)),
-    _curve("mujoco", "RK4", _point(0.02, 0.0001), variation="native"),
-    _curve("dart", "euler", _point(0.002, 0.5), _point(0.001, 1.0)),
-    _curve("exudyn", "alpha", _point(0.02, 0.1, ("gap", "energy")), _point(0.01, 0.2, ("gap",))),
+    curve("mujoco", "RK4", _point(0.02, 0.001, ("gap",)), _point(0.01, 0.004), _point(0.005, 0.1)),
+    curve("mujoco", "Euler", _point(0.01, 0.005)),
+    curve("mujoco", "RK4", _point(0.02, 0.0001), variation="native"),
+    curve("dart", "euler", _point(0.002, 0.5), _point(0.001, 1.0)),
+    curve("exudyn", "alpha", _point(0.02, 0.1, ("gap", "energy")), _point(0.01, 0.2, ("gap",))),
 )
 
 
@@ -99,7 +63,7 @@ def test_cells_have_the_cheapest_that_keeps_all_budgets_and_the_best_is_bold() -
 
 
 def test_the_toolkits_own_stepping_never_stands_for_an_engine() -> None:
-    extra = msgspec.structs.replace(_curve("dart", "RK4", _point(0.02, 0.0001)), own=False)
+    extra = msgspec.structs.replace(curve("dart", "RK4", _point(0.02, 0.0001)), own=False)
 
     assert choose_table([_study(*_STUDY.curves, extra)]) == choose_table([_STUDY])
 
@@ -113,13 +77,13 @@ def test_a_dash_has_its_reason() -> None:
 
 
 def test_an_engine_that_was_not_tried_says_so() -> None:
-    other = msgspec.structs.replace(_study(_curve("mujoco", "RK4", _point(0.01, 0.1))), scene="two")
+    other = msgspec.structs.replace(_study(curve("mujoco", "RK4", _point(0.01, 0.1))), scene="two")
 
     assert "- two, dart: not measured" in choose_table([_STUDY, other])
 
 
 def test_options_are_named_and_a_busy_machine_is_told() -> None:
-    option = _curve("mujoco", "RK4", _point(0.02, 0.002), variation="solver = CG")
+    option = curve("mujoco", "RK4", _point(0.02, 0.002), variation="solver = CG")
     busy = msgspec.structs.replace(_study(*_STUDY.curves, option), busy=2.5)
 
     assert "**RK4 (solver = CG), 20 ms**" in choose_table([busy])
@@ -128,7 +92,7 @@ def test_options_are_named_and_a_busy_machine_is_told() -> None:
 
 
 def test_what_did_not_end_says_so() -> None:
-    table = choose_table([_study(_curve("dart", "euler", _point(0.02, None, kind="crashed")))])
+    table = choose_table([_study(curve("dart", "euler", _point(0.02, None, kind="crashed")))])
 
     assert _cells(table)["dart"] == "–"
     assert "- pair, dart: crashed: gave up" in table
@@ -158,7 +122,7 @@ def test_the_script_puts_it_between_its_marks(tmp_path: Path) -> None:
 
 def test_a_methods_own_limit_is_no_way_of_reaching_it() -> None:
     there = msgspec.structs.replace(_point(1e-3, 0.5), error_m=0.0)
-    study = _study(_curve("mujoco", "RK4", there, _point(1e-2, 0.01, ("gap",))))
+    study = _study(curve("mujoco", "RK4", there, _point(1e-2, 0.01, ("gap",))))
     limit = msgspec.structs.replace(study, own_limit=200)
 
     assert "nearest is RK4 at 10 ms, over budget: gap" in choose_table([limit])

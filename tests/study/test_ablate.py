@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim import __main__ as cli
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -23,6 +22,7 @@ from mbds_xsim.studies.ablate.analyse import Window, least_size, row_of
 from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
 from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
 from mbds_xsim.studies.ablate.study import ablate
+from tests.command_line import CommandLine
 
 Array = NDArray[np.float64]
 
@@ -268,25 +268,16 @@ def test_the_verdict_follows_the_larger_of_disagreement_and_budget(
     assert _judged(change, frames, apart).verdict == verdict
 
 
-def _call(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> int:
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", "ablate", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
-
-
 @pytest.mark.usefixtures("in_process")
-def test_the_command_writes_what_it_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = tmp_path / "p.toml"
+def test_the_command_writes_what_it_found(run: CommandLine, here: Path) -> None:
+    scene = here / "p.toml"
     short = msgspec.structs.replace(registry.load_scene("1pendulum"), clock=Clock(0.02, 10))
     scene.write_text(write_scene(short), "utf-8")
-    page, data = tmp_path / "a.md", tmp_path / "a.json"
-    words = [str(scene), "--engines", "mujoco,exudyn", "--trajectories", "1"]
-    words += ["--markdown", str(page), "--json", str(data)]
-    assert _call(monkeypatch, words) == 0
-    assert "1pendulum: " in capsys.readouterr().out
+    page, data = here / "a.md", here / "a.json"
+    words = ["--engines", "mujoco,exudyn", "--trajectories", "1"]
+    ended = run("ablate", "p.toml", *words, "--markdown", "a.md", "--json", "a.json")
+    assert ended.code == 0
+    assert "1pendulum: " in ended.out
     found = json.loads(data.read_text("utf-8"))
     assert {row["effect"] for row in found["rows"]} >= {"noise", "start velocity"}
     assert "| noise | dropped |" in page.read_text("utf-8")
@@ -301,13 +292,5 @@ def test_the_command_writes_what_it_found(
         (["2pendulum", "--json", "a", "--markdown", "a"], "both name"),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str],
-    told: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert _call(monkeypatch, words) == 2
-    error = capsys.readouterr().err.strip()
-    assert told in error
-    assert "\n" not in error
+def test_bad_input_is_one_line(words: list[str], told: str, run: CommandLine) -> None:
+    assert told in run("ablate", *words).refusal

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbds_xsim import __main__ as cli
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
@@ -20,6 +19,7 @@ from mbds_xsim.studies.contact.friction import friction, sliding
 from mbds_xsim.studies.contact.limits import limits
 from mbds_xsim.studies.contact.page import contact_page, words_of
 from mbds_xsim.studies.contact.present import LINES
+from tests.command_line import CommandLine
 
 
 def _value(found: list[ContactFigure], quantity: str, **at: float) -> float:
@@ -150,35 +150,24 @@ class _Silent:
     def advance(self, what: str) -> None: ...
 
 
-def _call(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
-
-
 @pytest.mark.usefixtures("in_process")
-def test_the_command_writes_page_figures_and_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_page_figures_and_json(run: CommandLine, here: Path) -> None:
     """In this process: that parts run apart, the next test says."""
     pytest.importorskip("mujoco")
-    monkeypatch.chdir(tmp_path)
     words = ["contact", "--engines", "mujoco", "--settings", "native", "--json", "c.json"]
 
-    code = _call(monkeypatch, *words, "--markdown", "docs/c.md", "--figures", "docs/images")
+    ended = run(*words, "--markdown", "docs/c.md", "--figures", "docs/images")
 
-    assert code == 0
-    told = json.loads((tmp_path / "c.json").read_text())
+    assert ended.code == 0
+    told = json.loads((here / "c.json").read_text())
     assert told["missing"] == []
     assert {m["engine"] for m in told["figures"]} == {"mujoco"}
-    page = (tmp_path / "docs/c.md").read_text("utf-8")
+    page = (here / "docs/c.md").read_text("utf-8")
     assert "(images/contact-restitution.png)" in page
-    assert (tmp_path / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
+    assert (here / "docs/images/contact-friction.png").read_bytes()[:4] == b"\x89PNG"
     assert "| friction at 45° | 0.430 | **0.304** |" in page
-    out = capsys.readouterr().out
-    assert "rebound at 1 m/s" in out
-    assert "0.304✗" in out
+    assert "rebound at 1 m/s" in ended.out
+    assert "0.304✗" in ended.out
 
 
 def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
@@ -205,18 +194,5 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
         (["--markdown", "."], "--markdown: cannot write ."),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-
-    code = _call(monkeypatch, "contact", *words)
-
-    assert code == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert err.count("\n") == 1
+def test_bad_input_is_one_line(words: list[str], said: str, run: CommandLine) -> None:
+    assert said in run("contact", *words).refusal

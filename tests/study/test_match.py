@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim import __main__ as cli
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
@@ -26,6 +25,7 @@ from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.file import matched_toml
 from mbds_xsim.studies.match.search import Found, Match, match
+from tests.command_line import CommandLine
 
 
 class _Silent:
@@ -236,24 +236,9 @@ def test_the_file_is_what_settings_are_read_from(scene: Scene) -> None:
         (["5pendulum", "--held-out", "0"], "--held-out"),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", "match", *words])
-
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-
-    err = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert said in err
-    assert err.count("\n") == 1
-    assert not list(tmp_path.glob("*.toml"))
+def test_bad_input_is_one_line(words: list[str], said: str, run: CommandLine, here: Path) -> None:
+    assert said in run("match", *words).refusal
+    assert not list(here.glob("*.toml"))
 
 
 @pytest.mark.parametrize("name", registry.scene_names())

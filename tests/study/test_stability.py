@@ -24,7 +24,7 @@ from mbds_xsim.studies.stability.rows import MapCell, Survey
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
 from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
-from tests.plugins import installed
+from tests.plugins import faulty
 
 
 @pytest.fixture(autouse=True)
@@ -251,32 +251,13 @@ def test_other_values_and_a_fresh_run_are_measured() -> None:
     assert (other.measured, fresh.measured) == (1, 1)
 
 
-_ENGINES = """
-import os, time
-from mbds_xsim_adapters.mujoco import MuJoCo
-
-class Aborting(MuJoCo):
-    name = "aborting"
-    def load(self, scene, settings):
-        os.abort()
-
-class Hanging(MuJoCo):
-    name = "hanging"
-    def load(self, scene, settings):
-        time.sleep(600)
-"""
-
-
 @pytest.fixture
-def faulty(tmp_path: Path) -> Iterator[None]:
-    """Install engines that crash and hang."""
-    module = "faulty_engines_of_stability"
-    engines = {name.lower(): f"{module}:{name}" for name in ("Aborting", "Hanging")}
-    with installed(tmp_path / "packages", {module: _ENGINES}, engines):
+def faulty_engines(tmp_path: Path) -> Iterator[None]:
+    with faulty(tmp_path / "packages", "aborting", "hanging"):
         yield
 
 
-@pytest.mark.usefixtures("faulty")
+@pytest.mark.usefixtures("faulty_engines")
 def test_a_crash_and_a_hang_are_results_with_their_reason() -> None:
     how: dict[str, Any] = {"values": (1e2,), "counts": (10, 20), "workers": 2}
 

@@ -6,18 +6,14 @@ import csv
 import io
 import json
 import re
-import signal
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from mbds_xsim import __main__ as cli
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.measure import runner
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
@@ -28,6 +24,7 @@ from mbds_xsim.studies.stability.rows import FAILED, Survey
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.words import breaking, command_of, conclusion, limit, told
+from tests.command_line import CommandLine
 
 _COUNTS = (2, 10, 50)
 _VALUES = (1e2, 1e4)
@@ -137,71 +134,42 @@ def test_a_cell_is_told_with_what_why_and_how_to_see_it_again(sweep: Survey) -> 
     assert lines["again"].startswith("mbds-xsim stability stiffness --engines mujoco --methods ")
 
 
-@pytest.fixture
-def run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Callable[..., tuple[int, str, str]]]:
-    """Call the program in this process, its tasks too."""
-    kept = signal.getsignal(signal.SIGTERM)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+@pytest.fixture(autouse=True)
+def _wide(in_process: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    del in_process
     monkeypatch.setenv("COLUMNS", "200")
 
-    def here(tasks: list[Task], **options: Any) -> list[Any]:
-        answers = []
-        for place, task in enumerate(tasks):
-            answers.append(task.function(*task.arguments))
-            options.get("finished", lambda *_: None)(place, answers[-1])
-        return answers
 
-    for module in (surveys, runner):
-        monkeypatch.setattr(module, "run_tasks", here)
+def test_the_studies_are_listed(run: CommandLine) -> None:
+    ended = run("stability", "--list")
 
-    def call(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["mbds-xsim", *words])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        out, err = capsys.readouterr()
-        return int(ended.value.code or 0), out, err
-
-    yield call
-    signal.signal(signal.SIGTERM, kept)
-
-
-Run = Callable[..., tuple[int, str, str]]
-
-
-def test_the_studies_are_listed(run: Run) -> None:
-    code, out, _ = run("stability", "--list")
-
-    assert code == 0
+    assert ended.code == 0
     for name in STUDIES:
-        assert name in out
+        assert name in ended.out
 
 
-def test_the_command_of_a_cell_runs_it_again(run: Run, sweep: Survey) -> None:
+def test_the_command_of_a_cell_runs_it_again(run: CommandLine, sweep: Survey) -> None:
     cell = next(c for c in sweep.cells if c.told == "engine")
     words = command_of(cell, sweep).split()[1:]
 
-    code, out, _ = run(*words, "--json", "-")
-    assert code == 0
-    (panel,) = json.loads(out)["panels"]
+    ended = run(*words, "--json", "-")
+    assert ended.code == 0
+    (panel,) = json.loads(ended.out)["panels"]
     assert panel["cells"][0][0]["outcome"] == cell.outcome
     assert panel["cells"][0][0]["reason"] == cell.reason
-    _, out, _ = run(*words)
-    assert cell.reason in " ".join(out.split())
+    assert cell.reason in " ".join(run(*words).out.split())
 
 
-def test_a_folder_gets_every_file_of_a_study(run: Run, tmp_path: Path) -> None:
-    code, out, _ = run(
+def test_a_folder_gets_every_file_of_a_study(run: CommandLine, here: Path) -> None:
+    ended = run(
         "stability", "friction", "--engines", "mujoco", "--methods", "Euler", "--settings",
         "matched", "--quick", "--out", "maps",
     )  # fmt: skip
 
-    assert code == 0
-    assert "friction: largest stable step [ms]" in out
-    assert "coefficient of friction" in out
-    names = sorted(path.name for path in (tmp_path / "maps").iterdir())
+    assert ended.code == 0
+    assert "friction: largest stable step [ms]" in ended.out
+    assert "coefficient of friction" in ended.out
+    names = sorted(path.name for path in (here / "maps").iterdir())
     assert names == [f"friction.{end}" for end in ("csv", "html", "json", "md", "png")]
 
 
@@ -215,12 +183,10 @@ def test_a_folder_gets_every_file_of_a_study(run: Run, tmp_path: Path) -> None:
         (("spin", "--settings", "usual"), "usual"),
     ],
 )
-def test_wrong_words_are_told_in_one_line(run: Run, words: tuple[str, ...], told: str) -> None:
-    code, _, err = run("stability", *words)
-
-    assert code == 2
-    assert told in err
-    assert err.count("\n") == 1
+def test_wrong_words_are_told_in_one_line(
+    run: CommandLine, words: tuple[str, ...], told: str
+) -> None:
+    assert told in run("stability", *words).refusal
 
 
 def test_a_value_without_a_reference_is_told(

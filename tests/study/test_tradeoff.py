@@ -29,7 +29,7 @@ from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
 from mbds_xsim.studies.tradeoff.sweep import curves_of
 from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT
-from tests.plugins import installed
+from tests.plugins import faulty
 
 _HANG = 2.0  # [s] until a hanging task is ended
 
@@ -258,42 +258,9 @@ def _never(*_: Any) -> Any:
     pytest.fail("measured again")
 
 
-# Engines that stand on the ground MuJoCo gives and go wrong in one way each.
-_ENGINES = """
-import os, time
-import numpy as np
-from mbds_xsim.scene.state import Failure, Trajectory
-from mbds_xsim_adapters.mujoco import MuJoCo
-
-class Aborting(MuJoCo):
-    name = "aborting"
-    def load(self, scene, settings):
-        os.abort()
-
-class Hanging(MuJoCo):
-    name = "hanging"
-    def load(self, scene, settings):
-        time.sleep(600)
-
-class Blowing(MuJoCo):
-    name = "blowing"
-    def load(self, scene, settings):
-        run = super().load(scene, settings)
-        run.rollout = lambda batch: _lost(scene, batch)
-        return run
-
-def _lost(scene, batch):
-    time = scene.clock.frame * np.arange(batch.steps + 1)
-    whole = Trajectory.empty(time, len(batch), len(scene.bodies))
-    fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
-    return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
-"""
-
-
 @pytest.fixture
-def faulty(tmp_path: Path) -> Iterator[None]:
-    engines = {n: f"faulty:{n.capitalize()}" for n in ("aborting", "hanging", "blowing")}
-    with installed(tmp_path / "packages", {"faulty": _ENGINES}, engines):
+def faulty_engines(tmp_path: Path) -> Iterator[None]:
+    with faulty(tmp_path / "packages", "aborting", "hanging", "blowing"):
         yield
 
 
@@ -303,7 +270,7 @@ def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout
     return Task(function, arguments, _HANG if simulator.engine == "hanging" else timeout)
 
 
-@pytest.mark.usefixtures("faulty")
+@pytest.mark.usefixtures("faulty_engines")
 @pytest.mark.slow
 def test_crash_time_out_and_nan_are_listed_results(
     scene: Scene, monkeypatch: pytest.MonkeyPatch

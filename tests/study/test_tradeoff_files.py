@@ -12,19 +12,18 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from mbds_xsim import __main__ as cli
 from mbds_xsim.report.files import link, results_json, rows_csv, write_reports
 from mbds_xsim.report.terminal import print_report
 from mbds_xsim.studies.tradeoff import words as summary
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.studies.tradeoff.rows import (
-    SCHEMA,
-    CurveResult,
     Measurement,
     Point,
     Ratio,
     Tradeoff,
 )
+from tests.command_line import CommandLine
+from tests.tradeoffs import curve, tradeoff
 
 
 def _point(count: int, wall: float | None, error: float, **other: object) -> Point:
@@ -32,20 +31,6 @@ def _point(count: int, wall: float | None, error: float, **other: object) -> Poi
     figures = {"wall_s": wall, "wall_low_s": wall, "wall_high_s": wall, "cpu_s": wall}
     errors = {"error_m": error, "error_weighted_m": error, "gap_m": 1e-6, "energy": 1e-4}
     return msgspec.structs.replace(plain, **(figures | errors | {"setup_s": 0.01} | other))
-
-
-def _curve(engine: str, method: str, points: list[Point], variation: str = "") -> CurveResult:
-    return CurveResult(
-        engine=engine,
-        version="1.0",
-        method=method,
-        family="RK4",
-        variation=variation,
-        options={},
-        order=4,
-        measured_order=3.98,
-        points=tuple(points),
-    )
 
 
 _FAST = [
@@ -62,32 +47,17 @@ _SLOW = [
 
 @pytest.fixture
 def study() -> Tradeoff:
-    return Tradeoff(
-        schema=SCHEMA,
-        scene="pair",
-        description="two bodies",
-        command="mbds-xsim tradeoff pair",
-        seed=0,
+    return tradeoff(
+        curve("mujoco", "RK4", *_FAST, measured_order=3.98),
+        curve("dart", "semi-implicit-euler", *_SLOW, measured_order=3.98),
+        curve("mujoco", "RK4", _point(2, 0.005, 5e-4), variation="solver = CG"),
         trajectories=(1, 4, 7),
-        horizon_s=1.0,
-        reference_ends_s=None,
-        duration_s=4.0,
-        length_m=1.0,
         budget={"error_1s": 1e-3, "error": 1e-2, "gap": 1e-4, "energy_first_order": 1e-2},
-        contact=False,
-        limit_s=30.0,
-        curves=(
-            _curve("mujoco", "RK4", _FAST),
-            _curve("dart", "semi-implicit-euler", _SLOW),
-            _curve("mujoco", "RK4", [_point(2, 0.005, 5e-4)], "solver = CG"),
-        ),
         ratios=(
             Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 1.0, 0.005), best=2),
             Ratio(error_m=1e-4, budget=False, wall_s=(0.0141, 2.0, None), best=0),
         ),
         left_out={"exudyn RK44": "exudyn RK44 cannot do ball joint"},
-        versions={"mujoco": "4.0.0"},
-        machine="a machine",
         workers=2,
         busy=1.02,
         measured=12,
@@ -151,7 +121,7 @@ def test_words_say_how_far_the_error_goes(study: Tradeoff) -> None:
 def test_reasons_that_differ_in_numbers_are_told_once(study: Tradeoff) -> None:
     reasons = {1: "frame 1: residual 1e-01", 2: "frame 2: residual 1e-02", 4: "a clamp"}
     bad = [_point(n, None, 0.0, kind="failed", reason=told) for n, told in reasons.items()]
-    failing = msgspec.structs.replace(study, curves=(_curve("dart", "RK4", bad),))
+    failing = msgspec.structs.replace(study, curves=(curve("dart", "RK4", *bad),))
 
     assert summary.failures(failing) == [
         ("dart RK4", "20 ms, 10 ms", "failed: frame 1: residual 1e-01"),
@@ -229,21 +199,6 @@ def _row() -> Measurement:
         (["1pendulum", "--csv", "a", "--html", "a"], "both name a"),
     ],
 )
-def test_bad_input_is_one_line(
-    words: list[str],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["mbds-xsim", "tradeoff", *words])
-
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-
-    err = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert said in err
-    assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+def test_bad_input_is_one_line(words: list[str], said: str, run: CommandLine, here: Path) -> None:
+    assert said in run("tradeoff", *words).refusal
+    assert list(here.iterdir()) == []
