@@ -17,7 +17,7 @@ import pytest
 from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.process import held_back
-from mbds_xsim.simulate import registry
+from mbds_xsim.simulate import registry, timed
 
 
 def test_answers_come_in_the_order_of_the_tasks() -> None:
@@ -120,49 +120,43 @@ def test_an_engine_that_hangs_while_it_is_taken_down_is_not_waited_for() -> None
     assert time.monotonic() - begin < 30
 
 
-@pytest.mark.parametrize("step", ["poll", "start"])
+@pytest.mark.parametrize("step", ["order", "listen"])
 def test_interrupted_in_the_midst_of_a_step_it_ends_and_leaves_no_task(
     step: str, tmp_path: Path
 ) -> None:
-    numbers = tmp_path / "numbers"
     program = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED.format(step=step, numbers=str(numbers))],
+        [sys.executable, "-c", _INTERRUPTED.format(step=step, folder=str(tmp_path))],
         timeout=60,
         check=False,
         capture_output=True,
         text=True,
     )
 
-    assert program.stdout.split() == ["interrupted"]
-    started = [int(word) for word in numbers.read_text().split()]
-    assert started
+    assert program.stdout.split() == ["interrupted"], program.stderr
+    started = [int(path.name) for path in tmp_path.iterdir()]
+    assert started or step == "order"
     assert not any(_alive(number) for number in started)
 
 
 _INTERRUPTED = """
-import signal, subprocess, time
-from mbds_xsim.base.process import held_back
+import signal, time
+from pathlib import Path
+from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task, run_tasks
 
+code = "import os, time; open({folder!r} + f'/{{os.getpid()}}', 'w').close(); time.sleep(60)"
 
-class Popen(subprocess.Popen):
-    def __init__(self, *arguments, **named):
-        super().__init__(*arguments, **named)
-        open({numbers!r}, "a").write(str(self.pid) + " ")
-        if {step!r} == "start":
+
+class Starter(isolate._Starter):
+    def {step}(self, *words):
+        super().{step}(*words)
+        if {step!r} == "order" or list(Path({folder!r}).iterdir())[1:]:
             signal.raise_signal(signal.SIGINT)
 
-    def poll(self):
-        if {step!r} == "poll":
-            self._waitpid_lock.acquire()  # as `Popen` does before it begins the `try`
-            signal.raise_signal(signal.SIGINT)
-            self._waitpid_lock.release()
-        return super().poll()
 
-
-subprocess.Popen = Popen
+isolate._Starter = Starter
 try:
-    run_tasks([Task(time.sleep, (60.0,))] * 2, workers=2)
+    run_tasks([Task(exec, (code,))] * 2, workers=2)
 except KeyboardInterrupt:
     print("interrupted")
 """
@@ -265,3 +259,33 @@ def test_a_task_that_takes_all_memory_is_ended(monkeypatch: pytest.MonkeyPatch) 
     assert leaking.reason.startswith("it had taken 0.")
     assert leaking.reason.endswith("when the memory ran out; fewer --workers leave more to each")
     assert sound == 6
+
+
+def test_what_tasks_have_in_common_is_imported_once_and_no_engine_is_there() -> None:
+    code = (
+        "import sys; assert 'mbds_xsim.simulate.timed' in sys.modules; "
+        "assert not {'mujoco', 'pybullet', 'dartpy', 'exudyn', 'torch'} & set(sys.modules)"
+    )
+    nothing = Task(timed.simulate, ())
+
+    refused, answer = run_tasks([nothing, Task(exec, (code,))])
+
+    assert isinstance(refused, Crash)
+    assert refused.reason.startswith("TypeError")
+    assert answer is None
+
+
+def test_where_the_starter_has_threads_a_task_starts_from_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Threads do not survive a fork, and locks that they held stay held."""
+    thread = "import threading, time; threading.Thread(target=time.sleep, args=(60,), daemon=True)"
+    (tmp_path / "sitecustomize.py").write_text(f"{thread}.start()")
+    code = "import sys; assert '--task' in sys.argv, sys.argv"
+
+    alone = run_tasks([Task(exec, (code,))])
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    among_others = run_tasks([Task(exec, (code,))])
+
+    assert isinstance(alone[0], Crash)
+    assert among_others == [None]

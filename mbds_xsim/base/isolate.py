@@ -1,8 +1,9 @@
 """Run tasks side by side, each in a fresh process of its own.
 
 An engine may crash its process, hang, or keep settings that outlive a disconnect: none of that
-may touch another result. A fresh interpreter is used rather than a fork or `multiprocessing`'s
-spawn, because engines do not survive the one and scripts without a main guard not the other.
+may touch another result. The processes are forks of one that has imported no engine, since engines
+do not survive a fork; `multiprocessing` is not used, since it imports a user's script once more in
+each process, which a script without a main guard does not survive.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -114,17 +115,18 @@ def run_tasks(
     with (
         held_back() as let_through,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
-        _lifeline() as line,
     ):
+        starter = _Starter(tasks, Path(folder))
         most = min(workers or core_count(), max(len(tasks), 1))
         memory = _SHARE * memory_bytes()
         try:
             while waiting or running:
                 while waiting and len(running) < most:
                     place = waiting.pop()
-                    running.append(_Process(place, tasks[place], Path(folder), line))
+                    running.append(_Process(place, tasks[place], starter))
                     if started is not None:
                         started(place)
+                starter.listen()
                 if sum(process.bytes for process in running) > memory:
                     max(running, key=lambda process: process.bytes).end_for_memory()
                 for process in [process for process in running if process.ended()]:
@@ -135,8 +137,7 @@ def run_tasks(
                 time.sleep(_POLL)
                 let_through()
         finally:
-            for process in running:
-                process.kill()
+            starter.end()
     return answers
 
 
@@ -154,77 +155,111 @@ def _run_here(
     return answer
 
 
-@contextmanager
-def _lifeline() -> Iterator[int]:
-    """Give a pipe to read from that ends with this process, whatever ends it."""
-    reading, writing = os.pipe()
-    try:
-        yield reading
-    finally:
-        os.close(writing)
-        os.close(reading)
+class _Starter:
+    """The process that starts those of the tasks, and what it says of them."""
+
+    def __init__(self, tasks: Sequence[Task], folder: Path) -> None:
+        modules = {task.function.__module__ for task in tasks}
+        own = sorted(name for name in modules if name.startswith("mbds_xsim."))
+        threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+        self.folder, self.log = folder, folder / "starter.log"
+        with self.log.open("wb") as log:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-m", "mbds_xsim.base.worker", *own],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=os.environ | threads,
+                cwd=folder,  # engines drop log files where they stand
+                bufsize=0,
+            )
+        assert self._popen.stdin is not None
+        assert self._popen.stdout is not None
+        self._orders, self._words, self._read = self._popen.stdin, self._popen.stdout, b""
+        os.set_blocking(self._words.fileno(), False)
+        self.number = self._popen.pid
+        self.processes: dict[int, int] = {}
+        """Numbers of processes by the places of their tasks."""
+        self.codes: dict[int, int] = {}
+        """How they ended: exit codes, or minus the number of a signal."""
+        self.over = False
+        """Whether it has ended itself, and all that it started."""
+
+    def order(self, order: Literal["start", "kill"], place: int) -> None:
+        with suppress(BrokenPipeError):  # `listen` will notice
+            self._orders.write(f"{order} {place}\n".encode())
+
+    def listen(self) -> None:
+        """Take in what it has said since."""
+        words = None
+        while not self.over and (words := self._words.read(4096)):
+            *lines, self._read = (self._read + words).split(b"\n")
+            for line in lines:
+                what, place, number = line.decode().split()
+                (self.processes if what == "began" else self.codes)[int(place)] = int(number)
+        self.over = self.over or words is not None
+
+    def end(self, *, at_once: bool = False) -> None:
+        """Let it end, and all that it started."""
+        self.over = True
+        if at_once:
+            self._popen.kill()
+        self._orders.close()
+        self._words.close()
+        self._popen.wait()
 
 
 class _Process:
     """One task under way."""
 
-    def __init__(self, place: int, task: Task, folder: Path, lifeline: int) -> None:
+    def __init__(self, place: int, task: Task, starter: _Starter) -> None:
         self.place = place
-        self._task = task
-        self._answer = folder / f"{place}.answer"
-        self._begun = folder / f"{place}.begun"
-        self._words = folder / f"{place}.log"
-        question = folder / f"{place}.task"
-        question.write_bytes(pickle.dumps((task.function, task.arguments)))
-        self._timed_out, self._took = False, 0
-        threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-        with self._words.open("wb") as words:
-            self._popen = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "mbds_xsim.base.worker",
-                    question,
-                    self._answer,
-                    self._begun,
-                ],
-                stdin=lifeline,
-                stdout=words,
-                stderr=words,
-                env=os.environ | threads,
-                cwd=folder,  # engines drop log files where they stand
-            )
-        self._spent = Spent(self._popen.pid)
+        self._task, self._starter = task, starter
+        self._file = starter.folder / str(place)
+        self._begun = self._file.with_suffix(".begun")
+        question = pickle.dumps((task.function, task.arguments))
+        self._file.with_suffix(".task").write_bytes(question)
+        starter.order("start", place)
+        self._spent, self._number = Spent(starter.number), 0
         self._limit, self._since = _START_UP, 0
+        self._timed_out, self._took = False, 0
 
     def ended(self) -> bool:
-        if self._popen.poll() is None and self._spent.look():
+        if self.place in self._starter.codes or self._starter.over:
+            return True
+        if not self._number and self.place in self._starter.processes:
+            self._number = self._starter.processes[self.place]
+            self._spent = Spent(self._number)
+        if self._spent.look():
             if self._begun.exists() and (since := self._begun.stat().st_mtime_ns) != self._since:
                 self._limit, self._since = self._task.timeout, since
                 self._spent.seconds = 0.0
-            self._timed_out = self._spent.seconds > self._limit
-            if self._timed_out:
+            if self._spent.seconds > self._limit:
+                self._timed_out = True
                 self.kill()
-        return self._popen.poll() is not None
+        return False
 
     @property
     def bytes(self) -> int:
         """Memory that it has."""
-        return self._spent.bytes
+        return self._spent.bytes if self._number else 0
 
     def end_for_memory(self) -> None:
         self._took = self.bytes
         self.kill()
 
     def kill(self) -> None:
-        self._popen.kill()
-        self._popen.wait()
+        if self._number:
+            self._starter.order("kill", self.place)
+        else:
+            self._starter.end(at_once=True)
 
     def answer(self) -> Any:
-        if not self._answer.exists():
+        path = self._file.with_suffix(".answer")
+        if not path.exists():
             return Crash(self._last_words(), timed_out=self._timed_out)
         try:
-            kind, value = pickle.loads(self._answer.read_bytes())
+            kind, value = pickle.loads(path.read_bytes())
         except Exception as error:  # it may hold what only that process could make
             return Crash(f"its answer cannot be read: {type(error).__name__}: {error}")
         return value if kind == "done" else Crash(value, refused=kind == "input error")
@@ -237,8 +272,13 @@ class _Process:
                 f"it had taken {self._took / 2**30:.3g} GiB when the memory ran out; fewer "
                 "--workers leave more to each"
             )
-        code = self._popen.returncode
+        code = self._starter.codes.get(self.place)
+        if code is None:
+            return f"the process that starts tasks ended: {_tail(self._starter.log)}"
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        tail = self._words.read_text(errors="replace").strip()[-_TAIL:]
-        last = tail.splitlines()[-1] if tail else "without a word"
-        return f"the process crashed with {name}: {last}"
+        return f"the process crashed with {name}: {_tail(self._file.with_suffix('.log'))}"
+
+
+def _tail(log: Path) -> str:
+    tail = log.read_text(errors="replace").strip()[-_TAIL:] if log.exists() else ""
+    return tail.splitlines()[-1] if tail else "without a word"

@@ -1,50 +1,145 @@
-"""The process that carries out one task of `mbds_xsim.base.isolate`: task in, answer out."""
+"""The processes that carry out the tasks of `mbds_xsim.base.isolate`: task in, answer out.
+
+One process, the *starter*, imports what the tasks have in common (no engine) and forks for each of
+them: a task has a process of its own, as fresh as a new interpreter, without the time that its
+imports take. The starter takes orders from standard input, "start PLACE" or "kill PLACE", and says
+on standard output "began PLACE PROCESS" and "ended PLACE CODE". When it ends, or whoever gives the
+orders does, all tasks end.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import importlib
 import os
 import pickle
+import select
+import signal
 import sys
 import threading
 import traceback
-from contextlib import suppress
 from pathlib import Path
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import begin
 
 
-def _main(task_path: Path, answer_path: Path, begun_path: Path) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+class _Starter:
+    def __init__(self) -> None:
+        self._out = os.dup(1)
+        os.dup2(2, 1)  # what an import prints is not for whoever gives the orders
+        self._woken, self._waking = os.pipe()
+        self._lifeline, self._held = os.pipe()
+        self._running: dict[str, int] = {}  # processes by the places of their tasks
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # for whoever gives the orders to act on
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        os.set_blocking(self._waking, False)
+        signal.set_wakeup_fd(self._waking)
+
+    def serve(self) -> None:
+        """Follow orders until there are no more."""
+        read = b""
+        while True:
+            ready, _, _ = select.select([0, self._woken], [], [])
+            if self._woken in ready:
+                os.read(self._woken, 4096)
+                self._reap()
+            if 0 in ready:
+                if not (words := os.read(0, 4096)):
+                    break
+                *orders, read = (read + words).split(b"\n")
+                for order in orders:
+                    self._follow(*order.decode().split())
+        for process in self._running.values():
+            os.kill(process, signal.SIGKILL)
+            os.waitpid(process, 0)
+
+    def _follow(self, order: str, place: str) -> None:
+        if order == "start":
+            alone = _thread_count() == 1
+            if not (process := os.fork()):
+                self._be_the_task(place, alone)
+            self._running[place] = process
+            self._say(f"began {place} {process}")
+        elif place in self._running:
+            os.kill(self._running[place], signal.SIGKILL)
+
+    def _reap(self) -> None:
+        for place, process in list(self._running.items()):
+            ended, status = os.waitpid(process, os.WNOHANG)
+            if ended:
+                del self._running[place]
+                self._say(f"ended {place} {os.waitstatus_to_exitcode(status)}")
+
+    def _say(self, line: str) -> None:
+        os.write(self._out, f"{line}\n".encode())
+
+    def _be_the_task(self, place: str, alone: bool) -> None:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        log = os.open(f"{place}.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for number, target in ((0, self._lifeline), (1, log), (2, log)):
+            os.dup2(target, number)
+        for number in (self._out, self._woken, self._waking, self._lifeline, self._held, log):
+            os.close(number)
+        if not alone:
+            command = [sys.executable, "-m", "mbds_xsim.base.worker", "--task", place]
+            os.execv(sys.executable, command)
+        _carry_out(Path(place).absolute())
+
+
+def _thread_count() -> int:
+    """Threads of this process. A fork copies just one of them, and maybe locks of the others."""
+    try:
+        return len(os.listdir("/proc/self/task"))
+    except OSError:  # not to be known here, as elsewhere than on Linux
+        return 2
+
+
+def _carry_out(place: Path) -> None:
+    threading.Thread(target=_end_with_starter, daemon=True).start()
     _be_first_to_go()
     try:
-        function, arguments = pickle.loads(task_path.read_bytes())
-        begin(begun_path)
+        function, arguments = pickle.loads(place.with_suffix(".task").read_bytes())
+        begin(place.with_suffix(".begun"))
         answer: tuple[str, object] = ("done", function(*arguments))
     except InputError as error:
         answer = ("input error", str(error))
     except Exception as error:
         answer = ("raised", " ".join("".join(traceback.format_exception_only(error)).split()))
-    partial = answer_path.with_suffix(".part")
+    partial = place.with_suffix(".part")
     partial.write_bytes(pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL))
-    os.replace(partial, answer_path)
+    os.replace(partial, place.with_suffix(".answer"))
+    sys.stdout.flush()
+    # The answer is there: an engine that hangs while it is taken down is not waited for.
+    os._exit(0)
 
 
 def _be_first_to_go() -> None:
     """Where memory runs out, the system is to end this process, and not the one that waits."""
-    with suppress(OSError):  # there is no such file elsewhere than on Linux
+    with contextlib.suppress(OSError):  # there is no such file elsewhere than on Linux
         Path("/proc/self/oom_score_adj").write_text("1000")
 
 
-def _end_with_parent() -> None:
-    """Standard input ends when the parent does, be it killed: no engine goes on for nobody."""
+def _end_with_starter() -> None:
+    """Standard input ends when the starter does, be it killed: no engine goes on for nobody."""
     # Not sys.stdin, whose lock a waiting thread would hold when the interpreter shuts down.
     os.read(0, 1)
     os._exit(1)
 
 
+def _main(words: list[str]) -> None:
+    if words[:1] == ["--task"]:
+        _carry_out(Path(words[1]).absolute())
+    starter = _Starter()
+    for module in words:
+        with contextlib.suppress(Exception):  # a task that needs it will say what is wrong
+            importlib.import_module(module)
+    gc.freeze()
+    starter.serve()
+
+
 if __name__ == "__main__":
-    _main(*map(Path, sys.argv[1:]))
-    sys.stdout.flush()
-    # The answer is there: an engine that hangs while it is taken down is not waited for.
-    os._exit(0)
+    _main(sys.argv[1:])
