@@ -25,7 +25,7 @@ import pybullet
 
 from benchmarks.harness import print_head, print_made, print_table, processor_s
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 
 SCENES = ("3ladder", "simplecubli")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.simulate import plugin, registry
+from mbds_xsim.simulate import registry
 
 __all__ = ["faulty", "installed"]
 
@@ -134,4 +134,4 @@ def installed(
 
 def _forget() -> None:
     registry._points.cache_clear()
-    plugin._answer.cache_clear()
+    registry._answer.cache_clear()

@@ -27,8 +27,8 @@ from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
+from mbds_xsim.simulate.adapter import first_failures
 from mbds_xsim.simulate.claims import ContactLaw
-from mbds_xsim.simulate.recording import first_failures
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,8 @@ from mbds_xsim.base.process import redirected
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded, starts
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
-from mbds_xsim.simulate.recording import recorded, starts
 
 from .contact import ContactSolver, centers, contact_failures, pairs
 from .model import SkeletonModel

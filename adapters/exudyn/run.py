@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
-from mbds_xsim.simulate.recording import blow_up, first_failures, recorded, starts, too_fast
+from mbds_xsim.simulate.adapter import (
+    ModelSize,
+    Readback,
+    Run,
+    blow_up,
+    first_failures,
+    recorded,
+    starts,
+    too_fast,
+)
 
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation

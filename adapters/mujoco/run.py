@@ -15,9 +15,17 @@ from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.spin import carried
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run
+from mbds_xsim.simulate.adapter import (
+    ModelSize,
+    Readback,
+    Run,
+    blow_up,
+    first_failures,
+    recorded,
+    starts,
+    too_fast,
+)
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
-from mbds_xsim.simulate.recording import blow_up, first_failures, recorded, starts, too_fast
 
 from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start

@@ -14,8 +14,7 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import Readback, Run, Settings
-from mbds_xsim.simulate.recording import first_failures, recorded, starts
+from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, recorded, starts
 
 from .client import Client
 from .contact import BulletContact

@@ -12,17 +12,15 @@ from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.friction import friction, rolling
+from mbds_xsim.checks.friction import friction, rolling, wheels
 from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.momentum import momentum
-from mbds_xsim.checks.overlap import contact_gap, penetration
 from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.checks.resting import hop, resting
-from mbds_xsim.checks.wheels import wheels
+from mbds_xsim.checks.resting import contact_gap, hop, penetration, resting
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method

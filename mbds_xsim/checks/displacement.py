@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of
-from mbds_xsim.checks.response import responses
+from mbds_xsim.checks.ground import Push, pushes_of, responses
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Finding, Record, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate
-from mbds_xsim.checks.spheres import summed
 from mbds_xsim.scene.joint_space import joint_coordinate
 
 Array = NDArray[np.float64]

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Finding, Record, Spheres, spheres_of
 from mbds_xsim.checks.ground import Push, pushes_of
-from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 
 Array = NDArray[np.float64]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from mbds_xsim import reference
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, Record, agreement, audited
+from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_faults
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
-from mbds_xsim.checks.shared import BalanceEvidence, evidence_of, shared_faults
 from mbds_xsim.dataset.layout import CHECKS, INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
 from mbds_xsim.measure.convergence import convergence, further_step, smooth

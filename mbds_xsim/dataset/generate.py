@@ -22,7 +22,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.cost import Work, forewarnings
+from mbds_xsim.simulate.timed import Work, forewarnings
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
-from mbds_xsim.simulate.cost import Work, forewarnings
-from mbds_xsim.simulate.timed import Simulation, simulate
+from mbds_xsim.simulate.timed import Simulation, Work, forewarnings, simulate
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks import Finding, Record, agreement, audit, audited
-from mbds_xsim.checks.impact_coefficients import impact_coefficients
+from mbds_xsim.checks.eccentric import impact_coefficients
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome
 from mbds_xsim.measure.convergence import convergence
 from mbds_xsim.measure.result import EngineResult, FindingResult, ReferenceResult

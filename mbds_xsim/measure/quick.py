@@ -31,8 +31,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import Matched, is_stored
+from mbds_xsim.simulate.choice import Choice, Matched, is_stored
 
 _VERSION = 1
 """To be raised when the search changes what is found."""

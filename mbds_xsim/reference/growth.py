@@ -12,8 +12,7 @@ from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.solution import checked_tolerance, integrate, start_states
-from mbds_xsim.scene.markers import marker_positions, markers
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism, marker_positions, markers
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 

@@ -6,6 +6,7 @@ that was read can be simulated. `docs/scene-file.md` lists every key.
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from collections import Counter
@@ -16,13 +17,15 @@ from typing import Any
 import msgspec
 import numpy as np
 import tomli_w
+from msgspec import inspect
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.file_errors import explain
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene
+
+_Path = list[Any]  # keys and positions
 
 _LINE = 100
 _LARGEST_FILE = 16 * 10**6
@@ -30,6 +33,10 @@ _DEPTH = 100
 _PARTS = re.compile(r"^[ \t]*+\[\[[ \t]*+(\w+)[ \t]*+\]\]", re.M)
 _BARE = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++){9,}+")
 _QUOTED = re.compile(r"[\"'][ \t]*+\.|\.[ \t]*+[\"']")
+_PLACE = re.compile(r"(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
+_STEP = re.compile(r"(\w+)|\[(\d+)\]")
+_FIELD = re.compile(r"Object (?P<fault>contains unknown|missing required) field `(?P<key>.*?)`")
+_LEADING_KEY = re.compile(r"(\w+): ")
 
 
 def read_scene(path: Path) -> Scene:
@@ -152,3 +159,142 @@ def _compact(text: str) -> str:
             if len(joined) <= _LINE:
                 lines[first:] = [joined]
     return "\n".join(lines) + "\n"
+
+
+def explain(error: msgspec.ValidationError, data: Mapping[str, Any]) -> str:
+    """Put a failed conversion of `data` to Scene in the user's terms."""
+    text = str(error)
+    place = _PLACE.search(text)
+    path = _steps(place["path"] or "") if place else []
+    cause = error.__cause__
+    if isinstance(cause, SceneError):
+        return _explain_value(str(cause), path, data)
+    if field := _FIELD.match(text):
+        return _explain_key(field["fault"] == "contains unknown", field["key"], path, data)
+    got, kind = _descend(path, data)
+    if isinstance(got, str) and (tags := _tags(kind)):
+        return f"{_where(path, data)}got {_shown(got)}, allowed is {tags}"
+    return f"{_where(path, data)}got {_shown(got)}, allowed is {_allowed(kind)}"
+
+
+def _steps(path: str) -> _Path:
+    return [name or int(number) for name, number in _STEP.findall(path)]
+
+
+def _explain_value(text: str, path: _Path, data: Mapping[str, Any]) -> str:
+    """A struct refused its values: its text starts with a key of its own, or says all itself."""
+    _, kind = _descend(path, data)
+    key = _LEADING_KEY.match(text)
+    if key and path and isinstance(kind, inspect.StructType) and key[1] in _keys(kind):
+        return _where([*path, key[1]], data) + text[key.end() :]
+    return _where(path, data) + text
+
+
+def _explain_key(unknown: bool, key: str, path: _Path, data: Mapping[str, Any]) -> str:
+    table, kind = _descend(path, data)
+    where = _where(path, data)
+    if not isinstance(kind, inspect.StructType):
+        return f"{where}the key 'kind' is missing; allowed is {_allowed(kind)}"
+    keys = _keys(kind)
+    if unknown:
+        near = difflib.get_close_matches(key, keys, n=1)
+        hint = f"; did you mean {near[0]!r}? Allowed are " if near else "; allowed are "
+        return f"{where}unknown key {key!r}{hint}{', '.join(keys)}"
+    given = ", ".join(map(str, table)) or "none"
+    return f"{where}the key {key!r} is missing, it is {_allowed(keys[key])}; got {given}"
+
+
+def _keys(kind: inspect.StructType) -> dict[str, inspect.Type]:
+    keys = {field.encode_name: field.type for field in kind.fields}
+    return {kind.tag_field: inspect.StrType(), **keys} if kind.tag_field else keys
+
+
+def _descend(path: _Path, data: Any) -> tuple[Any, inspect.Type]:
+    """Value and type at a path; the data is known to be sound down to there."""
+    value, kind = data, inspect.type_info(Scene)
+    for step in path:
+        kind = _resolved(kind, value)
+        if isinstance(kind, inspect.StructType):
+            kind = _keys(kind)[str(step)]
+        elif isinstance(kind, inspect.TupleType):
+            kind = kind.item_types[int(step)]
+        elif isinstance(kind, inspect.VarTupleType):
+            kind = kind.item_type
+        value = value[step]
+    return value, _resolved(kind, value)
+
+
+def _resolved(kind: inspect.Type, value: Any) -> inspect.Type:
+    """Take the member of a union that the value was read as."""
+    if not isinstance(kind, inspect.UnionType):
+        return kind
+    tables = [t for t in kind.types if isinstance(t, inspect.StructType)]
+    if isinstance(value, Mapping):
+        tagged = [t for t in tables if t.tag is None or t.tag == value.get(t.tag_field or "")]
+        return tagged[0] if len(tagged) == 1 else kind
+    others = [t for t in kind.types if t not in tables and not isinstance(t, inspect.NoneType)]
+    wanted = isinstance(value, list) or not tables
+    return others[0] if wanted and len(others) == 1 else kind
+
+
+def _where(path: _Path, data: Mapping[str, Any]) -> str:
+    """Write a path as in `bodies[2].particles[0].mass (in 'rung1'): `."""
+    if not path:
+        return ""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
+    table = data.get(path[0])
+    item = table[path[1]] if isinstance(table, list) and path[1:] else None
+    name = item.get("name") if isinstance(item, dict) else None
+    named = f" (in {name!r})" if isinstance(name, str) and path[2:] != ["name"] else ""
+    return f"{text.removeprefix('.')}{named}: "
+
+
+def _shown(value: Any) -> str:
+    text = "a table" if isinstance(value, Mapping) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _allowed(kind: inspect.Type) -> str:
+    match kind:
+        case inspect.FloatType():
+            return "a number"
+        case inspect.IntType():
+            return "a whole number"
+        case inspect.StrType():
+            return "a text"
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.LiteralType():
+            return " or ".join(repr(value) for value in kind.values)
+        case inspect.TupleType():
+            return _counted(kind)
+        case inspect.VarTupleType():
+            return f"an array, each item {_allowed(kind.item_type)}"
+        case inspect.StructType():
+            tag = f" with {kind.tag_field} = {kind.tag!r}" if kind.tag_field else ""
+            return f"a table{tag} of {', '.join(f.encode_name for f in kind.fields)}"
+        case inspect.UnionType():
+            return _either(kind)
+        case _:
+            return str(kind)
+
+
+def _counted(kind: inspect.TupleType) -> str:
+    items = {_allowed(item) for item in kind.item_types}
+    each = items.pop() if len(items) == 1 else "as documented"
+    plural = {"a number": "numbers", "a whole number": "whole numbers", "a text": "texts"}
+    count = len(kind.item_types)
+    return f"an array of {count} {plural.get(each, f'items, each {each}')}"
+
+
+def _either(kind: inspect.UnionType) -> str:
+    if tags := _tags(kind):
+        return f"a table with kind = {tags}"
+    return " or ".join(_allowed(t) for t in kind.types if not isinstance(t, inspect.NoneType))
+
+
+def _tags(kind: inspect.Type) -> str:
+    """List the tags of a union of tables that a key tells apart."""
+    members = kind.types if isinstance(kind, inspect.UnionType) else ()
+    tagged = [t for t in members if isinstance(t, inspect.StructType) and t.tag_field]
+    return " or ".join(repr(t.tag) for t in tagged)

@@ -10,8 +10,8 @@ import math
 from typing import Annotated, Literal
 
 from mbds_xsim.base import bounds
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.neutral import Neutral
 
 Interval = Literal["low", "medium", "high"]
 INTERVALS: tuple[Interval, ...] = ("low", "medium", "high")

@@ -16,8 +16,8 @@ from collections import Counter
 from typing import Annotated, Literal
 
 from mbds_xsim.base import bounds
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
-from mbds_xsim.scene.neutral import Neutral
 from mbds_xsim.scene.sampling_terms import Draw, Roll, Throw
 
 Vector = tuple[float, float, float]

@@ -1,18 +1,32 @@
-"""Adapters, scene families and scene files, found by entry point."""
+"""Adapters, scene families and scene files, found by entry point.
+
+Adapters of other packages are asked in processes of their own and never imported here. What a
+package does when it is imported or called is anything: it may raise, hang, take all memory or end
+the process. A first process makes its adapter and writes down what it claims; a class that holds
+these claims stands for it here.
+"""
 
 from __future__ import annotations
 
 import functools
+import pickle
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
-from mbds_xsim.base.errors import EngineFaulty, EngineMissing, InputError, UnknownName
+import msgspec
+
+from mbds_xsim.base.errors import EngineFaulty, EngineMissing, InputError, UnknownName, Unsupported
+from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.adapter import Adapter
-from mbds_xsim.simulate.plugin import made, stand_in
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
+from mbds_xsim.simulate.claims import ContactLaw, ContactScales, Feature, Method, Option, Sweep
+
+T = TypeVar("T")
 
 # In the paper's order; every other size of a family is found by its name too.
 PAPER_SCENES = (
@@ -25,6 +39,9 @@ PAPER_SCENES = (
     "particlecar",
     "simplecubli",
 )
+
+_OURS = "mbds-xsim"
+_TIMEOUT = 60.0  # longest that an adapter may take to be imported, or to answer a question [s]
 
 
 def engine_names() -> list[str]:
@@ -143,3 +160,144 @@ def _scene_files() -> dict[str, Path]:
             if entry.name.endswith(".toml"):
                 found[entry.name.removesuffix(".toml")] = Path(str(entry))
     return found
+
+
+class _Claims(msgspec.Struct, forbid_unknown_fields=True):
+    """What an adapter says of itself; see `Adapter`."""
+
+    name: str
+    package: str
+    version: str
+    revision: int
+    methods: dict[str, Method]
+    options: dict[str, Option]
+    sweeps: dict[str, Sweep]
+    limits: dict[Feature, str]
+    coordinates: Literal["reduced", "maximal"]
+    contact_law: ContactLaw | None
+    smallest: str
+
+    @classmethod
+    def of(cls, adapter: Adapter, name: str) -> Self:
+        """Ask an adapter; raises where a claim is missing, or not of the type it must have."""
+        attributes = {key: getattr(adapter, key) for key in cls.__struct_fields__[3:]}
+        package = getattr(adapter, "package", "")
+        raw = cls(adapter.name, package, adapter.version(), **attributes)
+        claims = msgspec.json.decode(msgspec.json.encode(raw), type=cls)
+        if claims.name != name:
+            msg = f"its name is {claims.name!r}, that of the entry point {name!r}"
+            raise ValueError(msg)
+        if not claims.methods or not claims.version or set(claims.sweeps) - set(claims.options):
+            msg = "it has no methods, no version, or sweeps of options that it does not have"
+            raise ValueError(msg)
+        return claims
+
+
+class _StandIn(Adapter):
+    """Another package's adapter, by its claims."""
+
+    point: ClassVar[EntryPoint]
+    installed: ClassVar[str]
+    """Version of the engine."""
+
+    def version(self) -> str:
+        return self.installed
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        answer = _ask(_preset, self.point, scene, profile)
+        if isinstance(answer, Crash):
+            reason = answer.reason if answer.refused else f"gives no settings: {answer.reason}"
+            raise Unsupported(f"{self.name} {profile}: {reason}")
+        settings: Settings = answer
+        return settings
+
+    def too_small(self, scene: Scene) -> str:
+        answer = _ask(_small, self.point, scene)
+        return f"it does not say: {answer.reason}" if isinstance(answer, Crash) else str(answer)
+
+    def contact_scales(self, settings: Settings) -> ContactScales:
+        answer = _ask(_scales, self.point, settings)
+        if isinstance(answer, Crash):
+            raise Unsupported(f"{self.name} does not say how it resolves contact: {answer.reason}")
+        scales: ContactScales = answer
+        return scales
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        return made(self.point).load(scene, settings)
+
+
+def stand_in(point: EntryPoint) -> Adapter | str | None:
+    """Give what stands for another package's adapter, or why there is none.
+
+    Returns:
+        None for the toolkit's own, and in a process that carries out a task: that is already one
+        of its own.
+    """
+    foreign = not in_worker() and _owner(point) != _OURS
+    return _tried(point) if foreign else None
+
+
+def made(point: EntryPoint) -> Adapter:
+    """Import an adapter and make it.
+
+    Raises:
+        TypeError: It is none.
+    """
+    adapter = point.load()()
+    if not isinstance(adapter, Adapter):
+        msg = f"the entry point {point.name!r} gives {type(adapter).__name__}, not an Adapter"
+        raise TypeError(msg)
+    return adapter
+
+
+def _tried(point: EntryPoint) -> Adapter | str:
+    answer = _ask(_claims, point)
+    if isinstance(answer, Crash):
+        return f"{point.value} of the package {_owner(point)}: {answer.reason}"
+    claims = {key: getattr(answer, key) for key in _Claims.__struct_fields__}
+    more = {"installed": claims.pop("version"), "point": point}
+    adapter: Adapter = type(point.name, (_StandIn,), claims | more)()
+    return adapter
+
+
+def _owner(point: EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else "(unknown)"
+
+
+def _ask(function: Any, point: EntryPoint, *about: Any) -> Any:
+    return _answer(function, point, pickle.dumps(about))
+
+
+@functools.cache
+def _answer(function: Any, point: EntryPoint, about: bytes) -> Any:
+    (answer,) = run_tasks([Task(function, (point, *pickle.loads(about)), _TIMEOUT)], workers=1)
+    return answer
+
+
+def _claims(point: EntryPoint) -> _Claims:
+    return _Claims.of(made(point), point.name)
+
+
+def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
+    adapter = made(point)
+    settings = _typed(adapter.settings(scene, profile), Settings)
+    with suppress(Unsupported):  # another of its methods may do the scene
+        adapter.check(scene, settings)
+    _scales(point, settings)
+    return settings
+
+
+def _small(point: EntryPoint, scene: Scene) -> str:
+    return _typed(made(point).too_small(scene), str)
+
+
+def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
+    return _typed(made(point).contact_scales(settings), ContactScales)
+
+
+def _typed(given: object, kind: type[T]) -> T:
+    """Give the same as a value whose fields have the types of a class."""
+    if not isinstance(given, kind):
+        msg = f"it gives {given!r:.60}, not {kind.__name__}"
+        raise TypeError(msg)
+    return msgspec.json.decode(msgspec.json.encode(given), type=kind)

@@ -27,8 +27,8 @@ from mbds_xsim.scene.scene import (
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import ContactScales
-from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.contact_cases import (
     CONTACT_CASES,

@@ -19,7 +19,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter, Settings
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import gaps

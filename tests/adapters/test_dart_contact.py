@@ -23,7 +23,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene, Torque, Vector
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R

@@ -18,7 +18,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, ContactSphere, Ground
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, laid_cubli, rolling

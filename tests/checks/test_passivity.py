@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mbds_xsim.checks import Finding, Record
-from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
+from mbds_xsim.checks.eccentric import (
+    Pool,
+    Shown,
+    eccentric_friction,
+    eccentric_restitution,
+    impact_coefficients,
+)
 from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impact_coefficients import Pool, Shown, impact_coefficients
 from mbds_xsim.checks.impacts import impacts_of
-from mbds_xsim.checks.overlap import contact_gap
 from mbds_xsim.checks.passivity import energy_rise, passivity
+from mbds_xsim.checks.resting import contact_gap
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene

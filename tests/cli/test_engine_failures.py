@@ -14,7 +14,7 @@ import pytest
 from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure import campaign
-from mbds_xsim.simulate import plugin, registry
+from mbds_xsim.simulate import registry
 from tests.plugins import faulty
 
 _HANG = 3.0  # [s] until a hanging task is ended
@@ -43,7 +43,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     monkeypatch.setattr(campaign, "Task", _impatient)
     monkeypatch.setattr(campaign, "_REFINEMENT", ())  # one run an engine tells enough
     monkeypatch.setattr(campaign, "_CHUNKS", 1)
-    monkeypatch.setattr(plugin, "_TIMEOUT", _HANG)
+    monkeypatch.setattr(registry, "_TIMEOUT", _HANG)
     with ExitStack() as stack:
         yield lambda *names: stack.enter_context(faulty(tmp_path / "packages", *names))
 

@@ -10,8 +10,7 @@ import pytest
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.choice import Choice, Contender
-from mbds_xsim.simulate.matched import read_matched
+from mbds_xsim.simulate.choice import Choice, Contender, read_matched
 from mbds_xsim.studies.match import search as match
 from tests.command_line import CommandLine
 

@@ -18,7 +18,7 @@ from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import catalogue, registry
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.testing import CASES
 

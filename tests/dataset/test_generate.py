@@ -20,10 +20,9 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Levels, Turn
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure
-from mbds_xsim.simulate import cost
+from mbds_xsim.simulate import timed
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import Simulation, simulate
 
@@ -109,7 +108,7 @@ def test_what_takes_minutes_is_announced_before_it_begins(
     progress = Silence()
     make(tmp_path, trajectories=3, progress=progress)
     assert progress.notices == []
-    monkeypatch.setattr(cost, "_LONG", 0.0)
+    monkeypatch.setattr(timed, "_LONG", 0.0)
     make(tmp_path, trajectories=6, progress=progress)
     make(tmp_path, trajectories=6, progress=progress)  # nothing is left to be made
     assert progress.notices == [

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mbds_xsim.measure.result import Validation
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import Matched, settings_for
+from mbds_xsim.simulate.choice import Choice, Matched, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.validate.validation import validate_with_evidence
 

@@ -24,7 +24,7 @@ from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.base.silence import Silent
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate import plugin, registry
+from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Readback, Run
 from mbds_xsim.simulate.catalogue import engine_rows
 from mbds_xsim.simulate.choice import Choice
@@ -106,7 +106,7 @@ def test_a_faulty_adapter_is_named_and_the_sound_one_has_its_result(
     }
     out = Path(tempfile.mkdtemp(dir=place))
     with mock.patch.object(registry, "_points", return_value=points):
-        plugin._answer.cache_clear()
+        registry._answer.cache_clear()
         listed = {row.engine: row for row in engine_rows()}
         choice = Choice.parse()
         told, _ = validate_with_evidence(_SCENE, choice=choice, workers=1)

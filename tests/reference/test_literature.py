@@ -18,7 +18,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.timed import simulate
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.base.rotation import rotate
 from mbds_xsim.reference import solve
@@ -22,7 +23,6 @@ from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.file import read_scene
 from mbds_xsim.scene.joint_space import joint_coordinate
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.neutral import Neutral
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 

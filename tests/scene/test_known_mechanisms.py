@@ -16,8 +16,7 @@ import pytest
 from mbds_xsim.scene.file import read_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import Matched
+from mbds_xsim.simulate.choice import Choice, Matched
 from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 _FOLDER = Path(__file__).parent / "mechanisms"

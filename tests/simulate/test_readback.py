@@ -15,7 +15,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Readback
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing import CASES
 

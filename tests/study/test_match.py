@@ -19,8 +19,7 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Budget, Clock, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.file import matched_toml

@@ -26,7 +26,7 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile, Settings
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import checked
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.checks.finding import Record
+from mbds_xsim.checks.finding import Record, spheres_of
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.checks.spheres import spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch

@@ -1,4 +1,4 @@
-"""Matched settings, with the figures they gave, as a file for `mbds_xsim.simulate.matched`."""
+"""Matched settings, with the figures they gave, as a file for `mbds_xsim.simulate.choice`."""
 
 from __future__ import annotations
 

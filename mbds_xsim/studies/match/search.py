@@ -25,8 +25,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
-from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.simulate.matched import settings_for
+from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.tradeoff.sweep import curves_of
 

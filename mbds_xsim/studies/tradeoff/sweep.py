@@ -9,8 +9,8 @@ from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import features_of
-from mbds_xsim.simulate.matched import settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.silence import Silent
-from mbds_xsim.checks import agreement, ensemble
+from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, run_campaign
 from mbds_xsim.measure.convergence import refine
 from mbds_xsim.measure.judge import Judged, judge, reference_result
@@ -139,7 +139,7 @@ def _ensembles(
             p_value=found.p_value,
             count=found.count,
         )
-        for (one, other), found in ensemble.compare_runs(scene, batch, runs).items()
+        for (one, other), found in agreement.compare_runs(scene, batch, runs).items()
     )
 
 

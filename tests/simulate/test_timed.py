@@ -1,0 +1,157 @@
+"""What will take long is announced, with an estimate that measurement confirms."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import time
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from mbds_xsim.base.silence import Silent
+from mbds_xsim.measure.campaign import Running
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.state import Batch, Failure, Trajectory
+from mbds_xsim.simulate import timed
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.simulate.timed import Work, checked, forewarnings, simulate
+from mbds_xsim.studies.validate.validation import validate_with_evidence
+
+_SCENE = load_scene("1pendulum")
+_START = draw_batch(_SCENE, [0])
+
+
+class _Notes(Silent):
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def doing(self, what: str) -> None:
+        self.done.append(what)
+
+    def notice(self, line: str) -> None:
+        self.done.append(line)
+
+    def advance(self, what: object, rejected: int = 0) -> None:
+        del rejected
+        self.done.append(f"then {what}")
+
+
+def test_what_takes_minutes_is_announced_and_the_rest_is_not_even_tried() -> None:
+    tiny = Settings("RK4", 1e-7)
+    work = [
+        Work("mujoco (matched)", "mujoco", tiny, 4e7),
+        Work("short", "no such engine", tiny, 1e5),
+    ]
+
+    (line,) = forewarnings(_SCENE, _START, work, workers=None)
+
+    told = r"mujoco \(matched\) on 1pendulum: 4e\+07 steps of 1e-07 s, about \d+ (s|min|h) of proc"
+    assert re.match(told, line)
+
+
+def test_an_estimate_is_near_what_the_steps_take() -> None:
+    settings = Settings("RK4", 1e-4)
+    with load_adapter("mujoco").open(_SCENE, settings) as run:
+        begin = time.process_time()
+        run.rollout(_START)
+        spent = (time.process_time() - begin) / 40_000
+
+    each = min(timed._seconds_a_step(_SCENE, _START, "mujoco", settings) for _ in range(3))
+
+    assert 0.25 * spent < each < 4.0 * spent
+
+
+def test_what_is_under_way_is_named_the_oldest_first() -> None:
+    notes = _Notes()
+    running = Running(notes, ["reference", "dart, step 1 s", "dart, step 2 s"])
+
+    for place in range(3):
+        running.started(place)
+    for place in (1, 0, 2):
+        running.finished(place, None)
+
+    assert notes.done == [
+        "reference", "reference and 1 more", "reference and 2 more",
+        "then reference and 1 more", "then dart, step 2 s", "then dart, step 2 s",
+    ]  # fmt: skip
+
+
+def test_a_validation_announces_its_costs_and_names_its_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(timed, "_LONG", 0.0)
+    notes = _Notes()
+
+    validate_with_evidence(_SCENE, choice=Choice.parse(engines="mujoco"), progress=notes, workers=0)
+
+    parts = [part for part in dict.fromkeys(notes.done) if not part.startswith("then")]
+    name = "mujoco (matched)"
+    announced = f"{name} on 1pendulum: 4.2e+03 steps of 0.005 s, about 0 s of processor time"
+    assert parts[:3] == ["costs of the runs", announced, "reference"]
+    assert parts[3:6] == [f"{name}, step {step} s" for step in ("0.005", "0.01", "0.02")]
+    assert parts[-1] == f"{name}: checks"
+
+
+def _sound() -> tuple[Batch, Trajectory]:
+    scene = load_scene("2pendulum")
+    batch = draw_batch(scene, range(3)).truncated(4)
+    whole = Trajectory.empty(0.02 * np.arange(5.0), 3, 2)
+    for name in ("position", "orientation", "velocity", "angular_velocity"):
+        getattr(whole, name)[:] = 0.5
+    return batch, whole
+
+
+def _given(trajectory: object, batch: Batch) -> Trajectory:
+    return checked(cast(Trajectory, trajectory), batch)
+
+
+def test_frames_from_a_failure_on_are_not_numbers() -> None:
+    batch, whole = _sound()
+    failures = (None, Failure(2, "joint limit"), Failure(99, "told at the end"))
+
+    cut = _given(dataclasses.replace(whole, failures=failures), batch)
+
+    ended = np.isnan(cut.position).all(axis=(2, 3))
+    assert ended.tolist() == [[False] * 5, [False] * 2 + [True] * 3, [False] * 4 + [True]]
+    for name in ("orientation", "velocity", "angular_velocity"):
+        assert np.array_equal(np.isnan(getattr(cut, name)).all(axis=(2, 3)), ended)
+    assert cut.failures == failures
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"position": np.zeros((3, 5, 1, 3))}, r"position as float64 \(3, 5, 1, 3\), not"),
+        ({"orientation": np.zeros((3, 5, 2, 3))}, "orientation as float64"),
+        ({"velocity": np.zeros((3, 5, 2, 3), dtype=np.float32)}, "velocity as float32"),
+        ({"angular_velocity": [[0.0]]}, "angular_velocity as <class 'list'>"),
+        ({"time": np.zeros(4)}, r"time as float64 \(4,\), not as float64 \(5,\)"),
+        ({"failures": (None,)}, "failures .* for each trajectory"),
+        ({"failures": ("late", None, None)}, "failures .* for each trajectory"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused(wrong: dict[str, Any], told: str) -> None:
+    batch, whole = _sound()
+    with pytest.raises(ValueError, match=told):
+        _given(dataclasses.replace(whole, **wrong), batch)
+
+
+def test_nothing_is_no_trajectory() -> None:
+    batch, _ = _sound()
+    with pytest.raises(ValueError, match="the adapter gave time as <class 'NoneType'>"):
+        _given(None, batch)
+
+
+def test_quaternions_keep_their_sign_in_every_engine(adapter: Adapter) -> None:
+    """PyBullet's change it 18 times in these frames, where flywheels turn half around."""
+    scene = load_scene("simplecubli")
+    batch = draw_batch(scene, [2, 5]).truncated(60)
+
+    turn = simulate(scene, batch, adapter.name, adapter.settings(scene, "native")).trajectory
+
+    frames = np.concatenate([batch.orientation[:, None], turn.orientation], axis=1)
+    assert not (np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0).any()
