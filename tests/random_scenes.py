@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.scene.joint_space import LinkStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene
 
-Array = NDArray[np.float64]
 Kind = Literal["fixed", "hinge", "slider", "ball", "free"]
 
 

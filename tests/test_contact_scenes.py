@@ -9,11 +9,11 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
 from mbds_xsim import __main__ as cli
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
@@ -22,8 +22,6 @@ from mbds_xsim.scene.sampling_terms import HingeRate, Roll
 from mbds_xsim.scene.scene import Clock, ContactSphere, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_scene
-
-Array = NDArray[np.float64]
 
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 OWN = 6.17e-4

@@ -7,20 +7,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 
 RNG = np.random.default_rng(20)
 
 
-def _scipy(q: rotation.Array) -> Rotation:
+def _scipy(q: Array) -> Rotation:
     return Rotation.from_quat(np.roll(q, -1, axis=-1))
 
 
-def _random(count: int) -> rotation.Array:
+def _random(count: int) -> Array:
     q = RNG.standard_normal((count, 4))
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
-def _same_turn(p: rotation.Array, q: rotation.Array) -> float:
+def _same_turn(p: Array, q: Array) -> float:
     """Largest difference of two arrays of quaternions whose sign is free."""
     return float(np.minimum(np.abs(p - q).max(-1), np.abs(p + q).max(-1)).max())
 

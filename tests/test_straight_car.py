@@ -6,16 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
-
-Array = NDArray[np.float64]
 
 G, MU, RADIUS = 9.81, 0.43, 0.2
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.agreement import particle_error
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.reference.dynamics import dynamics_of
@@ -24,7 +24,6 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.claims import Feature, features_of
 
-Array = NDArray[np.float64]
 Slip = Callable[[Scene, Batch], tuple[Scene, Batch]]
 
 SCENE = registry.load_scene("workbench")

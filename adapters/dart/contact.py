@@ -20,17 +20,15 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 from mbds_xsim.simulate.adapter import first_failures
 from mbds_xsim.simulate.claims import ContactLaw
-
-Array = NDArray[np.float64]
 
 CONTACT_LAW = ContactLaw(
     normal="rigid: impulses of one step, velocities at contacts solved together",

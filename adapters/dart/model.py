@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class SkeletonModel:
@@ -90,7 +87,7 @@ class SkeletonModel:
         links = LinkStates(turn, spin, coordinate, rate, position, velocity)
         return to_bodies(self.mechanism, links)
 
-    def _columns(self, kind: str | None, first: int, last: int) -> tuple[Indices, Indices]:
+    def _columns(self, kind: str | None, first: int, last: int) -> tuple[Index, Index]:
         """Links whose joint is of a kind, and where their coordinates stand in the skeleton's."""
         links = [
             k

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Iterator
 
 import dartpy
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.process import redirected
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import Scene
@@ -26,8 +26,6 @@ from .contact import ContactSolver, centers, contact_failures, pairs
 from .model import SkeletonModel
 from .script import build_listing, script
 from .stepping import DartStepper, FrameLoads
-
-Array = NDArray[np.float64]
 
 # A joint rate [rad/s or m/s] that only a blow-up reaches.
 _BLOW_UP = 1e5

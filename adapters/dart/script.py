@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import shapes
-
-Array = NDArray[np.float64]
 
 _PAIR = {
     "fixed": "Weld",

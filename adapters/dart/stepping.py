@@ -8,13 +8,11 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
 
 from .model import SkeletonModel
-
-Array = NDArray[np.float64]
 
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Below it sin(x)/x is 1; squares of smaller numbers vanish.

@@ -38,13 +38,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.claims import ContactLaw
-
-Array = NDArray[np.float64]
 
 CONTACT_LAW = ContactLaw(
     normal="penalty: a spring, and a damper that grows with depth (Gonthier)",

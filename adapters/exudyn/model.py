@@ -12,14 +12,12 @@ from typing import Any, final
 
 import exudyn
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import THIN, shapes
-
-Array = NDArray[np.float64]
 
 # Exudyn wants names that no other item has, so the scene's names are comments.
 HEAD = """\

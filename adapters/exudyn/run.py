@@ -6,9 +6,9 @@ from typing import Any
 
 import exudyn
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -25,8 +25,6 @@ from mbds_xsim.simulate.adapter import (
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .stepping import Stepping
-
-Array = NDArray[np.float64]
 
 _START = """
 # Inputs are left out: of a frame, loads of `forces` and `torques` by mbs.SetLoadParameter.

@@ -6,16 +6,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .model import Formulation, MassProperties, inertia_text
-
-Array = NDArray[np.float64]
 
 _TYPES = {"hinge": "RevoluteZ", "slider": "PrismaticZ"}
 

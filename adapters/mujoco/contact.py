@@ -37,12 +37,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.simulate.claims import ContactLaw
-
-Array = NDArray[np.float64]
 
 CONTACT_LAW = ContactLaw(
     normal="soft: spring and damper on accelerations (solref, solimp), one convex problem",

@@ -11,15 +11,13 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
 from .contact import Impact, add_ground, cone_options, numbers
 from .state import slim
-
-Array = NDArray[np.float64]
 
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
 """MuJoCo's names of the joints that have coordinates; a fixed joint is the absence of one."""

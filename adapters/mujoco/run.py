@@ -8,9 +8,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.spin import carried
@@ -31,8 +31,6 @@ from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start
 from .state import Coordinates, Frames, Hanger
 from .steps import FinerNearGround, FinerWhereFast, OneCall, Stepper, turning_rates
-
-Array = NDArray[np.float64]
 
 _STATES = 16_000  # of bodies that are worked on at a time
 

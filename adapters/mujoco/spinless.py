@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.spin import STILL, spin_about
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Readback, Run
 
 from .run import ModelRun
-
-Array = NDArray[np.float64]
 
 _BENT = 1.0
 """Cardan joints lock at a right angle; near it their rates are large, and so are errors [rad]."""
@@ -47,7 +45,7 @@ class SpinlessRun(Run):
         self._whole = self._whole or self._load()
         return motion.replaced(again, self._whole.rollout(batch[again]))
 
-    def _still(self, batch: Batch) -> NDArray[np.bool_]:
+    def _still(self, batch: Batch) -> Mask:
         """Whether no idle rod of a trajectory spins at its start."""
         native = self._mechanism.native_rotation(batch.orientation)
         spin = np.abs(spin_about(self._idle, native, batch.angular_velocity)).max(axis=-1)

@@ -11,14 +11,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # Of the moment across; MuJoCo wants one above 1e-15 kg·m².
 _SLIM = 1e-9
@@ -43,7 +40,7 @@ class Coordinates:
         first = model.body_jntadr[bodies]
         qpos, qvel = model.jnt_qposadr[first], model.jnt_dofadr[first]
 
-        def of(*wanted: str) -> Indices:
+        def of(*wanted: str) -> Index:
             return np.array([k for k, kind in enumerate(kinds) if kind in wanted], dtype=np.int64)
 
         self._scalar, self._ball, self._free = of("hinge", "slider"), of("ball"), of("free")
@@ -102,9 +99,7 @@ class Frames:
         frames: Frames of each.
     """
 
-    def __init__(
-        self, model: Any, data: Any, bodies: NDArray[np.int64], count: int, frames: int
-    ) -> None:
+    def __init__(self, model: Any, data: Any, bodies: Index, count: int, frames: int) -> None:
         self._model, self._data, self._bodies = model, data, bodies
         self._roots = model.body_rootid[bodies]
         self._live = (data.xipos[1:], data.xquat[1:], data.cvel[1:], data.subtree_com[1:])

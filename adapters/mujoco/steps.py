@@ -8,11 +8,10 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+
+from mbds_xsim.base.arrays import Index
 
 from .contact import SphereGeoms
-
-Array = NDArray[np.float64]
 
 _EULER = mujoco.mjtIntegrator.mjINT_EULER
 # Faster than that, a motion has other troubles than its steps.
@@ -57,7 +56,7 @@ class FinerWhereFast:
         turn: Angle that a joint may turn in a frame before it takes twice as many [rad].
     """
 
-    def __init__(self, model: Any, turning: NDArray[np.int64], count: int, turn: float) -> None:
+    def __init__(self, model: Any, turning: Index, count: int, turn: float) -> None:
         self._count, self._step = count, float(model.opt.timestep)
         self._rate = turn / (count * self._step)
         self._square = self._rate**2
@@ -82,7 +81,7 @@ class FinerWhereFast:
         model.opt.timestep = self._step
 
 
-def turning_rates(model: Any) -> NDArray[np.int64]:
+def turning_rates(model: Any) -> Index:
     """Find the rates of qvel that are angular."""
     kinds = mujoco.mjtJoint
     angular = []

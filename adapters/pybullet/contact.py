@@ -25,9 +25,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
@@ -36,8 +36,6 @@ from mbds_xsim.simulate.claims import ContactLaw
 
 from .client import Client, Constant
 from .parts import FREEDOMS
-
-Array = NDArray[np.float64]
 
 CONTACT_LAW = ContactLaw(
     normal="rigid: impulses of one step, by sweeps over contacts (PGS); acts ahead of the touch",
@@ -275,7 +273,7 @@ class Yielding:
         self._inertia_root = np.sqrt(moments)[..., None] * np.swapaxes(axes, -1, -2)
         self._mass_root = np.sqrt(mechanism.mass)[:, None, None]
 
-    def alike(self, bodies: BodyStates, spheres: NDArray[np.int64]) -> Array:
+    def alike(self, bodies: BodyStates, spheres: Index) -> Array:
         """Find the horizontal axes along which bodies yield alike.
 
         Args:
@@ -288,7 +286,7 @@ class Yielding:
         xx, xy, yy = self._horizontal(bodies, spheres)
         return np.asarray(0.5 * np.arctan2(2.0 * xy, xx - yy) + np.pi / 4)
 
-    def _horizontal(self, bodies: BodyStates, spheres: NDArray[np.int64]) -> Array:
+    def _horizontal(self, bodies: BodyStates, spheres: Index) -> Array:
         """Elements xx, xy and yy of W at the spheres' lowest points [1/kg], shape (3, sphere)."""
         mechanism, turn = self._mechanism, rotation.matrix(bodies.native)
         twist = self._twists(bodies, turn)

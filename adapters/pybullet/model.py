@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
@@ -23,8 +23,6 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 from .client import Client, Constant
 from .contact import BulletContact
 from .parts import FREEDOMS, Multibody, split
-
-Array = NDArray[np.float64]
 
 SPEED_CAP = 1e6
 """Bullet cuts every rate of a multibody to this [m/s or rad/s]."""

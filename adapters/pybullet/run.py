@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -20,8 +20,6 @@ from .client import Client
 from .contact import BulletContact
 from .loads import StepLoads
 from .model import RATES, SPEED_CAP, Multibodies
-
-Array = NDArray[np.float64]
 
 _BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism, marker_positions
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-
-Array = NDArray[np.float64]
 
 CHAOS = 100.0
 """Growth of a perturbation from which on disagreement is no longer judged."""

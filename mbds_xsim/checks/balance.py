@@ -12,16 +12,13 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.cones import Cones, cones_of, unexplained
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _DEPENDENT = 1e-3  # of the largest singular value: directions that impulses hardly reach
 _IMPACT = 5e-3  # of an impact's impulse: tumbling cars leave up to 3.4e-3, in MuJoCo

@@ -17,8 +17,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.energy import (
     damper_loss,
@@ -30,9 +30,6 @@ from mbds_xsim.checks.energy import (
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.joints import pair_distance, pair_rate
 from mbds_xsim.checks.momentum import flights_of, gain_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SURE = 3e-3
 """Share that methods and solvers may leave."""

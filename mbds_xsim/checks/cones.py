@@ -13,13 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.gains import gains_of
 from mbds_xsim.checks.ground import Push
-
-Array = NDArray[np.float64]
 
 _LASTING = 1.0  # of its change, which a slip must keep
 _FAST = 0.5  # of what gravity adds in a frame: slower slips may come and go in one (Exudyn's do)
@@ -42,7 +40,7 @@ class Cones:
     least: Array
     """Cosine of the angle by which friction may be beside that; -1: the sphere may stick."""
 
-    def __getitem__(self, picks: NDArray[np.bool_]) -> Cones:
+    def __getitem__(self, picks: Mask) -> Cones:
         """Take some of the steps."""
         return Cones(self.friction, self.ahead[picks], self.least[picks])
 
@@ -127,7 +125,7 @@ def unexplained(columns: Array, given: Array, cones: Cones) -> Array:
 class _Search:
     """The impulses of all steps that are not settled yet; axes are (step, unknown)."""
 
-    step: NDArray[np.int64]
+    step: Index
     flat: Array
     """What unit impulses give, (step, row, unknown)."""
     size: Array
@@ -146,7 +144,7 @@ class _Search:
     off: Array
     """Sum of the distances from them so far."""
 
-    def go_on(self) -> NDArray[np.bool_]:
+    def go_on(self) -> Mask:
         """Iterate, let the weight suit how far both demands are from being met, and tell which are.
 
         The demands are that the best impulses are within the cones, and that they stay as they are.
@@ -168,7 +166,7 @@ class _Search:
         self.weight = weight
         return np.asarray(late[:, 0])
 
-    def among(self, picks: NDArray[np.bool_]) -> _Search:
+    def among(self, picks: Mask) -> _Search:
         """Go on with some of the steps."""
         return _Search(**{key: value[picks] for key, value in vars(self).items()})
 

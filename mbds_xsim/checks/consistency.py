@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.agreement import CHAOS, markers_of
 from mbds_xsim.checks.energy import energy_of
@@ -27,9 +27,6 @@ from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FACTOR = 3.0
 _SAFETY = 1.25  # Roache's grid convergence index with a confirmed order

@@ -16,13 +16,11 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of, responses
-
-Array = NDArray[np.float64]
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
 _PATH = 0.5  # of the changes of a velocity, by which its mean is off that of its ends
@@ -165,7 +163,7 @@ def _residual(
 _ENDS = ((0, 0), (1, 1), (0, 0), (0, 0))
 
 
-def _same(values: Array) -> NDArray[np.bool_]:
+def _same(values: Array) -> Mask:
     """Whether vectors repeat to the last bit, (trajectory, step, body)."""
     # Component by component: reductions along a short axis are several times slower.
     found = values[:, 1:, :, 0] == values[:, :-1, :, 0]
@@ -251,7 +249,7 @@ def _framed(values: Array) -> Array:
     return np.pad(values, ((0, 0), (1, 0), (0, 0)), constant_values=np.nan)
 
 
-def _at_end(known: NDArray[np.bool_], values: Array) -> Array:
+def _at_end(known: Mask, values: Array) -> Array:
     """Put figures of trajectories at their last frames, (trajectory, frame, part)."""
     placed = np.full((len(known), known.shape[1] + 1, values.shape[1]), np.nan)
     placed[np.arange(len(known)), known.sum(axis=1)] = values

@@ -16,9 +16,9 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import lowest, pushed, pushes_of
 from mbds_xsim.checks.impacts import (
@@ -30,9 +30,6 @@ from mbds_xsim.checks.impacts import (
     told_restitution,
 )
 from mbds_xsim.scene.joint_space import BodyStates
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _RESTITUTION = 5.0  # times the budget of balls; springs of a few steps give up to 0.033
 _FRICTION = 15.0  # times the budget; PyBullet's friction beside the slip gives up to 0.24

@@ -5,14 +5,12 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Finding, Record, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_coordinate
-
-Array = NDArray[np.float64]
 
 _FLOOR = 1e-3  # of Σ m·g·length
 

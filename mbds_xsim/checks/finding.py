@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.counted import apart
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.scene.joint_space import BodyStates
@@ -18,9 +19,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _EARTH = 9.81
 
@@ -47,7 +45,7 @@ class Record:
         return Mechanism.of(self.scene)
 
     @functools.cached_property
-    def finite(self) -> NDArray[np.bool_]:
+    def finite(self) -> Mask:
         """Frames before the first number that is not finite, shape (trajectory, frame)."""
         fields = (
             self.trajectory.position,
@@ -73,7 +71,7 @@ class Record:
         return spheres_of(self.mechanism, self.bodies)
 
     @functools.cached_property
-    def clear(self) -> NDArray[np.bool_]:
+    def clear(self) -> Mask:
         """Steps in which a contact sphere cannot reach the ground, (trajectory, step, sphere).
 
         At both ends it must be higher than it would fall, at its own speed and at what gravity and
@@ -86,7 +84,7 @@ class Record:
         high = self.spheres.gap > frame * (np.abs(self.spheres.climb) + frame * pull)
         return np.asarray(high[:, 1:] & high[:, :-1])
 
-    def flying(self, group: tuple[int, ...] | None = None) -> NDArray[np.bool_]:
+    def flying(self, group: tuple[int, ...] | None = None) -> Mask:
         """Find the steps in which no sphere of a group (or of all) can reach the ground.
 
         Shape (trajectory, step).
@@ -201,7 +199,7 @@ class Finding:
     """What the check itself cannot resolve, added to the budget; shape (trajectory,)."""
     where: tuple[str, ...]
     """Which joint, body or component the worst value belongs to, one a trajectory."""
-    applies: NDArray[np.bool_]
+    applies: Mask
     """Trajectories that the check is about, shape (trajectory,); others have no figure and pass."""
     note: str = ""
 
@@ -231,7 +229,7 @@ class Finding:
             note,
         )
 
-    def among(self, rows: NDArray[np.bool_]) -> Finding:
+    def among(self, rows: Mask) -> Finding:
         """Give a finding on some trajectories of a batch as one on the batch."""
         whole = np.full((len(rows), self.series.shape[1]), np.nan)
         whole[rows] = self.series
@@ -247,12 +245,12 @@ class Finding:
         return np.take_along_axis(self.series, self.frame[:, None], axis=1)[:, 0]
 
     @functools.cached_property
-    def frame(self) -> NDArray[np.int64]:
+    def frame(self) -> Index:
         """Frame of the worst value, shape (trajectory,)."""
         return np.where(np.isnan(self.series), -np.inf, self.series).argmax(axis=1)
 
     @functools.cached_property
-    def passed(self) -> NDArray[np.bool_]:
+    def passed(self) -> Mask:
         """Whether the figure keeps its budget; a trajectory without a figure does not."""
         if self.budget is None:
             return np.ones(len(self.figure), dtype=bool)
@@ -284,7 +282,7 @@ class Spheres:
     slip: Array
     """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
 
-    def of(self, group: NDArray[np.int64]) -> Spheres:
+    def of(self, group: Index) -> Spheres:
         """Take some of the spheres."""
         return Spheres(self.gap[..., group], self.climb[..., group], self.slip[..., group, :])
 

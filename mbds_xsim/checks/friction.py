@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.gains import axles_of, spin_gained
 from mbds_xsim.checks.ground import Push, pushes_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _LITTLE = 0.05  # of the weight, or of the slip that friction takes in a step
 _SPRUNG = 0.01  # of what friction takes in an impact, which springs give back (MuJoCo: 1.2e-3)

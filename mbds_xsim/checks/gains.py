@@ -13,16 +13,14 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push
 from mbds_xsim.checks.impacts import impacts_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, of_revolution
-
-Array = NDArray[np.float64]
 
 _EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
 # Times the lag, of the gyroscopic moment's change: first order; tumbling cars leave up to 4.
@@ -70,7 +68,7 @@ class Gains:
     """Moment about the axle of an impulse of 1 N·s at the body's sphere [m], (…, axle, 3)."""
     slips: tuple[Array, Array]
     """Velocities of the spheres' lowest points at the step's two ends [m/s], (…, sphere, 3)."""
-    touches: NDArray[np.bool_]
+    touches: Mask
     """Spheres that may touch in the step, (…, sphere)."""
 
 

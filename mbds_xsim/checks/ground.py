@@ -6,16 +6,13 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.finding import Record, Spheres
 from mbds_xsim.checks.momentum import balances_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _CENTRED = 1e-9  # [m]
 _SUPPORT = 2.0  # times the impulse of gravity
@@ -28,7 +25,7 @@ class Push:
 
     name: str
     bodies: tuple[int, ...]
-    spheres: NDArray[np.int64]
+    spheres: Index
     """Which contact spheres the group has."""
     mass: float
     share: Array
@@ -120,12 +117,12 @@ def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     )
 
 
-def _is_ball(mechanism: Mechanism, bodies: tuple[int, ...], spheres: NDArray[np.int64]) -> bool:
+def _is_ball(mechanism: Mechanism, bodies: tuple[int, ...], spheres: Index) -> bool:
     offset = mechanism.sphere_offset[spheres]
     return len(bodies) == len(spheres) == 1 and bool(np.abs(offset).max() <= _CENTRED)
 
 
-def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: NDArray[np.int64]) -> BodyStates:
+def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyStates:
     """Give the velocities that unit impulses on a sphere's lowest point make of bodies at rest.
 
     Joints share in an impulse by the least change of kinetic energy.
@@ -158,7 +155,7 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: NDArray[np.int64]) 
     return BodyStates(*(values.reshape(*shape, -1) for values in vars(found).values()))
 
 
-def lowest(mechanism: Mechanism, native: Array, sphere: NDArray[np.int64]) -> Array:
+def lowest(mechanism: Mechanism, native: Array, sphere: Index) -> Array:
     """Arms from centres of mass to the lowest points of spheres [m], by the bodies' turns."""
     arm = rotation.rotate(native, mechanism.sphere_offset[sphere])
     arm[..., 2] -= mechanism.sphere_radius[sphere]

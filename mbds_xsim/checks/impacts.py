@@ -11,15 +11,11 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks.finding import Finding, Record, Spheres, spheres_of
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.scene.joint_space import BodyStates
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _REFINEMENTS = 4  # Newton's steps to the time of touch
 _SUBSTEPS = 4  # of Runge and Kutta to it

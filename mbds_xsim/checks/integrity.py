@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Finding, Record
-
-Array = NDArray[np.float64]
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
@@ -115,7 +113,7 @@ def planarity(record: Record) -> Finding | None:
     )
 
 
-def _bits(values: Array, mask: int) -> NDArray[np.bool_]:
+def _bits(values: Array, mask: int) -> Mask:
     """Tell which numbers have any of some bits set; those that are not finite have none."""
     return np.asarray((np.ascontiguousarray(values).view(np.int64) & mask) != 0)
 

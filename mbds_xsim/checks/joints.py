@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
-
-Array = NDArray[np.float64]
 
 
 def gap(record: Record) -> Finding | None:

@@ -6,15 +6,13 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.mismatch import Mismatch
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
-
-Array = NDArray[np.float64]
 
 _NOISE = 1e-4  # of the largest speed; solvers' tolerances leave up to 4e-5
 _LAG = 0.1  # of a step: a fifth of the half step that must be seen

@@ -15,14 +15,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 EVERY_SECOND = (0, 2)
 """First step, and every how many: these take in every frame once."""
@@ -42,7 +39,7 @@ class Mismatch:
     """
 
     mechanism: Mechanism
-    frame: NDArray[np.int64]
+    frame: Index
     """At which each step ends, shape (step,)."""
     left: Array
     """[m/s]"""

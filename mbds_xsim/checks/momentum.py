@@ -6,14 +6,11 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Finding, Record, summed
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FLOOR = 1e-3
 _SAME = 1e-9

@@ -11,15 +11,12 @@ J. Appl. Mech. 56, 133), and an engine that keeps to them gains energy as they d
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.energy import energy_of, input_work
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import impacts_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def passivity(record: Record) -> Finding | None:

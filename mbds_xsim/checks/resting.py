@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 from mbds_xsim.checks.passivity import risen, settled, stored
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _SLOW = 1e-3  # of the speed √(g · length)
 _NEAR = 1e-3  # of the scene's length

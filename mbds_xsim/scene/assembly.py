@@ -6,17 +6,15 @@ import functools
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, eye_array, vstack
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.constraints import constraint_rows, sparse_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.row_space import least_change
-
-Array = NDArray[np.float64]
 
 _STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]
 _MOST_STRIDES = 1000

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.row_space import independent_rows
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _AXES = np.eye(3)

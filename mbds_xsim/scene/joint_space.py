@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.state import Batch, Trajectory
 
-Array = NDArray[np.float64]
-Bodies = list[int] | NDArray[np.int64]
+Bodies = list[int] | Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,22 +204,22 @@ def _down(tree: _Tree, steps: Array) -> Array:
 class _Tree:
     """The links as arrays, in their order."""
 
-    body: NDArray[np.int64]
-    link_of_body: NDArray[np.int64]
-    parent_body: NDArray[np.int64]
-    parent_link: NDArray[np.int64]
+    body: Index
+    link_of_body: Index
+    parent_body: Index
+    parent_link: Index
     """−1 where the parent is the world."""
-    free: NDArray[np.bool_]
-    turns_freely: NDArray[np.bool_]
+    free: Mask
+    turns_freely: Mask
     """Free bodies and ball joints."""
-    hinge: NDArray[np.bool_]
-    slider: NDArray[np.bool_]
+    hinge: Mask
+    slider: Mask
     axis: Array
     in_parent: Array
     in_child: Array
 
     @property
-    def scalar(self) -> NDArray[np.int64]:
+    def scalar(self) -> Index:
         """Links with one coordinate."""
         return np.flatnonzero(self.hinge | self.slider)
 

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Joint, Scene, SpringDamper
 
-Array = NDArray[np.float64]
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
 WORLD_INDEX = -1
@@ -118,12 +117,12 @@ class Mechanism:
     """The joints that close loops, in scene order."""
     distances: tuple[PointPair, ...]
     springs: tuple[PointPair, ...]
-    particle_body: NDArray[np.int64]
+    particle_body: Index
     """Body of each particle, shape (particle,)."""
     particle_offset: Array
     """Particle centres in the native frame of their body [m], shape (particle, 3)."""
-    particles_per_body: NDArray[np.int64]
-    sphere_body: NDArray[np.int64]
+    particles_per_body: Index
+    sphere_body: Index
     sphere_offset: Array
     """Centres of the contact spheres in native frames [m], shape (sphere, 3)."""
     sphere_radius: Array
@@ -367,7 +366,7 @@ def _reversed(joint: PlacedJoint) -> PlacedJoint:
     )
 
 
-def markers(mechanism: Mechanism) -> tuple[NDArray[np.int64], Array]:
+def markers(mechanism: Mechanism) -> tuple[Index, Array]:
     """Give the body (marker,) and the offset from its centre of mass in N [m] (marker, 3) of each.
 
     They are the particles; in a body without any, six points around its centre of mass at its

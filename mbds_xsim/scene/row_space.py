@@ -14,7 +14,8 @@ from scipy.linalg import qr, solve_triangular
 from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.linalg import SuperLU, norm, splu
 
-Array = NDArray[np.float64]
+from mbds_xsim.base.arrays import Array
+
 Indices = NDArray[np.intp]
 
 _FEW = 400

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints
@@ -24,8 +24,6 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, connected
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
-
-Array = NDArray[np.float64]
 
 # σ holds for frames of this length; other intervals keep the noise's spectral density.
 _NOISE_FRAME = 0.02
@@ -221,7 +219,7 @@ class _Hung:
 
     body: list[int]
     parent: list[int]
-    above: NDArray[np.int64]
+    above: Index
     """Place of the parent among them; −1 where it is none of those before."""
     arm: Array
     """From the joint to the centre of mass [m], shape (hung, 3)."""

@@ -12,15 +12,13 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, of_revolution
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 _EVEN = 1e-12  # relative, of moments of inertia and lengths
 STILL = 1e-12

@@ -10,21 +10,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
 
 STATES = ("position", "orientation", "velocity", "angular_velocity")
 """What is known of a body in a frame, and of its start."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """Starts and inputs of some trajectories."""
 
-    index: NDArray[np.int64]
+    index: Index
     """Number of each trajectory; decides its interval and its random numbers; (trajectory,)."""
     position: Array
     """Centres of mass at frame 0 [m], shape (trajectory, body, 3)."""
@@ -53,7 +51,7 @@ class Batch:
         interval = f" ({self.interval(row)})" if len(self) > 1 else ""
         return f"trajectory {self.index[row]}{interval}"
 
-    def __getitem__(self, rows: slice | list[int] | NDArray[np.int64]) -> Batch:
+    def __getitem__(self, rows: slice | list[int] | Index) -> Batch:
         """Take some of the trajectories."""
         return Batch(*(getattr(self, key)[rows] for key in self.__dataclass_fields__))
 
@@ -112,7 +110,7 @@ class Trajectory:
             tuple(picked),
         )
 
-    def replaced(self, rows: NDArray[np.int64], other: Trajectory) -> Trajectory:
+    def replaced(self, rows: Index, other: Trajectory) -> Trajectory:
         """Put another's trajectories in the place of some, in their order."""
         arrays = {key: getattr(self, key).copy() for key in STATES}
         failures = list(self.failures)

@@ -10,9 +10,9 @@ from importlib.metadata import version
 from typing import Any, ClassVar, Literal, Self, SupportsFloat, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -28,7 +28,6 @@ from mbds_xsim.simulate.claims import (
     features_of,
 )
 
-Array = NDArray[np.float64]
 Profile = Literal["native", "matched"]
 
 _REFINABLE = 4
@@ -283,7 +282,7 @@ def recorded(
 
 
 def first_failures(
-    bad: NDArray[np.bool_], reason: Callable[[int, int], str], *, earliest: int = 0
+    bad: Mask, reason: Callable[[int, int], str], *, earliest: int = 0
 ) -> tuple[Failure | None, ...]:
     """Turn each trajectory's first bad frame into a failure.
 
@@ -304,7 +303,7 @@ def blow_up(mechanism: Mechanism) -> str:
     return f"a body's speed passes {_top_speed(mechanism):.3g} m/s or is not a number"
 
 
-def too_fast(mechanism: Mechanism, velocity: Array) -> NDArray[np.bool_]:
+def too_fast(mechanism: Mechanism, velocity: Array) -> Mask:
     """Find the frames of a blow-up; a NaN counts as one.
 
     Args:

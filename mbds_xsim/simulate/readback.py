@@ -10,16 +10,15 @@ import dataclasses
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import WORLD
 from mbds_xsim.scene.spin import idle_axes
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.adapter import Readback, Settings
 
-Array = NDArray[np.float64]
 _Quantity = tuple[str, Array | None, Array, float, list[str]]
 """What it is, as read and as wanted, the least scale of a difference, and the rows' names."""
 

@@ -14,9 +14,9 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import isolate
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -26,7 +26,6 @@ from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.timed import WARM_UP, checked, stopwatch
 
-Array = NDArray[np.float64]
 Options = Mapping[str, float | int | bool | str]
 
 NATIVE = "native"
@@ -46,7 +45,7 @@ class Signs:
 
     time: Array
     """[s]"""
-    finite: NDArray[np.bool_]
+    finite: Mask
     """Whether all numbers of the motion are finite up to this frame."""
     energy: Array
     """Deviation of the energy balance over its scale, with its sign."""

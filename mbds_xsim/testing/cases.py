@@ -14,10 +14,10 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     Body,
@@ -34,7 +34,6 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Trajectory
 
-Array = NDArray[np.float64]
 Exact = Callable[[Array], Array]
 
 _G = 9.81

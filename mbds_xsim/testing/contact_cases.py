@@ -15,9 +15,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -38,8 +38,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import ContactScales
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
-
-Array = NDArray[np.float64]
 
 RADIUS = PARTICLE_RADIUS
 FRICTION, RESTITUTION = 0.43, 0.9332

@@ -9,10 +9,10 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
@@ -38,8 +38,6 @@ from mbds_xsim.testing.contact_cases import (
     gaps,
     rebound_heights,
 )
-
-Array = NDArray[np.float64]
 
 _G = -GRAVITY[2]
 _COARSER = 4

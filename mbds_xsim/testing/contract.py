@@ -21,7 +21,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
@@ -36,8 +35,6 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import Feature, Method, features_of
 from mbds_xsim.testing.cases import CASES, Case
 from mbds_xsim.testing.contact_contract import ContactContract
-
-Array = NDArray[np.float64]
 
 _STEPS_PER_FRAME = (4, 8, 16)
 _ORDER_MARGIN = 0.2

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-
-Array = NDArray[np.float64]
 
 _STILL = 1e-12  # slip that is none [m/s]
 _ENDS = np.array([1.0, -1.0])  # front, rear

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import JointKind, Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -38,7 +38,6 @@ SECOND = Clock(steps=50)
 Y = (0.0, 1.0, 0.0)
 OBLIQUE = (0.0, 2.0, 1.0)
 BRICK = Inertia(2.0, (0.05, 0.08, 0.1), (0.01, -0.005, 0.02), com=(0.15, 0.02, 0.05))
-Array = NDArray[np.float64]
 
 
 def roll(scene: Scene, method: str, substeps: int, **options: float) -> Trajectory:

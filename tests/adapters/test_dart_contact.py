@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import UnknownName, Unsupported
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Record
@@ -36,7 +36,6 @@ CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 ROUND = {"collision_detector": "ode", "friction_solver": "nsgs"}
 G, MU, E = 9.81, 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)
-Array = NDArray[np.float64]
 replaced = msgspec.structs.replace
 
 

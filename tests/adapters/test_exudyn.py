@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -41,7 +41,6 @@ IMPLICIT = ("trapezoidal", "generalised-alpha")
 EXPLICIT = ("RK44", "RK67")
 G = -GRAVITY[2]
 CLOCK = Clock(frame=0.02, steps=50)
-Array = NDArray[np.float64]
 TIMES: Array = np.linspace(0.0, CLOCK.duration, CLOCK.steps + 1)
 
 

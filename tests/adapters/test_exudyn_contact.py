@@ -9,9 +9,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -35,7 +35,6 @@ from tests.adapters.exact import (
 pytest.importorskip("exudyn")
 impact: Any = importlib.import_module("mbds_xsim_adapters.exudyn.contact")
 
-Array = NDArray[np.float64]
 ENGINE = load_adapter("exudyn")
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 G, MU, E = 9.81, 0.43, 0.9332

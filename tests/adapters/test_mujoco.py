@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.joint_space import to_bodies
@@ -363,7 +363,7 @@ def test_budgets_are_met_at_the_step_that_the_documents_name(
         motion = run.rollout(batch)
     mechanism = Mechanism.of(scene)
 
-    def particles(trajectory: Trajectory) -> NDArray[np.float64]:
+    def particles(trajectory: Trajectory) -> Array:
         return mechanism.particle_positions(trajectory.position, trajectory.orientation)
 
     off = particles(motion) - particles(exact)

@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import audit
@@ -34,7 +33,6 @@ from tests.adapters.exact import (
 mujoco: Any = pytest.importorskip("mujoco")
 impact_law: Any = importlib.import_module("mbds_xsim_adapters.mujoco.contact").impact_law
 
-Array = NDArray[np.float64]
 ENGINE = load_adapter("mujoco")
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
 G, MU = 9.81, 0.43

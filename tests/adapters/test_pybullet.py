@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
@@ -37,7 +37,6 @@ pytest.importorskip("pybullet")
 
 ENGINE = load_adapter("pybullet")
 METHOD = "semi-implicit-euler"
-Array = NDArray[np.float64]
 NO_GRAVITY = (0.0, 0.0, 0.0)
 
 

@@ -7,10 +7,10 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene, Torque
@@ -25,7 +25,6 @@ pytest.importorskip("pybullet")
 
 ENGINE = load_adapter("pybullet")
 METHOD = "semi-implicit-euler"
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 G = 9.81
 MU, E = 0.43, 0.9332

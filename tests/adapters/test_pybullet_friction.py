@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates
@@ -26,7 +26,6 @@ pytest.importorskip("pybullet")
 axes: Any = importlib.import_module("mbds_xsim_adapters.pybullet.contact")
 
 ENGINE = load_adapter("pybullet")
-Array = NDArray[np.float64]
 HEADINGS = np.radians([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])
 ALONG = np.stack([np.cos(HEADINGS), np.sin(HEADINGS), np.zeros(7)], axis=1)
 STEP, FRAMES, SPEED = 5e-4, 10, 20.0

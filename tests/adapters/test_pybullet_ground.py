@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.mechanism import Mechanism
@@ -38,7 +37,6 @@ pybullet: Any = pytest.importorskip("pybullet")
 ENGINE = load_adapter("pybullet")
 METHOD = "semi-implicit-euler"
 CONTACT_SCENES = ("ballscroll", "balldrop", "particlecar", "simplecubli")
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 MU, E = 0.43, 0.9332
 STILL = (0.0, 0.0, 0.0)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import accelerations
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
@@ -20,7 +20,6 @@ from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamp
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 
-Array = NDArray[np.float64]
 State = tuple[Array, Array, Array, Array]
 Stepper = Callable[["Model", State, float, Array, Array], State]
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Record, agreement
 from mbds_xsim.checks.agreement import compare, compare_runs, features
 from mbds_xsim.scene.mechanism import Mechanism
@@ -16,7 +16,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 
 NAN = np.nan
-Array = NDArray[np.float64]
 
 
 def test_the_error_is_the_rms_over_particles(tumbling: Any, pendulum: Any) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base import rotation
@@ -19,8 +18,6 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.testing.straight_car import straight_run
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

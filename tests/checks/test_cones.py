@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.cones import Cones, unexplained
-
-Array = NDArray[np.float64]
 
 _EDGES = 361
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.consistency import consistency, extrapolate, unsettled
 from mbds_xsim.scene.scene import Scene
@@ -162,7 +163,7 @@ def test_times_of_large_growth_are_not_judged(pendulum: Any, runs: Any) -> None:
 def test_the_limit_of_a_series_in_the_step_is_found_within_its_uncertainty() -> None:
     """Values 1 + h + 0.3 h², of which extrapolation leaves the square."""
 
-    def at(h: float) -> NDArray[np.float64]:
+    def at(h: float) -> Array:
         return np.full((1, 1, 1), 1.0 + h + 0.3 * h**2)
 
     floor = np.full((1, 1), 1e-12)
@@ -177,7 +178,7 @@ def test_the_limit_of_a_series_in_the_step_is_found_within_its_uncertainty() -> 
 def test_faster_convergence_than_declared_is_no_fault() -> None:
     """Values 1 + c h² + h⁴ declared of order 2: the two terms may cancel in a difference."""
 
-    def at(h: float, second: float) -> NDArray[np.float64]:
+    def at(h: float, second: float) -> Array:
         return np.full((1, 1, 1), 1.0 + second * h**2 + h**4)
 
     for second in (0.0, 3e-4, -3e-4, -0.8e-3):

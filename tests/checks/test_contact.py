@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record, audit
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.scene.mechanism import Mechanism
@@ -22,8 +22,6 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.straight_car import straight_run
-
-Array = NDArray[np.float64]
 
 RK4 = load_adapter("mujoco").methods["RK4"]
 SLOPES = {"along x": (4.0, 0.0), "at 45°": (3.0, 3.0), "at 20°": (4.0, 1.456)}

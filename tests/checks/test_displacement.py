@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.ground import pushes_of
@@ -23,8 +23,6 @@ from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import simulate as run
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.cases import Case as Exact
-
-Array = NDArray[np.float64]
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)

@@ -9,9 +9,9 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.eccentric import (
     Pool,
@@ -29,8 +29,6 @@ from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_adapter
-
-Array = NDArray[np.float64]
 
 RK4 = load_adapter("mujoco").methods["RK4"]
 OFFSET, RADIUS, MOMENT, GRAVITY = np.array([0.2, -0.1]), 0.02, 0.02, 9.81

@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.checks import Finding, Record
 from mbds_xsim.checks.resting import resting
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Trajectory
-
-Array = NDArray[np.float64]
 
 CORNERS = [(x, y) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.adapter import Settings
 
@@ -17,7 +17,6 @@ from .planting import Fault
 
 __all__ = ["DRIVING"]
 
-Array = NDArray[np.float64]
 Change = Callable[[Batch], Batch]
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Index
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
@@ -22,7 +22,7 @@ _TWIST = 0.1  # [rad/s]
 _FROZEN = 10  # frames
 
 
-def _taken(motion: Trajectory, frames: NDArray[np.int64], *names: str) -> Trajectory:
+def _taken(motion: Trajectory, frames: Index, *names: str) -> Trajectory:
     return dataclasses.replace(motion, **{name: getattr(motion, name)[:, frames] for name in names})
 
 

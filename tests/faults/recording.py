@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
@@ -17,7 +18,6 @@ from .planting import Fault
 
 __all__ = ["RECORDING"]
 
-Array = NDArray[np.float64]
 Record = Callable[[Scene, Batch, float, Trajectory], Trajectory]
 
 _FIELDS = ("position", "orientation", "velocity", "angular_velocity")

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import accelerations
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -23,7 +23,6 @@ from .planting import Fault
 
 __all__ = ["SMOOTH", "gravity", "heavier", "stouter"]
 
-Array = NDArray[np.float64]
 
 _CONSISTENCY = ("consistency of positions", "consistency of energy")
 

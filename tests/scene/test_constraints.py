@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.four_bars import four_bars
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.constraints import (
     ConstraintRows,
     constraint_rows,
@@ -49,7 +50,7 @@ def _rows(mechanism: Mechanism, states: BodyStates) -> ConstraintRows:
     )
 
 
-def _rate(mechanism: Mechanism, states: BodyStates) -> rotation.Array:
+def _rate(mechanism: Mechanism, states: BodyStates) -> Array:
     jacobian = dense_jacobian(_rows(mechanism, states), mechanism.body_count)
     twist = np.concatenate([states.velocity, states.angular_velocity], axis=-1)
     return np.einsum("...ij,...j->...i", jacobian, twist.reshape(*twist.shape[:-2], -1))

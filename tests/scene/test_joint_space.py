@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
@@ -18,11 +19,11 @@ _KINDS = st.lists(
 )
 
 
-def _equal(actual: rotation.Array, expected: rotation.Array, size: float = 1.0) -> None:
+def _equal(actual: Array, expected: Array, size: float = 1.0) -> None:
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-12 * max(1.0, size))
 
 
-def _equal_turns(actual: rotation.Array, expected: rotation.Array) -> None:
+def _equal_turns(actual: Array, expected: Array) -> None:
     """The sign of a quaternion is free."""
     same = np.sign(np.sum(actual * expected, axis=-1, keepdims=True))
     _equal(actual * same, expected)

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
@@ -106,7 +106,7 @@ def test_a_spring_or_damper_slightly_off_is_told(
 
 @pytest.mark.parametrize("what", ["joint_axis", "anchor", "sphere", "contact"])
 @pytest.mark.parametrize("given", [np.zeros(0), np.zeros((5, 2)), np.zeros((3, 11, 1, 3))])
-def test_an_array_of_another_shape_is_told(what: str, given: NDArray[np.float64]) -> None:
+def test_an_array_of_another_shape_is_told(what: str, given: Array) -> None:
     scene = load_scene("particlecar")
     batch, mujoco = draw_batch(scene, [0]), load_adapter("mujoco")
     settings = settings_for(scene, mujoco, "matched")
@@ -120,7 +120,7 @@ def test_an_array_of_another_shape_is_told(what: str, given: NDArray[np.float64]
 
 
 @pytest.mark.parametrize("given", [np.zeros(0), np.zeros((0, 4)), np.zeros((5, 2))])
-def test_springs_are_asked_of_no_scene_without_any(given: NDArray[np.float64]) -> None:
+def test_springs_are_asked_of_no_scene_without_any(given: Array) -> None:
     scene, mujoco = load_scene("2pendulum"), load_adapter("mujoco")
     batch, settings = draw_batch(scene, [0]), settings_for(scene, mujoco, "matched")
     with mujoco.open(scene, settings) as run:

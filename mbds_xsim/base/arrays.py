@@ -1,0 +1,8 @@
+"""Types of arrays; their shapes stand in the docstrings."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
