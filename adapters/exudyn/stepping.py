@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 
 SOLVERS = {
@@ -135,7 +136,5 @@ def has_redundant_constraints(mechanism: Mechanism) -> bool:
     """
     if not (mechanism.loops or mechanism.distances):
         return False
-    from mbds_xsim.scene.constraints import degrees_of_freedom  # scipy takes long to import
-
     rows = sum(_ROWS[joint.kind] for joint in mechanism.joints) + len(mechanism.distances)
     return 6 * mechanism.body_count - rows != degrees_of_freedom(mechanism)

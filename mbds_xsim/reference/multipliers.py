@@ -10,9 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from mbds_xsim.reference.topology import Topology
 
@@ -68,6 +65,9 @@ class Multipliers:
 
     def _order(self, touching: list[list[tuple[int, int]]]) -> None:
         """Find the row order and, for each element of the band, the products that make it."""
+        from scipy.sparse import csr_array  # takes long to import
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
         rows, slots = self.row_count, self.slot_count
         near = np.zeros((rows, rows), dtype=bool)
         for group in touching:
@@ -125,6 +125,8 @@ class Multipliers:
             independent of the others, as a share of the row, squared, shape (batch,): 0 where
             fewer rows are independent than elsewhere.
         """
+        from scipy.linalg import lapack
+
         products = _products(jacobian)
         band = products[:, self._source[0]]
         band += products[:, self._source[1]]
@@ -147,6 +149,8 @@ class Multipliers:
 
     def solve_anew(self, jacobian: Array, goal: Array) -> tuple[Array, float]:
         """Solve for one state, with rows that are independent there."""
+        from scipy.linalg import lapack
+
         if not (np.isfinite(jacobian).all() and np.isfinite(goal).all()):
             return np.full(self.row_count, np.nan), 0.0  # no state; LAPACK would find no rank
         factor, chosen, scale = self._factorised(_products(jacobian[None])[0])
@@ -158,6 +162,8 @@ class Multipliers:
 
     def _factorised(self, products: Array) -> tuple[Array, Indices, Array]:
         """Pivoted Cholesky factor of one state, the rows that it takes, and the scale of all."""
+        from scipy.linalg import lapack
+
         rows = self.row_count
         lower = np.zeros((rows, rows + self._band))
         column = np.arange(rows)[:, None]

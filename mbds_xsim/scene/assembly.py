@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array, vstack
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
@@ -14,7 +13,9 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.constraints import constraint_rows, sparse_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
-from mbds_xsim.scene.row_space import least_change
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _STRIDE = 0.1  # largest change of a joint coordinate between two solves [rad, or lengths]
 _MOST_STRIDES = 1000
@@ -40,6 +41,11 @@ def assemble(mechanism: Mechanism) -> BodyStates:
     """
     still = np.zeros((mechanism.body_count, 3))
     pose = mechanism.com.copy(), np.tile(rotation.IDENTITY, (mechanism.body_count, 1))
+    if not (mechanism.joints or mechanism.distances):  # so all bodies are free
+        bodies = mechanism.scene.bodies
+        velocity = [body.velocity or (0.0, 0.0, 0.0) for body in bodies]
+        angular_velocity = [body.angular_velocity or (0.0, 0.0, 0.0) for body in bodies]
+        return BodyStates(*pose, np.array(velocity), np.array(angular_velocity))
     if not _follows_from(mechanism, "start"):
         pose = _assemble_pose(mechanism, *pose)
     start = _on_its_tree(mechanism, BodyStates(*pose, still, still.copy()))
@@ -168,6 +174,8 @@ def _pose_rows(
     mechanism: Mechanism, position: Array, native: Array, led: list[tuple[PlacedJoint, float]]
 ) -> tuple[Array, csr_array, Array]:
     """Residual, Jacobian and owner of all constraints and, behind them, the led joints."""
+    from scipy.sparse import vstack  # takes long to import
+
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
     ahead = [
@@ -185,6 +193,8 @@ def _pose_rows(
 def _complete_velocities(
     mechanism: Mechanism, position: Array, native: Array
 ) -> tuple[Array, Array]:
+    from scipy.sparse import eye_array, vstack
+
     scene = mechanism.scene
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
@@ -249,11 +259,15 @@ def _check_branch(
 
 def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: Array) -> Array:
     """Solve matrix · twist = goal with the twists of least kinetic energy."""
+    from mbds_xsim.scene.row_space import least_change
+
     return least_change(matrix, inverse_mass_root(mechanism, native), goal)
 
 
 def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:
     """Give the symmetric root of the inverse of the mass matrix of all twists in W."""
+    from scipy.sparse import bsr_array
+
     turn = rotation.matrix(native)
     inertia = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
     values, vectors = np.linalg.eigh(inertia)
@@ -268,6 +282,8 @@ def _rate_row(
     mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array
 ) -> csr_array:
     """Row that gives a hinge's or slider's rate from the twists, shape (1, 6 · body)."""
+    from scipy.sparse import csr_array
+
     held = joint.parent == WORLD_INDEX
     axis = joint.axis if held else rotation.rotate(native[joint.parent], joint.axis)
     # What either is of the world is left out below.

@@ -23,15 +23,17 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
-from mbds_xsim.scene.row_space import independent_rows
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Indices = NDArray[np.intp]
 
@@ -161,6 +163,8 @@ def dense_jacobian(rows: ConstraintRows, body_count: int) -> Array:
 
 def sparse_jacobian(rows: ConstraintRows, body_count: int) -> csr_array:
     """Do the same for rows of one state, without the zeros."""
+    from scipy.sparse import csr_array  # takes long to import
+
     count = len(rows.parent)
     ends = np.concatenate([rows.parent, rows.child])
     blocks = np.concatenate([rows.jacobian_parent, rows.jacobian_child])
@@ -182,6 +186,8 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
     rows = constraint_rows(mechanism, mechanism.com, native, still, still)
     if not (mechanism.loops or mechanism.distances):
         return 6 * mechanism.body_count - len(rows.parent)
+    from mbds_xsim.scene.row_space import independent_rows
+
     jacobian = sparse_jacobian(rows, mechanism.body_count)
     return 6 * mechanism.body_count - len(independent_rows(jacobian))
 

@@ -17,6 +17,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, of_revolution
+from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 
@@ -36,8 +37,6 @@ def idle_axes(scene: Scene) -> Array:
     mechanism = Mechanism.of(scene)
     axes = np.array([_axis_of_revolution(mechanism, k) for k in range(mechanism.body_count)])
     if axes.any():
-        from mbds_xsim.scene.sampling import draw_batch  # its scipy takes long to import
-
         batch = draw_batch(scene, range(len(INTERVALS)), noise=False, inputs=False)
         native = mechanism.native_rotation(batch.orientation)
         spin = spin_about(axes, native, batch.angular_velocity)

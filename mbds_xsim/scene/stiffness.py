@@ -8,6 +8,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.assembly import assemble, inverse_mass_root
+from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
@@ -42,10 +44,6 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     mechanism = Mechanism.of(scene)
     if not mechanism.springs:
         return 0.0, 0.0
-    # Their scipy takes longer to import than most runs, and few scenes have springs.
-    from mbds_xsim.scene.assembly import assemble, inverse_mass_root
-    from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
-
     start = assemble(mechanism)
     root = inverse_mass_root(mechanism, start.native).toarray()
     still = np.zeros_like(start.position)
