@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbds_xsim.checks.balance import balance, balance_drift, cones
@@ -11,7 +9,7 @@ from mbds_xsim.checks.coefficients import coefficients
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.energy import energy_balance
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Check, Finding, Record
 from mbds_xsim.checks.friction import friction, rolling, wheels
 from mbds_xsim.checks.impacts import restitution
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
@@ -24,8 +22,6 @@ from mbds_xsim.checks.resting import contact_gap, hop, penetration, resting
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
-
-Check = Callable[[Record], Finding | None]
 
 CHECKS: tuple[Check, ...] = (
     finite,

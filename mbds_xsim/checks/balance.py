@@ -16,7 +16,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.cones import Cones, cones_of, unexplained
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.gains import Axle, axles_of, gains_of
 from mbds_xsim.checks.ground import Push, pushes_of
 
@@ -49,33 +49,28 @@ class _Left:
     """Steps whose two frames are finite, (…)."""
 
 
-def balance(record: Record) -> Finding | None:
+@check("balance", "balance")
+def balance(record: Record) -> Figures:
     """Measure what no impulses at spheres that touch explain, over the weight's or their own.
 
     None without contact, or where something else supports what may touch.
     """
     groups = [(push, _left_of(record, push)) for push in pushes_of(record)]
-    found = [(push, left, _parts(left)) for push, left in groups]
-    if not found:
-        return None
-    series, names = _series(record, found)
-    return Finding.of("balance", "1", series, budget=record.scene.budget.balance, names=names)
+    return _figures(record, [(push, left, _parts(left)) for push, left in groups])
 
 
-def balance_drift(record: Record) -> Finding | None:
+@check("balance drift", "balance")
+def balance_drift(record: Record) -> Figures:
     """Add up what is not explained of spins about axles, over the impulse of the weight in a step.
 
     A small torque that is always there shows in it. None without bodies of revolution on axles.
     """
     groups = [(push, _left_of(record, push)) for push in pushes_of(record)]
-    found = [(push, left, _drifts(record, push, left)) for push, left in groups if left.axles]
-    if not found:
-        return None
-    series, names = _series(record, found)
-    return Finding.of("balance drift", "1", series, budget=record.scene.budget.balance, names=names)
+    return _figures(record, [(push, left, _drifts(record, push, left)) for push, left in groups])
 
 
-def cones(record: Record) -> Finding | None:
+@check("cones", "balance")
+def cones(record: Record) -> Figures:
     """Measure what no impulses within Coulomb's cones explain, over the weight's or their own.
 
     Impulses that push, with friction within μ times the push, and with just so much against the
@@ -86,21 +81,15 @@ def cones(record: Record) -> Finding | None:
         left = _left_of(record, push)
         rows = _confined(left, cones_of(record, push))
         found.append((push, left, _parts(replace(left, rows=rows, vague=left.vague + left.beside))))
-    if not found:
-        return None
-    series, names = _series(record, found)
-    return Finding.of("cones", "1", series, budget=record.scene.budget.balance, names=names)
+    return _figures(record, found)
 
 
-def _series(
-    record: Record, groups: list[tuple[Push, _Left, dict[str, Array]]]
-) -> tuple[Array, tuple[str, ...]]:
-    """Values of all parts, (trajectory, frame, part), and their names."""
-    names = tuple(f"{name}, {push.name}" for push, _, parts in groups for name in parts)
+def _figures(record: Record, groups: list[tuple[Push, _Left, dict[str, Array]]]) -> Figures:
+    names = [f"{name}, {push.name}" for push, _, parts in groups for name in parts]
     columns = [
         np.where(left.known, part, np.nan) for _, left, parts in groups for part in parts.values()
     ]
-    return record.by_step(columns), names
+    return Figures(record.by_step(columns), names)
 
 
 def _parts(left: _Left) -> dict[str, Array]:

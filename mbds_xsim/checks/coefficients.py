@@ -27,7 +27,7 @@ from mbds_xsim.checks.energy import (
     hinge_turns,
     input_work,
 )
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.joints import pair_distance, pair_rate
 from mbds_xsim.checks.momentum import flights_of, gain_of
 
@@ -68,7 +68,8 @@ class Part:
         return np.asarray(self.counting >= _FEW)
 
 
-def coefficients(record: Record) -> Finding | None:
+@check("coefficients", 1.0)
+def coefficients(record: Record) -> Figures | None:
     """Measure by how much inputs, gravity and masses count otherwise than they should.
 
     Over what is allowed: 3e-3 and some standard errors of the regression. Inputs are those of the
@@ -90,14 +91,8 @@ def coefficients(record: Record) -> Finding | None:
     found = np.concatenate([ends, record.by_step([steps_of(record).nearer / _NONE])], axis=-1)
     found[~record.finite] = np.nan
     seen = [f"{part.name} {np.median(most):.2g}" for part, most in zip(parts, allowed, strict=True)]
-    return Finding.of(
-        "coefficients",
-        "1",
-        found,
-        budget=1.0,
-        names=(*(part.name for part in parts), "inputs of a step"),
-        note=f"allowed in half of the trajectories: {', '.join(seen[:2] + seen[3:])}",
-    )
+    note = f"allowed in half of the trajectories: {', '.join(seen[:2] + seen[3:])}"
+    return Figures(found, [*(part.name for part in parts), "inputs of a step"], note)
 
 
 @functools.lru_cache(maxsize=1)

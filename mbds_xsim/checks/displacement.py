@@ -19,7 +19,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.ground import Push, pushes_of, responses
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
@@ -37,7 +37,8 @@ _STEADY = 0.1  # of the floor, in the same
 _ERRORS = 4.0  # standard errors
 
 
-def displacement(record: Record) -> Finding | None:
+@check("displacement", 1.0)
+def displacement(record: Record) -> Figures | None:
     """Measure how far a frame's places are off what its velocities allow; 1 is all they allow.
 
     Looked at are, in every frame, each body's place and turn, and the centre of mass of each group
@@ -65,8 +66,7 @@ def displacement(record: Record) -> Finding | None:
     found = np.concatenate(parts, axis=-1)
     found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
-    note = f"turns are known to {allowed:.2g} rad/s in half of the frames"
-    return Finding.of("displacement", "1", found, budget=1.0, names=tuple(names), note=note)
+    return Figures(found, names, f"turns are known to {allowed:.2g} rad/s in half of the frames")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.ground import lowest, pushed, pushes_of
 from mbds_xsim.checks.impacts import (
     Impacts,
@@ -47,7 +47,8 @@ _SLIPS = 0.05  # of the arriving speed: a rebound with less slip may have stuck
 _EXPLAINED = 3e-3  # of the arriving speed, below which a rebound is as good as explained
 
 
-def eccentric_restitution(record: Record) -> Finding | None:
+@check("eccentric restitution", lambda record: _budgets(record)[0])
+def eccentric_restitution(record: Record) -> Figures | None:
     """Compare what single eccentric impacts give back with the scene's coefficient, else None.
 
     Of speed or of normal work, whichever law the impact keeps to.
@@ -60,24 +61,19 @@ def eccentric_restitution(record: Record) -> Finding | None:
     if ratios:
         rigid = sum(int(off[2].sum()) for _, _, off in groups)
         note += f"; {rigid} of {len(ratios)} impacts by the rigid law"
-    return _finding(record, "eccentric restitution", 0, note)
+    return _figures(record, 0, note)
 
 
-def eccentric_friction(record: Record) -> Finding | None:
+@check("eccentric friction", lambda record: _budgets(record)[1])
+def eccentric_friction(record: Record) -> Figures:
     """Compare the friction of single eccentric impacts with Coulomb's law, over μ · normal."""
-    return _finding(record, "eccentric friction", 1) if _deviations(record) else None
+    return _figures(record, 1)
 
 
-def _finding(record: Record, check: str, kind: int, note: str = "") -> Finding:
+def _figures(record: Record, kind: int, note: str = "") -> Figures:
     groups = _deviations(record)
-    return Finding.of(
-        check,
-        "1",
-        at_impacts(record, [(hits, off[kind]) for _, hits, off in groups]),
-        budget=_budgets(record)[kind],
-        names=tuple(name for name, _, _ in groups),
-        note=note,
-    )
+    parts = at_impacts(record, [(hits, off[kind]) for _, hits, off in groups])
+    return Figures(parts, [name for name, _, _ in groups], note)
 
 
 def _budgets(record: Record) -> tuple[float, float]:
@@ -309,7 +305,8 @@ class Pool:
         )
 
 
-def impact_coefficients(record: Record) -> Finding | None:
+@check("impact coefficients", 1.0)
+def impact_coefficients(record: Record) -> Figures | None:
     """Compare the coefficients that all impacts of a run show together with the scene's.
 
     Deviations over what is allowed: 0.02 of restitution and a share of 0.03 of friction, with four
@@ -320,8 +317,7 @@ def impact_coefficients(record: Record) -> Finding | None:
     if pool is None:
         return None
     parts = record.at_end(np.broadcast_to(pool.used, (len(record.finite), 2)))
-    names = ("restitution", "friction")
-    return Finding.of("impact coefficients", "1", parts, budget=1.0, names=names, note=str(pool))
+    return Figures(parts, ("restitution", "friction"), str(pool))
 
 
 def shown_of(record: Record) -> Shown | None:

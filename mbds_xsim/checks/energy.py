@@ -8,7 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.finding import Finding, Record, summed
+from mbds_xsim.checks.finding import Figures, Record, check, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_coordinate
 
@@ -40,7 +40,8 @@ class Energy:
         return np.maximum(self._floor, fastest + np.maximum(top - bottom, 0.0))
 
 
-def energy_balance(record: Record) -> Finding | None:
+@check("energy", lambda record: record.energy_budget)
+def energy_balance(record: Record) -> Figures | None:
     """Measure |E − E(0) − W| over the energy scale; with contact, over each period of flight.
 
     The work of held inputs is exact; that of dampers is a quadrature, whose error is the
@@ -57,14 +58,8 @@ def energy_balance(record: Record) -> Finding | None:
     note = ""
     if record.mechanism.springs and np.nanmax(error, initial=0.0) > 0:
         note = f"damper work known to {np.nanmax(error / energy.scale):.1g} of the scale"
-    return Finding.of(
-        "energy",
-        "1",
-        (np.abs(balance) / energy.scale[:, None])[..., None],
-        budget=record.energy_budget,
-        uncertainty=error / energy.scale,
-        note=note,
-    )
+    parts = (np.abs(balance) / energy.scale[:, None])[..., None]
+    return Figures(parts, note=note, uncertainty=error / energy.scale)
 
 
 @functools.lru_cache(maxsize=1)

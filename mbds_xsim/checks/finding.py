@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,8 +124,14 @@ class Record:
 
     def by_step(self, parts: Sequence[Array]) -> Array:
         """Put values of steps at the frames at their ends, 0 at the first: (…, frame, part)."""
-        found = np.stack(parts, axis=-1)
-        return np.concatenate([np.zeros_like(found[:, :1]), found], axis=1)
+        found = np.zeros((*self.finite.shape, len(parts)))
+        for k, part in enumerate(parts):
+            found[:, 1:, k] = part
+        return found
+
+    def by_frame(self, parts: Sequence[Array]) -> Array:
+        """Put values of frames side by side, shape (trajectory, frame, part)."""
+        return np.stack(parts, axis=-1) if parts else np.zeros((*self.finite.shape, 0))
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
@@ -182,6 +188,59 @@ class Record:
         """Budget of conserved quantities, relative, by the method's order."""
         budget = self.scene.budget
         return budget.energy if self.order >= 2 else budget.energy_first_order
+
+
+class Figures(NamedTuple):
+    """What a check calculates."""
+
+    parts: Array
+    """Values of several parts, named alike, shape (trajectory, frame, part)."""
+    names: Iterable[str] = ()
+    note: str = ""
+    uncertainty: Array | float = 0.0
+    """As in `Finding`."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check, which is called with a record."""
+
+    calculate: Callable[[Record], Figures | None]
+    name: str
+    budget: str | float | Callable[[Record], float] | None
+    unit: str
+
+    def __call__(self, record: Record) -> Finding | None:
+        """Give the finding on a record; None where there is no part to look at."""
+        found = self.calculate(record)
+        if found is None or not found.parts.shape[-1]:
+            return None
+        budget = self.budget
+        if isinstance(budget, str):
+            budget = float(getattr(record.scene.budget, budget))
+        return Finding.of(
+            self.name,
+            self.unit,
+            found.parts,
+            budget=budget(record) if callable(budget) else budget,
+            names=tuple(found.names),
+            uncertainty=found.uncertainty,
+            note=found.note,
+        )
+
+
+def check(
+    name: str, budget: str | float | Callable[[Record], float] | None, unit: str = "1"
+) -> Callable[[Callable[[Record], Figures | None]], Check]:
+    """Make a check of what calculates its figures.
+
+    Args:
+        name: As reports call it.
+        budget: What the figure may reach: a field of the scene's budget, a number, or what gives
+            it for a record; None: shown, not judged.
+        unit: Of the figure.
+    """
+    return lambda calculate: Check(calculate, name, budget, unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +332,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """Contact spheres, each array of shape (…, sphere)."""
+    """Contact spheres over the ground, each array of shape (…, sphere)."""
 
     gap: Array
     """Between the sphere and the ground [m]."""

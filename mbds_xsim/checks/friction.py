@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.gains import axles_of, spin_gained
-from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.ground import Push, balls_of, pushes_of
 
 _LITTLE = 0.05  # of the weight, or of the slip that friction takes in a step
 _SPRUNG = 0.01  # of what friction takes in an impact, which springs give back (MuJoCo: 1.2e-3)
@@ -19,35 +19,27 @@ _STRAIGHT = 0.9  # least share of the heading in the slip of a wheel that slips 
 _SHARE = 0.5  # of the budget of friction: a wheel's is known better than a group's
 
 
-def friction(record: Record) -> Finding | None:
+@check("friction", "friction")
+def friction(record: Record) -> Figures:
     """Hold the horizontal impulse of the ground against μ times the vertical; else None.
 
     It is never above; and equal, opposite to the slip, while a ball slips through a whole step.
     Over μ times the vertical impulse, or the weight's where that is larger.
     """
     pushes = pushes_of(record)
-    if not pushes:
-        return None
     parts = [part for push in pushes for part in (_beyond(record, push), _beside(record, push))]
-    return Finding.of(
-        "friction",
-        "1",
-        record.by_step(parts),
-        budget=record.scene.budget.friction,
-        names=tuple(f"{part}, {push.name}" for push in pushes for part in ("cone", "slip")),
-    )
+    names = [f"{part}, {push.name}" for push in pushes for part in ("cone", "slip")]
+    return Figures(record.by_step(parts), names)
 
 
-def rolling(record: Record) -> Finding | None:
+@check("rolling", "rolling")
+def rolling(record: Record) -> Figures:
     """Measure the slip of balls that must roll, over the largest speed; None without balls.
 
     A slip that friction can take away within a step, and hold against the load, is gone at the
     step's end.
     """
-    pushes = [push for push in pushes_of(record) if push.ball]
-    if not pushes:
-        return None
-    parts = []
+    pushes, parts = balls_of(record), []
     for push in pushes:
         body = push.bodies[0]
         speed = np.linalg.norm(record.bodies.velocity[:, :, body], axis=-1)
@@ -60,13 +52,7 @@ def rolling(record: Record) -> Finding | None:
         stops = _yielding(record, push) * takes * _SURE > slip[:, :-1] + drive / push.mass
         rolls = stops & push.resting[:, 1:]
         parts.append(np.where(rolls, slip[:, 1:] / fastest[:, None], np.nan))
-    return Finding.of(
-        "rolling",
-        "1",
-        record.by_step(parts),
-        budget=record.scene.budget.rolling,
-        names=tuple(push.name for push in pushes),
-    )
+    return Figures(record.by_step(parts), [push.name for push in pushes])
 
 
 def _beyond(record: Record, push: Push) -> Array:
@@ -110,7 +96,8 @@ def _yielding(record: Record, push: Push) -> float:
     return 1.0 / push.mass + radius**2 / stiffest
 
 
-def wheels(record: Record) -> Finding | None:
+@check("wheels", lambda record: _SHARE * record.scene.budget.friction)
+def wheels(record: Record) -> Figures | None:
     """Hold the friction of single wheels against the group's momentum and Coulomb's law.
 
     A wheel is a body of revolution about its only joint, a hinge, with one contact sphere around
@@ -125,15 +112,9 @@ def wheels(record: Record) -> Finding | None:
     found = [push for push in pushes_of(record) if _is_on_wheels(record, push)]
     if not found or not record.ground.friction:
         return None
-    parts = [part for push in found for part in _parts(record, push)]
-    kinds = ("momentum", "cone", "slip")
-    return Finding.of(
-        "wheels",
-        "1",
-        record.by_step(parts),
-        budget=_SHARE * record.scene.budget.friction,
-        names=tuple(f"{kind}, {push.name}" for push in found for kind in kinds),
-    )
+    parts = [part for push in found for part in _of_wheels(record, push)]
+    names = [f"{kind}, {push.name}" for push in found for kind in ("momentum", "cone", "slip")]
+    return Figures(record.by_step(parts), names)
 
 
 def _is_on_wheels(record: Record, push: Push) -> bool:
@@ -143,7 +124,7 @@ def _is_on_wheels(record: Record, push: Push) -> bool:
     return bool(placed >= set(range(len(push.spheres))) and offset.max() <= _EVEN)
 
 
-def _parts(record: Record, push: Push) -> tuple[Array, Array, Array]:
+def _of_wheels(record: Record, push: Push) -> tuple[Array, Array, Array]:
     """Deviations from momentum, cone and slip, each (trajectory, step)."""
     friction, heading, turned = _frictions(record, push)
     most = record.ground.friction * push.impulse[..., 2]

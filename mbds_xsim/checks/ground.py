@@ -83,6 +83,11 @@ def pushes_of(record: Record) -> list[Push]:
     ]
 
 
+def balls_of(record: Record) -> list[Push]:
+    """Find the groups that are a single ball."""
+    return [push for push in pushes_of(record) if push.ball]
+
+
 def _push(record: Record, name: str, bodies: tuple[int, ...]) -> Push:
     mechanism, group = record.mechanism, list(bodies)
     mass, gravity, fall = mechanism.mass[group], np.array(record.scene.gravity), record.fall

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.finding import Finding, Record, Spheres, spheres_of
-from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.finding import Figures, Record, Spheres, check, spheres_of
+from mbds_xsim.checks.ground import Push, balls_of
 from mbds_xsim.scene.joint_space import BodyStates
 
 _REFINEMENTS = 4  # Newton's steps to the time of touch
@@ -54,26 +54,21 @@ class Impacts:
         return Impacts(**{key: value[picks] for key, value in vars(self).items()})
 
 
-def restitution(record: Record) -> Finding | None:
+@check("restitution", "restitution")
+def restitution(record: Record) -> Figures | None:
     """Compare the delivered with the scene's coefficient of restitution; None without balls.
 
     Only for spheres around centres of mass, whose rebound nothing else has a part in.
     """
-    pushes = [push for push in pushes_of(record) if push.ball]
+    pushes = balls_of(record)
     if not pushes:
         return None
     wanted = record.ground.restitution
     found = [fast_impacts_of(record, push) for push in pushes]
     ratios = [hits.leaving / hits.arriving for hits in found]
     off = [(hits, np.abs(ratio - wanted)) for hits, ratio in zip(found, ratios, strict=True)]
-    return Finding.of(
-        "restitution",
-        "1",
-        at_impacts(record, off),
-        budget=record.scene.budget.restitution,
-        names=tuple(push.name for push in pushes),
-        note=told_restitution(np.concatenate(ratios).tolist(), wanted),
-    )
+    note = told_restitution(np.concatenate(ratios).tolist(), wanted)
+    return Figures(at_impacts(record, off), [push.name for push in pushes], note)
 
 
 def at_impacts(record: Record, groups: list[tuple[Impacts, Array]]) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
@@ -22,17 +22,17 @@ _MOST_SINGLE = 0.5
 _STATE = ("position", "orientation", "velocity", "angular_velocity")
 
 
-def finite(record: Record) -> Finding:
+@check("finite", _UNIT)
+def finite(record: Record) -> Figures:
     """Find numbers that are not finite (figure ∞) and quaternions that are not unit."""
     length = rotation.norm(record.trajectory.orientation)
     off = np.where(record.finite[:, :, None], np.abs(length - 1.0), np.inf)
     reasons = [failure.reason for failure in record.trajectory.failures if failure is not None]
-    return Finding.of(
-        "finite", "1", off, budget=_UNIT, names=_body_names(record), note="; ".join(reasons[:3])
-    )
+    return Figures(off, _body_names(record), "; ".join(reasons[:3]))
 
 
-def precision(record: Record) -> Finding:
+@check("precision", _MOST_SINGLE)
+def precision(record: Record) -> Figures:
     """Find states that were rounded to single precision: of 24 significant bits, not of 53.
 
     The figure is the share of float32 values among the numbers of a state array that move from
@@ -62,10 +62,11 @@ def precision(record: Record) -> Finding:
         share = np.where(count >= _FEW, short / np.maximum(count, 1), 0.0)
         parts[np.arange(len(batch)), first, k] = share
     names = (f"{name.replace('_', ' ')} rounded to 24 significant bits" for name in _STATE)
-    return Finding.of("precision", "1", parts, budget=_MOST_SINGLE, names=tuple(names))
+    return Figures(parts, names)
 
 
-def start(record: Record) -> Finding:
+@check("start", _SAME_START)
+def start(record: Record) -> Figures:
     """Compare frame 0 with the drawn start, relative to the largest value of each kind.
 
     Velocities are also put together from rates at arms of up to the scene's length.
@@ -83,10 +84,11 @@ def start(record: Record) -> Finding:
     off = np.stack([_relative(got, drawn, floor) for got, drawn, floor in pairs])
     parts = np.full((len(batch), len(motion.time), batch.position.shape[1]), np.nan)
     parts[:, 0] = off.max(axis=0)
-    return Finding.of("start", "1", parts, budget=_SAME_START, names=_body_names(record))
+    return Figures(parts, _body_names(record))
 
 
-def planarity(record: Record) -> Finding | None:
+@check("planarity", "planarity")
+def planarity(record: Record) -> Figures | None:
     """Measure the excursion out of the scene's dimensions over its length; None in 3D.
 
     In 2D no particle or centre of mass leaves its plane. In 1D the centres of mass keep their
@@ -104,13 +106,7 @@ def planarity(record: Record) -> Finding | None:
         owners += range(mechanism.body_count)
     off = np.abs(aside - aside[:, :1]) / scene.length
     names = _body_names(record)
-    return Finding.of(
-        "planarity",
-        "1",
-        off,
-        budget=scene.budget.planarity,
-        names=tuple(names[body] for body in owners),
-    )
+    return Figures(off, [names[body] for body in owners])
 
 
 def _bits(values: Array, mask: int) -> Mask:

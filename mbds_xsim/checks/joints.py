@@ -6,42 +6,36 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 
 
-def gap(record: Record) -> Finding | None:
+@check("gap", "gap", "m")
+def gap(record: Record) -> Figures:
     """Measure the distance between the anchor points of each joint [m]; None without joints.
 
     Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
     link the change of its length.
     """
-    mechanism, scene = record.mechanism, record.scene
-    if not mechanism.joints and not mechanism.distances:
-        return None
-    states = record.bodies.with_world()
+    mechanism, states = record.mechanism, record.bodies.with_world()
     joints, sliders = _parted(mechanism)
     parts = [
         rotation.norm(_apart(states, joints)),
         _off_axis(states, sliders),
         np.abs(pair_distance(states, mechanism.distances) - _lengths(mechanism.distances)),
     ]
-    return Finding.of(
-        "gap", "m", np.concatenate(parts, axis=-1), budget=scene.budget.gap, names=_names(mechanism)
-    )
+    return Figures(np.concatenate(parts, axis=-1), _names(mechanism))
 
 
-def gap_rate(record: Record) -> Finding | None:
+@check("gap rate", lambda record: record.scene.budget.gap / record.frame, "m/s")
+def gap_rate(record: Record) -> Figures:
     """Measure the speed at which the gap of each joint opens [m/s]; None without joints.
 
     It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
     joints as they were a step before; what places that turn make of that is left out.
     """
-    mechanism = record.mechanism
-    if not mechanism.joints and not mechanism.distances:
-        return None
-    states = record.bodies.with_world()
+    mechanism, states = record.mechanism, record.bodies.with_world()
     joints, sliders = _parted(mechanism)
     shift = _parting(states, sliders)
     carried = states.angular_velocity[..., _ends(sliders)[0], :]
@@ -52,16 +46,11 @@ def gap_rate(record: Record) -> Finding | None:
         np.abs(pair_rate(states, mechanism.distances)),
     ]
     late = _turned(record, rotation.norm(record.bodies.velocity))
-    return Finding.of(
-        "gap rate",
-        "m/s",
-        np.maximum(np.concatenate(parts, axis=-1) - late, 0.0),
-        budget=record.scene.budget.gap / record.frame,
-        names=_names(mechanism),
-    )
+    return Figures(np.maximum(np.concatenate(parts, axis=-1) - late, 0.0), _names(mechanism))
 
 
-def angle_gap_rate(record: Record) -> Finding | None:
+@check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
+def angle_gap_rate(record: Record) -> Figures | None:
     """Measure the rate at which hinges tilt, and sliders and fixed joints turn [rad/s]; else None.
 
     As `gap_rate`, of angles.
@@ -75,16 +64,12 @@ def angle_gap_rate(record: Record) -> Finding | None:
     free = states.arms(parent, _free(joints))
     across = turning - rotation.dot(turning, free)[..., None] * free
     late = _turned(record, rotation.norm(record.bodies.angular_velocity))
-    return Finding.of(
-        "angle gap rate",
-        "rad/s",
-        np.maximum(rotation.norm(across) - late, 0.0),
-        budget=record.scene.budget.angle_gap / record.frame,
-        names=tuple(f"joint {j.name}" for j in joints),
-    )
+    rate = np.maximum(rotation.norm(across) - late, 0.0)
+    return Figures(rate, [f"joint {j.name}" for j in joints])
 
 
-def angle_gap(record: Record) -> Finding | None:
+@check("angle gap", "angle_gap", "rad")
+def angle_gap(record: Record) -> Figures | None:
     """Measure hinges' angle between axes, sliders' and fixed joints' turn [rad]; else None."""
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
@@ -97,13 +82,8 @@ def angle_gap(record: Record) -> Finding | None:
     free = _free(joints)
     along = np.sum(turn[..., 1:] * free, axis=-1)
     across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
-    return Finding.of(
-        "angle gap",
-        "rad",
-        2.0 * np.arctan2(across, np.hypot(turn[..., 0], along)),
-        budget=record.scene.budget.angle_gap,
-        names=tuple(f"joint {j.name}" for j in joints),
-    )
+    angle = 2.0 * np.arctan2(across, np.hypot(turn[..., 0], along))
+    return Figures(angle, [f"joint {j.name}" for j in joints])
 
 
 def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:

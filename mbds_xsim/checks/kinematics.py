@@ -9,7 +9,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.mismatch import Mismatch
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -20,7 +20,8 @@ _METHOD = 5.0  # errors of order 2 are up to so many times step² · jerk (measu
 _ERRORS = 3.0  # standard errors
 
 
-def kinematics(record: Record) -> Finding | None:
+@check("kinematics", _NOISE)
+def kinematics(record: Record) -> Figures | None:
     """Measure how far positions move otherwise than velocities tell; None where nothing flies.
 
     A step's displacement less the integral of its velocities, as RMS velocity over the largest
@@ -48,14 +49,8 @@ def kinematics(record: Record) -> Finding | None:
     resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
     if record.scene.contacts:
         series[:, 0] = 0.0  # not every trajectory flies
-    return Finding.of(
-        "kinematics",
-        "1",
-        series,
-        budget=_NOISE,
-        names=("", *(body.name for body in bodies)),
-        note=f"frames resolve {resolved:.1g} of the largest speed",
-    )
+    note = f"frames resolve {resolved:.1g} of the largest speed"
+    return Figures(series, ["", *(body.name for body in bodies)], note)
 
 
 def _beyond(
@@ -91,7 +86,8 @@ def _started(record: Record, mismatch: Mismatch) -> Array:
     return left
 
 
-def velocity_lag(record: Record) -> Finding | None:
+@check("velocity lag", lambda record: _LAG * _step(record), "s")
+def velocity_lag(record: Record) -> Figures | None:
     """Measure by how much time velocities are off the positions' own [s]; None without flight.
 
     It is the slope of the mismatch over the accelerations that changing joint rates make, by least
@@ -105,14 +101,8 @@ def velocity_lag(record: Record) -> Finding | None:
     lag, uncertainty = _slope(mismatch, _LAG * _step(record))
     if record.scene.contacts:
         lag = np.nan_to_num(lag)
-    return Finding.of(
-        "velocity lag",
-        "s",
-        record.at_end(np.abs(lag)[:, None]),
-        budget=_LAG * _step(record),
-        uncertainty=uncertainty,
-        note=f"known to {np.max(uncertainty):.1g} s",
-    )
+    note = f"known to {np.max(uncertainty):.1g} s"
+    return Figures(record.at_end(np.abs(lag)[:, None]), note=note, uncertainty=uncertainty)
 
 
 def _mismatch(record: Record) -> Mismatch | None:

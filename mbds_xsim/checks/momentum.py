@@ -9,14 +9,15 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Finding, Record, summed
+from mbds_xsim.checks.finding import Figures, Record, check, summed
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
 
 _FLOOR = 1e-3
 _SAME = 1e-9
 
 
-def momentum(record: Record) -> Finding | None:
+@check("momentum", lambda record: record.energy_budget)
+def momentum(record: Record) -> Figures | None:
     """Measure the change of momentum less impulses over its scale; None if supports touch all.
 
     Forces are held over each step, so linear impulses are exact. Those of moments are integrals of
@@ -28,15 +29,9 @@ def momentum(record: Record) -> Finding | None:
         return None
     parts, errors = zip(*(_unbalanced(record, *pair) for pair in seen), strict=True)
     uncertainty = np.max(errors, axis=0)
-    return Finding.of(
-        "momentum",
-        "1",
-        np.stack(parts, axis=-1),
-        budget=record.energy_budget,
-        names=tuple(balance.name for balance, _ in seen),
-        uncertainty=uncertainty,
-        note=f"impulses known to {uncertainty.max():.1g} of the scale",
-    )
+    names = [balance.name for balance, _ in seen]
+    note = f"impulses known to {uncertainty.max():.1g} of the scale"
+    return Figures(record.by_frame(parts), names, note, uncertainty)
 
 
 def flights_of(record: Record) -> list[tuple[Balance, Mask]]:

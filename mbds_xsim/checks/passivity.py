@@ -14,12 +14,13 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.energy import energy_of, input_work
-from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import impacts_of
 
 
-def passivity(record: Record) -> Finding | None:
+@check("passivity", "passivity")
+def passivity(record: Record) -> Figures | None:
     """Measure the rise of E − W that the law of impact does not explain, over the energy scale.
 
     Above its running minimum, among frames in which no contact stores energy. None without
@@ -32,24 +33,18 @@ def passivity(record: Record) -> Finding | None:
     explained = np.cumsum(gain, axis=1)
     rise, scale = _rise(record, pushes, explained)
     share = np.nan_to_num(explained[:, -1] / scale)
-    return Finding.of(
-        "passivity",
-        "1",
-        rise[..., None],
-        budget=record.scene.budget.passivity,
-        note=f"impacts may add up to {share.max():.2g} of the scale by their own law"
-        if share.any()
-        else "",
-    )
+    note = f"impacts may add up to {share.max():.2g} of the scale by their own law"
+    return Figures(rise[..., None], note=note if share.any() else "")
 
 
-def energy_rise(record: Record) -> Finding | None:
+@check("energy rise", None)
+def energy_rise(record: Record) -> Figures | None:
     """Show the whole rise of E − W, explained or not, where the law of impact explains any."""
     pushes = _all_pushes(record)
     if all(push.ball for push in pushes):
         return None
     rise, _ = _rise(record, pushes, np.zeros((1, record.steps)))
-    return Finding.of("energy rise", "1", rise[..., None], budget=None)
+    return Figures(rise[..., None])
 
 
 def law_gain(record: Record, push: Push) -> Array:

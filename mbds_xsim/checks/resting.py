@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.finding import Finding, Record
-from mbds_xsim.checks.ground import Push, pushes_of
+from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.ground import Push, balls_of, pushes_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 from mbds_xsim.checks.passivity import risen, settled, stored
 
@@ -19,33 +19,28 @@ _LONGEST = 2.0
 _LASTING = 4.0  # how much sharper than in impacts it is known where the ground is that carries
 
 
-def hop(record: Record) -> Finding | None:
+@check("hop", "passivity")
+def hop(record: Record) -> Figures | None:
     """Measure how high balls get by themselves, over the scene's length; None without balls.
 
     Nothing couples the vertical motion of a ball to the other ones, so that its energy of climb
     and height less the work of vertical forces never rises: above the running minimum, as in
     `passivity`.
     """
-    pushes = [push for push in pushes_of(record) if push.ball]
-    scene, pull = record.scene, -record.scene.gravity[2]
-    if not pushes or pull <= 0.0:
+    pushes, length, pull = balls_of(record), record.scene.length, -record.scene.gravity[2]
+    if pull <= 0.0:
         return None
     climb = record.bodies.velocity[..., 2]
-    rises = np.stack([_rise(record, push, pull) for push in pushes], axis=-1)
+    rises = record.by_frame([_rise(record, push, pull) for push in pushes])
     # Semi-implicit Euler keeps v²/2 + g z + g h v/2.
     step = 0.0 if record.order > 1 else record.frame if record.step is None else record.step
     fastest = np.nanmax(np.abs(climb), axis=(1, 2), initial=0.0)
-    return Finding.of(
-        "hop",
-        "1",
-        rises / scene.length,
-        budget=scene.budget.passivity,
-        names=tuple(push.name for push in pushes),
-        uncertainty=0.5 * step * fastest / scene.length,
-    )
+    names, uncertainty = [push.name for push in pushes], 0.5 * step * fastest / length
+    return Figures(rises / length, names, uncertainty=uncertainty)
 
 
-def resting(record: Record) -> Finding | None:
+@check("resting", "resting")
+def resting(record: Record) -> Figures | None:
     """Measure how far bodies move that were at rest, over the scene's length.
 
     At rest is what three spheres or more carry, around the centre of mass, and what hardly moves
@@ -53,19 +48,11 @@ def resting(record: Record) -> Finding | None:
     with inputs that always change.
     """
     pushes = [push for push in pushes_of(record) if len(push.spheres) >= 3]
-    if not pushes:
-        return None
-    moved = np.stack([_moved(record, push) for push in pushes], axis=-1)
+    moved = record.by_frame([_moved(record, push) for push in pushes])
     if np.isnan(moved).all():
         return None
     moved[:, 0] = np.nan_to_num(moved[:, 0])  # not every trajectory comes to rest
-    return Finding.of(
-        "resting",
-        "1",
-        moved / record.scene.length,
-        budget=record.scene.budget.resting,
-        names=tuple(push.name for push in pushes),
-    )
+    return Figures(moved / record.scene.length, [push.name for push in pushes])
 
 
 def _rise(record: Record, push: Push, pull: float) -> Array:
@@ -140,27 +127,20 @@ def _places(record: Record, push: Push) -> Array:
     return record.bodies.points(mechanism.sphere_body[own], mechanism.sphere_offset[own])
 
 
-def penetration(record: Record) -> Finding | None:
+@check("penetration", "penetration")
+def penetration(record: Record) -> Figures:
     """Measure the deepest overlap of a contact sphere with the ground over the scene's length.
 
     Of recorded frames: an impact may go deeper between them. None without contact.
     """
-    scene = record.scene
-    if not scene.contacts:
-        return None
     overlap = np.maximum(-record.spheres.gap, 0.0)
     share = np.nanmax(overlap / record.mechanism.sphere_radius, initial=0.0)
-    return Finding.of(
-        "penetration",
-        "1",
-        overlap / scene.length,
-        budget=scene.budget.penetration,
-        names=tuple(sphere.body for sphere in scene.contacts),
-        note=f"{share:.2g} of a radius",
-    )
+    names = [sphere.body for sphere in record.scene.contacts]
+    return Figures(overlap / record.scene.length, names, f"{share:.2g} of a radius")
 
 
-def contact_gap(record: Record) -> Finding | None:
+@check("contact gap", "contact_gap")
+def contact_gap(record: Record) -> Figures:
     """Measure how far spheres are from the ground that carries them, over the scene's length.
 
     At frames where the ground carries a steady weight it is the gap of the lowest sphere, four
@@ -170,16 +150,8 @@ def contact_gap(record: Record) -> Finding | None:
     where none is declared. None without contact.
     """
     pushes = pushes_of(record)
-    if not pushes:
-        return None
-    gaps = np.stack([_gaps(record, push) for push in pushes], axis=-1)
-    return Finding.of(
-        "contact gap",
-        "1",
-        gaps / record.scene.length,
-        budget=record.scene.budget.contact_gap,
-        names=tuple(push.name for push in pushes),
-    )
+    gaps = record.by_frame([_gaps(record, push) for push in pushes])
+    return Figures(gaps / record.scene.length, [push.name for push in pushes])
 
 
 def _gaps(record: Record, push: Push) -> Array:

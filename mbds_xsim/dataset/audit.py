@@ -19,7 +19,7 @@ from mbds_xsim.checks.integrity import finite, planarity, start
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.resting import penetration
 from mbds_xsim.dataset.foreign import Foreign, Provenance, read_foreign
-from mbds_xsim.dataset.layout import CHECKS
+from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.measure.campaign import reference_of
 from mbds_xsim.measure.judge import error_findings, failed_lines, finding_result
@@ -38,7 +38,7 @@ _OF_VELOCITIES = (
     "momentum", "coefficients",
 )  # fmt: skip
 _OF_REFERENCE = ("error at 1 s", "error growth-weighted")
-_OF_CONTACT = tuple(CHECKS)[list(CHECKS).index("penetration") + 1 : -len(_OF_REFERENCE)]
+_OF_CONTACT = tuple(COLUMNS)[list(COLUMNS).index("penetration") + 1 : -len(_OF_REFERENCE)]
 _MOST_COMPARED = 3
 _SAME_INPUT = 1e-9
 _SAME_START = 1e-12

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from mbds_xsim import reference
 from mbds_xsim.base.isolate import Crash
-from mbds_xsim.checks import Finding, Record, agreement, audited
+from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
 from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_faults
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
-from mbds_xsim.dataset.layout import CHECKS, INTEGRITY, sampled
+from mbds_xsim.dataset.layout import INTEGRITY, sampled
 from mbds_xsim.measure.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
 from mbds_xsim.measure.convergence import convergence, further_step, smooth
 from mbds_xsim.measure.judge import error_findings, failed_lines
@@ -53,7 +53,15 @@ _GROWTH = 10.0
 SHARED = "together"
 """How a reason begins that trajectories give together and none of them by itself."""
 
-_COLUMNS = {name: k for k, name in enumerate(CHECKS)}
+COLUMNS: dict[str, str] = {
+    **{check.name: check.unit for check in CHECKS},
+    "error at 1 s": "m",
+    "error growth-weighted": "m",
+}
+"""Columns of the check table and their units: those of all checks, then those that need the
+reference and are known of the audit sample alone."""
+
+_NUMBERS = {name: k for k, name in enumerate(COLUMNS)}
 
 
 @dataclass(eq=False)
@@ -77,7 +85,7 @@ class CheckTable:
     @staticmethod
     def empty(count: int) -> CheckTable:
         """Nothing has been checked yet."""
-        shape = (count, len(CHECKS))
+        shape = (count, len(COLUMNS))
         return CheckTable(
             figure=np.full(shape, np.nan),
             allowed=np.full(shape, np.nan),
@@ -91,7 +99,7 @@ class CheckTable:
     def add(self, rows: NDArray[np.int64], findings: Iterable[Finding]) -> None:
         """Store findings about some of the trajectories."""
         for finding in findings:
-            column, about = _COLUMNS[finding.check], finding.applies
+            column, about = _NUMBERS[finding.check], finding.applies
             budget = np.inf if finding.budget is None else finding.budget
             self.figure[rows[about], column] = finding.figure[about]
             self.allowed[rows[about], column] = budget + finding.uncertainty[about]
@@ -103,8 +111,8 @@ class CheckTable:
 
     def published(self, *, certified: bool) -> NDArray[np.bool_]:
         """Tell which trajectories came to their end and pass all checks, or those of integrity."""
-        judged = list(CHECKS) if certified else list(INTEGRITY)
-        failed = self.failed[:, [_COLUMNS[name] for name in judged]].any(axis=1) | self.ended
+        judged = list(COLUMNS) if certified else list(INTEGRITY)
+        failed = self.failed[:, [_NUMBERS[name] for name in judged]].any(axis=1) | self.ended
         return np.asarray(~failed & (not (certified and self.misbuilt)))
 
     def reason(self, row: int) -> str:

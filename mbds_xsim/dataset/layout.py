@@ -219,42 +219,6 @@ def attribute(
 SHARED = ("format", "layout_version", "scene_name", "scene", "seed", "noise")
 """Attributes that are alike in all variants of a scene in one folder."""
 
-CHECKS: dict[str, str] = {
-    "finite": "1",
-    "precision": "1",
-    "start": "1",
-    "gap": "m",
-    "angle gap": "rad",
-    "gap rate": "m/s",
-    "angle gap rate": "rad/s",
-    "planarity": "1",
-    "displacement": "1",
-    "kinematics": "1",
-    "velocity lag": "s",
-    "energy": "1",
-    "momentum": "1",
-    "coefficients": "1",
-    "penetration": "1",
-    "contact gap": "1",
-    "passivity": "1",
-    "energy rise": "1",
-    "balance": "1",
-    "balance drift": "1",
-    "cones": "1",
-    "friction": "1",
-    "wheels": "1",
-    "rolling": "1",
-    "restitution": "1",
-    "eccentric restitution": "1",
-    "eccentric friction": "1",
-    "hop": "1",
-    "resting": "1",
-    "error at 1 s": "m",
-    "error growth-weighted": "m",
-}
-"""Columns of the check table and their units: those of `mbds_xsim.checks.audit`, then those that
-need the reference and are known of the audit sample alone."""
-
 INTEGRITY = ("finite", "start")
 """What even an uncertified trajectory must pass."""
 

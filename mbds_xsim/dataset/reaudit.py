@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import EngineMissing, InputError, UnknownName
-from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows
+from mbds_xsim.dataset.gate import COLUMNS, SHARED, CheckTable, Making, judge_rows
 from mbds_xsim.dataset.hdf5 import attributes_of, misfits, open_hdf5, scene_of
-from mbds_xsim.dataset.layout import CHECKS, MOTION
+from mbds_xsim.dataset.layout import MOTION
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.shard import derived
 from mbds_xsim.scene.sampling import draw_batch
@@ -138,7 +138,7 @@ def _checks(data: Dataset) -> Iterator[str]:
 
     Checks that are newer than the file were not measured then; they judge all the same.
     """
-    if not set(data["check/name"][:].tolist()) <= set(CHECKS):
+    if not set(data["check/name"][:].tolist()) <= set(COLUMNS):
         yield "checks: another version's; install the version that the file names"
         return
     if not len(data):
@@ -158,7 +158,7 @@ def _checks(data: Dataset) -> Iterator[str]:
 
 def _figures(data: Dataset, verdict: CheckTable) -> Iterator[str]:
     names = data["check/name"][:].tolist()
-    columns = [list(CHECKS).index(name) for name in names]
+    columns = [list(COLUMNS).index(name) for name in names]
     allowed = verdict.allowed[:, columns]
     for key in ("figure", "allowed"):
         stored, found = data[f"check/{key}"][:], getattr(verdict, key)[:, columns]

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import isolate
 from mbds_xsim.dataset.files import put
-from mbds_xsim.dataset.gate import SHARED, CheckTable, Making, judge_rows, limit_faults
+from mbds_xsim.dataset.gate import COLUMNS, SHARED, CheckTable, Making, judge_rows, limit_faults
 from mbds_xsim.dataset.hdf5 import encode
-from mbds_xsim.dataset.layout import CHECKS, FIELDS, rejected_folder, sampled
+from mbds_xsim.dataset.layout import FIELDS, rejected_folder, sampled
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.variant import Item, Variant, folder_name
 from mbds_xsim.measure.campaign import reference_of
@@ -152,8 +152,8 @@ def _datasets(
     return {
         **derived(variant.scene, batch, trajectory, variant.seed),
         "index": batch.index,
-        "check/name": np.array(list(CHECKS)),
-        "check/unit": np.array(list(CHECKS.values())),
+        "check/name": np.array(list(COLUMNS)),
+        "check/unit": np.array(list(COLUMNS.values())),
         "check/figure": verdict.figure,
         "check/allowed": verdict.allowed,
         "check/frame": verdict.frame,

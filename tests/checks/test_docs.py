@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
-import textwrap
 from pathlib import Path
 
 import pytest
@@ -18,34 +16,20 @@ from mbds_xsim.scene.scene import Budget
 PAGE = (Path(__file__).parents[2] / "docs" / "checks.md").read_text("utf-8")
 
 
-def _names(source: object) -> list[str]:
-    """Names that the source gives to findings: of `Finding.of` or a module's own `_finding`."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(source)))  # type: ignore[arg-type]
-    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
-    makers = {"Finding.of": 0, "_finding": 1}  # the place of the name among the arguments
-    given = [
-        call.args[makers[name]] for call in calls if (name := ast.unparse(call.func)) in makers
-    ]
-    return [str(arg.value) for arg in given if isinstance(arg, ast.Constant)]
-
-
 def _anchors(page: str) -> list[str]:
     headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
     return [heading.lower().replace(" ", "-") for heading in headings]
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-def test_every_check_has_a_section_and_a_row(check: object) -> None:
-    names = _names(check)
-    assert names, f"{check} gives its finding no name"
-    for name in names:
-        assert f"\n### {name}\n" in PAGE
-        assert f"\n| [{name}](#{name.replace(' ', '-')}) |" in PAGE
+@pytest.mark.parametrize("name", [check.name for check in CHECKS])
+def test_every_check_has_a_section_and_a_row(name: str) -> None:
+    assert f"\n### {name}\n" in PAGE
+    assert f"\n| [{name}](#{name.replace(' ', '-')}) |" in PAGE
 
 
 def test_the_checks_against_others_are_there() -> None:
     consistency = re.findall(r'"(consistency of \w+)"', inspect.getsource(consistency_module))
-    errors = _names(judge)
+    errors = re.findall(r'Finding.of\(\s*"(.*?)"', inspect.getsource(judge))
     assert len(consistency) == 2
     assert len(errors) == 3
     for name in (*consistency, *errors, "vote", "read-back"):

@@ -7,16 +7,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.checks import Record
+from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks.finding import Check
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.scene.state import Failure
 
 
+def _found(check: Check, record: Record) -> Finding:
+    found = check(record)
+    assert found is not None
+    return found
+
+
 def test_a_good_trajectory_is_finite_and_starts_where_it_was_drawn(pendulum: Any) -> None:
     record = Record(pendulum.scene, pendulum.batch, pendulum.exact)
-    assert finite(record).passed.all()
-    assert start(record).passed.all()
-    assert finite(record).figure.max() < 1e-14
+    assert _found(finite, record).passed.all()
+    assert _found(start, record).passed.all()
+    assert _found(finite, record).figure.max() < 1e-14
 
 
 def test_a_number_that_is_not_finite_fails_its_trajectory_alone(pendulum: Any) -> None:
@@ -25,7 +32,7 @@ def test_a_number_that_is_not_finite_fails_its_trajectory_alone(pendulum: Any) -
     broken = dataclasses.replace(
         pendulum.exact, velocity=velocity, failures=(None, Failure(7, "it blew up"), None)
     )
-    finding = finite(Record(pendulum.scene, pendulum.batch, broken))
+    finding = _found(finite, Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [True, False, True]
     assert finding.frame[1] == 7
     assert finding.worst == 1
@@ -36,7 +43,7 @@ def test_a_quaternion_off_unit_length_fails(pendulum: Any) -> None:
     orientation = pendulum.exact.orientation.copy()
     orientation[2, 5, 1] *= 1 + 1e-8
     broken = dataclasses.replace(pendulum.exact, orientation=orientation)
-    finding = finite(Record(pendulum.scene, pendulum.batch, broken))
+    finding = _found(finite, Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [True, True, False]
     assert (finding.frame[2], finding.where[2]) == (5, "link2")
     assert finding.figure[2] == pytest.approx(1e-8, rel=1e-4)
@@ -50,12 +57,13 @@ def test_what_was_rounded_to_single_precision_fails(pendulum: Any, field: str) -
     """From frame 1 on, so that the start is the drawn one; in one trajectory of three."""
     values = getattr(pendulum.exact, field).copy()
     values[1, 1:] = values[1, 1:].astype(np.float32)
-    finding = precision(
+    finding = _found(
+        precision,
         Record(
             pendulum.scene,
             pendulum.batch,
             dataclasses.replace(pendulum.exact, **{field: values}),
-        )
+        ),
     )
     assert finding.passed.tolist() == [True, False, True]
     assert finding.figure.tolist() == [0.0, 1.0, 0.0]
@@ -77,7 +85,7 @@ def test_motion_that_is_exact_by_nature_is_not_rounded(pendulum: Any) -> None:
     batch = dataclasses.replace(pendulum.batch, position=fall["position"][:, 0])
     for motion in (still, fall):
         found = dataclasses.replace(pendulum.exact, time=time, **motion)
-        assert precision(Record(scene, batch, found)).figure.tolist() == [0.0] * 3
+        assert _found(precision, Record(scene, batch, found)).figure.tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])
@@ -85,7 +93,7 @@ def test_another_start_than_the_drawn_one_fails(pendulum: Any, field: str) -> No
     values = getattr(pendulum.exact, field).copy()
     values[0, 0, 2, 1] += 1e-9
     broken = dataclasses.replace(pendulum.exact, **{field: values})
-    finding = start(Record(pendulum.scene, pendulum.batch, broken))
+    finding = _found(start, Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [False, True, True]
     assert finding.where[0] == "link3"
 
@@ -100,16 +108,20 @@ def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> No
     velocity[0, 0] += 0.9e-6 * length
     velocity[1, 0] += 1.1e-6 * length
     motion = dataclasses.replace(pendulum.exact, angular_velocity=spins, velocity=velocity)
-    assert start(Record(pendulum.scene, batch, motion)).passed.tolist() == [True, False, True]
+    assert _found(start, Record(pendulum.scene, batch, motion)).passed.tolist() == [
+        True,
+        False,
+        True,
+    ]
 
 
 def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
     turned = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
-    assert start(Record(pendulum.scene, pendulum.batch, turned)).passed.all()
+    assert _found(start, Record(pendulum.scene, pendulum.batch, turned)).passed.all()
     swapped = dataclasses.replace(
         pendulum.exact, orientation=np.roll(pendulum.exact.orientation, -1, axis=-1)
     )
-    assert not start(Record(pendulum.scene, pendulum.batch, swapped)).passed.any()
+    assert not _found(start, Record(pendulum.scene, pendulum.batch, swapped)).passed.any()
 
 
 def test_a_flat_mechanism_that_leaves_its_plane_fails(linkage: Any, pendulum: Any) -> None:

@@ -13,7 +13,8 @@ import pytest
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks import audit
 from mbds_xsim.dataset import gate, shard
-from mbds_xsim.dataset.layout import CHECKS, rejected_folder, split_of
+from mbds_xsim.dataset.gate import COLUMNS
+from mbds_xsim.dataset.layout import rejected_folder, split_of
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.sampling import draw_batch
@@ -145,7 +146,7 @@ def test_files_say_how_they_were_made(rod: Scene, whole: Path) -> None:
         assert (told["method"], told["seed"], told["count"]) == ("RK4", 0, TRAJECTORIES)
         for name in ("position", "velocity", "input/force"):
             assert file[name].attrs["unit"]
-        assert file["check/name"].asstr()[()].tolist() == list(CHECKS)
+        assert file["check/name"].asstr()[()].tolist() == list(COLUMNS)
 
 
 @pytest.mark.parametrize("name", ["ballscroll", "particlecar", "simplecubli", "workbench"])
@@ -154,7 +155,7 @@ def test_every_check_has_a_column(name: str) -> None:
     batch, settings = draw_batch(scene, [0]), settings_for(scene, adapter, "native")
     trajectory = simulate(scene, batch, "mujoco", settings).trajectory
     for finding in audit(scene, batch, trajectory, adapter.methods[settings.method]):
-        assert CHECKS[finding.check] == finding.unit
+        assert COLUMNS[finding.check] == finding.unit
 
 
 def test_figures_are_those_of_the_checks(rod: Scene, whole: Path) -> None:
@@ -165,7 +166,7 @@ def test_figures_are_those_of_the_checks(rod: Scene, whole: Path) -> None:
     method = adapter.methods[settings.method]
     with h5py.File(whole / FILE) as file:
         for finding in audit(rod, batch, trajectory, method, step=settings.step):
-            column = list(CHECKS).index(finding.check)
+            column = list(COLUMNS).index(finding.check)
             assert np.allclose(file["check/figure"][3:5, column], finding.figure, rtol=1e-9, atol=0)
             allowed = (finding.budget or 0.0) + finding.uncertainty
             assert np.allclose(file["check/allowed"][3:5, column], allowed, rtol=1e-9, atol=0)
@@ -260,7 +261,7 @@ def test_native_sets_keep_what_is_whole_and_say_uncertified(
     assert (count.published, count.rejected) == (3, 0)
     with h5py.File(tmp_path / "1pendulum/mujoco-native.h5") as file:
         assert file.attrs["certification"] == "uncertified"
-        column = list(CHECKS).index("gap")
+        column = list(COLUMNS).index("gap")
         failed = file["check/figure"][:, column] > file["check/allowed"][:, column]
         assert failed.tolist() == [False, True, False]
 

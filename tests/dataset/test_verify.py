@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.gate import judge_rows
+from mbds_xsim.dataset.gate import COLUMNS, judge_rows
 from mbds_xsim.dataset.hdf5 import CONTENT, encode
-from mbds_xsim.dataset.layout import CHECKS
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import making_of
@@ -161,11 +160,11 @@ def _shorten(name: str) -> Change:
         (_set("interval", 5, 1), "interval: not index mod 3"),
         (_set("time", 3, 1e-3), "time: not that of the scene's frames"),
         (
-            _set("check/figure", (2, list(CHECKS).index("gap")), 1e-3),
+            _set("check/figure", (2, list(COLUMNS).index("gap")), 1e-3),
             "checks: gap of trajectory 2 is stored as figure",
         ),
         (
-            _set("check/allowed", (2, list(CHECKS).index("gap")), 1e-3),
+            _set("check/allowed", (2, list(COLUMNS).index("gap")), 1e-3),
             "checks: gap of trajectory 2 is stored as allowed",
         ),
         (_set("graph/point_body", 0, 1), "graph/point_body: not that of the scene"),
@@ -425,7 +424,7 @@ def test_a_publisher_may_add_to_the_texts(copy: Path) -> None:
 
 
 def test_the_table_knows_what_it_is_about(few: Path) -> None:
-    assert list(load_dataset(few / SHARD)["check/name"]) == list(CHECKS)
+    assert list(load_dataset(few / SHARD)["check/name"]) == list(COLUMNS)
 
 
 def test_a_file_from_before_a_check_was_added_is_sound(copy: Path) -> None:
