@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.base.write import read_result, write_whole
+from mbds_xsim.base.write import read_file, write_whole
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
@@ -56,7 +56,7 @@ def drawn(stored: Path) -> bytes:
     if stored.suffix == ".csv":
         return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
     kind: Callable[[bytes], bytes] = _shift if stored.parent.name in ("shift", "lite") else _charts
-    return kind(read_result(stored))
+    return kind(read_file(stored))
 
 
 def _charts(stored: bytes) -> bytes:

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_table
-from mbds_xsim.base.write import read_result
+from mbds_xsim.base.write import read_file
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
@@ -59,7 +59,7 @@ _HEADINGS = (
 def main(folder: Path) -> None:
     """Print the page."""
     files = sorted(folder.glob("*.json.gz"))
-    results = {file.name.removesuffix(".json.gz"): read_result(file) for file in files}
+    results = {file.name.removesuffix(".json.gz"): read_file(file) for file in files}
     studies = {name: msgspec.json.decode(text, type=Shift) for name, text in results.items()}
     print(_HEAD)
     rows = [row for name, shift in studies.items() for row in rows_of(shift, name)]

@@ -72,6 +72,7 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
+        ({"engines": "mujoco", "method": 4}, "no method of mujoco is called 4"),
         ({"trajectories": 0}, "--trajectories: got 0, allowed is a whole number, 1 to 10000"),
         ({"trajectories": 1.5}, "--trajectories: got 1.5"),
         ({"seed": -1}, "--seed: got -1"),

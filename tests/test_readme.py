@@ -13,7 +13,7 @@ from PIL import Image
 
 from benchmarks.page_picture import settings_line
 from benchmarks.pictures import picture_of, stored_results, sweep_of
-from mbds_xsim.base.write import read_result
+from mbds_xsim.base.write import read_file
 from mbds_xsim.report.files import rows_csv
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
@@ -87,9 +87,7 @@ def _told(picture: Path) -> str:
 def test_charts_and_maps_are_those_of_the_stored_results() -> None:
     stored = list(stored_results(_ROOT / "reports"))
     stale = [
-        str(result)
-        for result in stored
-        if _told(picture_of(result)) != checksum(read_result(result))
+        str(result) for result in stored if _told(picture_of(result)) != checksum(read_file(result))
     ]
 
     assert len(stored) > 30

@@ -94,11 +94,9 @@ def at_least_zero(key: str, value: float) -> None:
 
 
 def name(key: str, value: str) -> None:
-    """Raise unless a name is text that files and engines can hold."""
-    if "\0" in value:
-        msg = (
-            f"{key}: got {value!r}, allowed is text without NUL, where engines and files end a name"
-        )
+    """Raise unless a name is text that files, engines and the heading of a page can hold."""
+    if "\0" in value or value.splitlines() not in ([value], []):
+        msg = f"{key}: got {value!r}, allowed is a line of text without NUL"
         raise SceneError(msg)
     if (size := len(value.encode("utf-8", "replace"))) > _LONGEST_NAME:
         msg = (

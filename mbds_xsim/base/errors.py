@@ -20,7 +20,7 @@ class UnknownName(InputError):
     def of(cls, what: str, got: str, allowed: list[str]) -> UnknownName:
         """Say what was asked for and what there is."""
         plain = {name.casefold(): name for name in reversed(allowed)}
-        near = difflib.get_close_matches(got.casefold(), plain, n=1)
+        near = difflib.get_close_matches(str(got).casefold(), plain, n=1)
         hint = f"; did you mean {plain[near[0]]!r}? There are: " if near else "; there are: "
         return cls(f"no {what} is called {got!r}{hint}{', '.join(allowed) or 'none'}")
 

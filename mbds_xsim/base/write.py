@@ -1,7 +1,8 @@
-"""Write a file whole or not at all; results may be packed, and are read back as they were."""
+"""Write a file whole or not at all, and read one that cannot be waited for for ever."""
 
 from __future__ import annotations
 
+import errno
 import gzip
 import os
 import tempfile
@@ -32,12 +33,25 @@ def write_whole(path: Path, content: bytes) -> None:
         raise InputError(msg) from error
 
 
-def read_result(path: Path, most: int = -1) -> bytes:
-    """Read a result, unpacked where it is named `.gz`; no more than `most` bytes of it.
+def check_regular(path: Path) -> None:
+    """Refuse a named pipe, whose reader waits for a writer, maybe for ever.
+
+    Those in /dev are meant: a shell makes one of the output of a command, `<(command)`.
 
     Raises:
-        OSError: It cannot be read, or is named `.gz` and is no such file.
+        OSError: It is one, or another thing that is neither file nor folder.
     """
+    if _is_stream(path) and not path.is_dir() and path.parts[:2] != ("/", "dev"):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def read_file(path: Path, most: int = -1) -> bytes:
+    """Read a file, unpacked where it is named `.gz`; no more than `most` bytes of it.
+
+    Raises:
+        OSError: It cannot be read, is not a regular file, or is named `.gz` and is no such file.
+    """
+    check_regular(path)
     with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
         try:
             return file.read(most)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
+from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 
 Chapter = Literal["check", "study", "data", "learn"]
@@ -17,6 +18,15 @@ _WORDS = {"str": "TEXT", "int": "NUMBER", "float": "NUMBER", "path": "PATH"}
 
 class Command(TyperCommand):
     """A command whose help has readable names in the place of Python's types."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse words of no letters: an empty path would be the folder one stands in."""
+        for word, before in zip(args, ["", *args], strict=False):
+            if not word or re.fullmatch(r"--[a-z-]+=", word):
+                option = word.rstrip("=") or (before if before.startswith("--") else "an argument")
+                msg = "got an empty text; name something, or leave it out"
+                raise BadParameter(msg, ctx, param_hint=option)
+        return super().parse_args(ctx, args)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Write `[STUDY…]` for `[[STUDY…]]...`, and `SCENE` for `{SCENE}`."""

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.write import check_regular, write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.statistics import Statistics
@@ -222,9 +222,7 @@ def arrays(value: object) -> dict[str, Tensor]:
 
 def _check_archive(path: Path) -> None:
     """Raise unless the file holds what it says, and says nothing that makes more of it."""
-    if path.exists() and not path.is_file():  # a pipe would be waited for
-        msg = "not a regular file"
-        raise OSError(msg)
+    check_regular(path)
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         names = [entry.filename for entry in entries]

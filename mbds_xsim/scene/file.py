@@ -21,6 +21,7 @@ from msgspec import inspect
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.base.write import read_file
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene
@@ -96,8 +97,7 @@ def _load(path: Path) -> Mapping[str, Any]:
 def _text(path: Path) -> str:
     """Read the text of a file that can be parsed in bounded time and memory."""
     try:
-        with path.open("rb") as file:
-            content = file.read(_LARGEST_FILE + 1)
+        content = read_file(path, _LARGEST_FILE + 1)
         text = content.decode("utf-8-sig")  # Windows writes a mark before the text
     except OSError as error:
         msg = (

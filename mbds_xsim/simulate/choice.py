@@ -18,6 +18,7 @@ import msgspec
 
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.write import read_file
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
@@ -218,7 +219,7 @@ def read_matched(path: Path) -> dict[str, Matched]:
         InputError: The file cannot be read or is none of settings; the text says where.
     """
     try:
-        found = _tables(path.read_text("utf-8-sig"))
+        found = _tables(read_file(path).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         msg = f"--settings {path}: cannot be read: {error}"
         raise InputError(msg) from error

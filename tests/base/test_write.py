@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_result, write_whole
+from mbds_xsim.base.write import read_file, write_whole
 from mbds_xsim.studies.diff.read import read_views
 
 
@@ -20,7 +20,7 @@ def test_a_packed_result_is_read_back_and_has_the_same_bytes_each_time(tmp_path:
 
     assert gzip.decompress(paths[0].read_bytes()) == b'{"figure": 1}'
     assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert read_result(paths[0]) == b'{"figure": 1}'
+    assert read_file(paths[0]) == b'{"figure": 1}'
 
 
 @pytest.mark.parametrize("damage", [lambda c: c[:-9], lambda _: b"plain", lambda c: c[:20] + b"x"])

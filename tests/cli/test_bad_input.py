@@ -43,7 +43,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "scene of size 0": ("show 0ladder", ["'0ladder'", "Nladder"]),
     "scene of no size that ends": ("show " + "9" * 5000 + "ladder", ["no scene", "Nladder"]),
     "unknown engine": ("validate 2pendulum --engines mujoco,ode", ["'ode'", "mujoco, pybullet"]),
-    "no engine named": ("validate 2pendulum --engines=", ["no engine is called ''", "mujoco"]),
+    "no engine named": ("validate 2pendulum --engines=", ["--engines: got an empty text"]),
+    "output without a name": ("validate 2pendulum --json ", ["--json: got an empty text"]),
+    "folder without a name": ("generate 2pendulum --out=", ["--out: got an empty text"]),
+    "scene without a name": ("validate ", ["an argument: got an empty text"]),
     "unknown engine to show": ("show 2pendulum --native ode", ["'ode'", "mujoco, pybullet"]),
     "unknown method": (
         "validate 2pendulum --engines mujoco --method RK5",
@@ -95,6 +98,23 @@ def test_wrong_words_get_one_line(
     assert [path.name for path in here.iterdir()] == ["scene.toml"]
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "show pipe.toml",
+        "validate 2pendulum --settings pipe.toml",
+        "diff pipe.json pipe.json",
+        "tradeoff 2pendulum --onto pipe.json --models pipe.json",
+    ],
+)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without named pipes")
+def test_a_named_pipe_is_not_waited_for(line: str, run: Callable[..., Any], here: Path) -> None:
+    for name in ("pipe.toml", "pipe.json"):
+        os.mkfifo(here / name)
+
+    assert "not a regular file" in run(*line.split()).refusal
+
+
 def _door() -> Table:
     """Make a sound scene: a leaf on a hinge, a knob on it."""
     hinge = {"kind": "hinge", "axis": [0.0, 0.0, 1.0]}
@@ -144,6 +164,10 @@ _FILES: dict[str, tuple[Table | bytes, list[str]]] = {
     "two bodies of one name": (
         _set(_door(), "bodies", 1, "name", to="leaf"),
         ["bodies: got 'leaf' twice", "each name is allowed once"],
+    ),
+    "name of two lines": (
+        _set(_door(), "name", to="front\ndoor"),
+        ["name: got 'front\\ndoor'", "a line of text"],
     ),
     "negative mass": (
         _set(_door(), "bodies", 0, "inertia", "mass", to=-2.0),

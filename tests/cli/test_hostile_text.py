@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbds_xsim.base.safe_text import as_code, csv_text, in_markdown, sentence
-from mbds_xsim.base.write import read_result
+from mbds_xsim.base.write import read_file
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.markdown import to_markdown
 from mbds_xsim.report.page import to_html
@@ -87,7 +87,7 @@ def test_texts_of_studies_are_escaped() -> None:
     evil = msgspec.structs.replace(
         stored, scene=_EVIL, description="", left_out={_EVIL: f"{_EVIL}\n# big"}
     )
-    content = read_result(_REPORTS / "shift" / "6pendulum.json.gz")
+    content = read_file(_REPORTS / "shift" / "6pendulum.json.gz")
     shift = msgspec.json.decode(content, type=Shift)
 
     shift = msgspec.structs.replace(shift, scene=_EVIL, left_out={"": _EVIL})

@@ -25,7 +25,9 @@ Edit = Callable[[Table], object]
 _FINITE = st.floats(-1e6, 1e6)
 _POSITIVE = st.floats(1e-6, 1e6)
 _VECTOR = st.tuples(_FINITE, _FINITE, _FINITE)
-_NAME = st.text(min_size=1, max_size=8).filter(lambda name: name != "world" and "\0" not in name)
+_NAME = st.text(min_size=1, max_size=8).filter(
+    lambda name: name != "world" and "\0" not in name and name.splitlines() == [name]
+)
 
 
 def _range(values: tuple[float, float]) -> list[float]:
@@ -399,7 +401,7 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
     ),
     "NUL in a name": (
         _set("bodies", 1, "name", to="kn\0b"),
-        "bodies[1].name: got 'kn\\x00b', allowed is text without NUL",
+        "bodies[1].name: got 'kn\\x00b', allowed is a line of text without NUL",
     ),
     "name too long": (
         _set("joints", 0, "name", to="é" * 101),

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_result
+from mbds_xsim.base.write import read_file
 from mbds_xsim.measure import result
 from mbds_xsim.studies.diff.plain import plain_view
 from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
@@ -57,7 +57,7 @@ def read_views(path: Path) -> tuple[str, dict[str, View]]:
 
 def _content(path: Path) -> object:
     try:
-        text = read_result(path, _LARGEST + 1)
+        text = read_file(path, _LARGEST + 1)
         if len(text) > _LARGEST:
             msg = f"{path}: got more than {_LARGEST // 10**6} MB, the largest results take 10 MB"
             raise InputError(msg)

@@ -8,6 +8,7 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import read_file
 from mbds_xsim.measure.store import Keyed
 from mbds_xsim.simulate.simulator import Options
 
@@ -214,7 +215,7 @@ def read_tradeoff(path: Path) -> Tradeoff:
         InputError: It cannot be read, or is something else.
     """
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=Tradeoff)
+        found = msgspec.json.decode(read_file(path), type=Tradeoff)
     except (OSError, msgspec.DecodeError) as error:
         msg = f"{path}: no result of one scene of mbds-xsim tradeoff ({error})"
         raise InputError(msg) from error
