@@ -106,7 +106,7 @@ def _try(fault: Fault, engine: str) -> _Try:
         bad == [engine],
         frozenset(found.check for found in row.findings if not found.passed),
         motion.odd_one_out == f"{engine} matched",
-        not fault.only_recorded and bool(told(fault.scene, fault, engine)),
+        not fault.change.only_recorded and bool(told(fault.scene, fault, engine)),
     )
 
 

@@ -15,8 +15,8 @@ import sys
 from collections.abc import Callable, Iterator
 
 from faults.bench import ENGINES
-from faults.planting import Fault, planted
-from faults.smooth import gravity, heavier
+from faults.changes import gravity, heavier
+from faults.planting import Change, planted
 
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.scene import Scene
@@ -61,14 +61,11 @@ def _passing(scene: Scene, engine: str) -> Choice:
     raise SystemExit(msg)
 
 
-def _smallest(
-    scene: Scene, choice: Choice, model: Callable[[float], Callable[[Scene], Scene]]
-) -> float | None:
+def _smallest(scene: Scene, choice: Choice, change: Callable[[float], Change]) -> float | None:
     """Go down by decades to the first share that passes, then halve the last decade."""
 
     def caught(share: float) -> bool:
-        fault = Fault("", scene.name, choice.engines, (), model=model(share))
-        return _verdict(scene, choice, fault).verdict == "fail"
+        return _verdict(scene, choice, change(share)).verdict == "fail"
 
     seen = _LARGEST
     if not caught(seen):
@@ -82,8 +79,8 @@ def _smallest(
     return seen
 
 
-def _verdict(scene: Scene, choice: Choice, fault: Fault | None) -> EngineResult:
-    with planted(fault, *choice.engines):
+def _verdict(scene: Scene, choice: Choice, change: Change | None) -> EngineResult:
+    with planted(change, *choice.engines):
         validation, _ = validate_with_evidence(scene, choice=choice, workers=0, readback=False)
     return validation.engines[0]
 

@@ -19,7 +19,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing import CASES, AdapterContract, Case
-from tests.faults.planting import Fault, Faulty
+from tests.faults.planting import Change, Faulty
 
 _SUITE = AdapterContract()
 _POSITIONS = _SUITE.test_every_method_converges_to_the_answer_in_its_order
@@ -27,7 +27,7 @@ _VELOCITIES = _SUITE.test_velocities_are_those_of_the_motion
 
 
 def _mutant(engine: str, **defect: Any) -> Adapter:
-    return Faulty(load_adapter(engine), Fault("", "", (engine,), (), **defect))
+    return Faulty(load_adapter(engine), Change(**defect))
 
 
 def _case(name: str) -> Case:

@@ -61,7 +61,7 @@ def checked(
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
     choice = Choice(engines, given={name: _quick(scene, name) for name in engines})
-    with planted(fault, engine):
+    with planted(fault.change if fault else None, engine):
         return validate_with_evidence(
             scene_of(scene, frames), choice=choice, workers=0, readback=readback
         )[0]

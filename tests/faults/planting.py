@@ -20,7 +20,7 @@ from mbds_xsim.simulate.adapter import Adapter, Profile, Readback, Run, Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, checked, simulate
 
-__all__ = ["Fault", "Faulty", "planted"]
+__all__ = ["Change", "Fault", "Faulty", "planted"]
 
 
 def _same_model(scene: Scene) -> Scene:
@@ -40,8 +40,29 @@ def _same_motion(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory)
 
 
 @dataclass(frozen=True, eq=False)
+class Change:
+    """What is otherwise than it should be: what reaches an engine, or what comes back from it."""
+
+    model: Callable[[Scene], Scene] = _same_model
+    settings: Callable[[Settings], Settings] = _same_settings
+    inputs: Callable[[Batch], Batch] = _same_inputs
+    motion: Callable[[Scene, Batch, float, Trajectory], Trajectory] = _same_motion
+    """Of the true scene, the true batch, the step [s] and the true recording."""
+    native: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext
+    """What is changed in the adapter of an engine itself while it runs."""
+    told: str = ""
+    """How the line of the read-back that tells it begins; empty where no engine knows."""
+
+    @property
+    def only_recorded(self) -> bool:
+        """Whether the engine does what it does without the change."""
+        changes = (self.model, self.settings, self.inputs, self.native)
+        return changes == (_same_model, _same_settings, _same_inputs, contextlib.nullcontext)
+
+
+@dataclass(frozen=True, eq=False)
 class Fault:
-    """A user's mistake, as a change of what reaches an engine or of what comes back from it."""
+    """A user's mistake."""
 
     name: str
     scene: str
@@ -50,38 +71,24 @@ class Fault:
     """Into which it is planted, one at a time."""
     checks: tuple[str, ...]
     """Those it is for: one of them must fail."""
-    told: str = ""
-    """How the line of the read-back that tells it begins; empty where no engine knows."""
+    change: Change
     untold: tuple[str, ...] = ()
     """Engines that cannot tell it."""
     odd: bool = False
     """Large enough for the vote of the engines to name the one that has it."""
     unseen: Mapping[str, str] = field(default_factory=dict)
     """Engines in whose motion no check sees it, with the reason."""
-    model: Callable[[Scene], Scene] = _same_model
-    settings: Callable[[Settings], Settings] = _same_settings
-    inputs: Callable[[Batch], Batch] = _same_inputs
-    motion: Callable[[Scene, Batch, float, Trajectory], Trajectory] = _same_motion
-    """Of the true scene, the true batch, the step [s] and the true recording."""
-    native: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext
-    """What is changed in the adapter of an engine itself while it runs."""
-
-    @property
-    def only_recorded(self) -> bool:
-        """Whether the engine does what it does without the fault."""
-        changes = (self.model, self.settings, self.inputs, self.native)
-        return changes == (_same_model, _same_settings, _same_inputs, contextlib.nullcontext)
 
 
 @contextlib.contextmanager
-def planted(fault: Fault | None, engine: str) -> Iterator[None]:
-    """Plant a fault into the simulations that a validation in this process makes.
+def planted(change: Change | None, engine: str) -> Iterator[None]:
+    """Plant a change into the simulations that a validation in this process makes.
 
-    What does not depend on the fault is simulated, solved and judged only once.
+    What does not depend on it is simulated, solved and judged only once.
     """
 
     def run(scene: Scene, batch: Batch, name: str, settings: Settings) -> Simulation:
-        return _simulated(fault if name == engine else None, scene, batch, name, settings)
+        return _simulated(change if name == engine else None, scene, batch, name, settings)
 
     with (
         mock.patch("mbds_xsim.measure.campaign.simulate", run),
@@ -105,11 +112,11 @@ def _drawn(scene: Scene, batch: Batch) -> _Key:
 
 
 def _simulated(
-    fault: Fault | None, scene: Scene, batch: Batch, engine: str, settings: Settings
+    change: Change | None, scene: Scene, batch: Batch, engine: str, settings: Settings
 ) -> Simulation:
-    key = (fault, engine, repr(settings), *_drawn(scene, batch))
+    key = (change, engine, repr(settings), *_drawn(scene, batch))
     if key not in _DONE:
-        _DONE[key] = _carried_out(fault, scene, batch, engine, settings)
+        _DONE[key] = _carried_out(change, scene, batch, engine, settings)
     return _DONE[key]
 
 
@@ -138,26 +145,26 @@ def _judged(
 
 
 def _carried_out(
-    fault: Fault | None, scene: Scene, batch: Batch, engine: str, settings: Settings
+    change: Change | None, scene: Scene, batch: Batch, engine: str, settings: Settings
 ) -> Simulation:
-    if fault is None:
+    if change is None:
         return simulate(scene, batch, engine, settings)
-    if fault.only_recorded:
+    if change.only_recorded:
         sound = _simulated(None, scene, batch, engine, settings)
-        motion = fault.motion(scene, batch, settings.step, sound.trajectory)
+        motion = change.motion(scene, batch, settings.step, sound.trajectory)
         run = cast(Run, SimpleNamespace(rollout=lambda _: motion))
         return dataclasses.replace(sound, trajectory=checked(run.rollout(batch), batch))
-    adapter = Faulty(load_adapter(engine), fault)
+    adapter = Faulty(load_adapter(engine), change)
     loading = mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter)
-    with fault.native(engine), loading:
+    with change.native(engine), loading:
         return simulate(scene, batch, engine, settings)
 
 
 class Faulty(Adapter):
     """An adapter with a fault."""
 
-    def __init__(self, adapter: Adapter, fault: Fault) -> None:
-        self._adapter, self._fault = adapter, fault
+    def __init__(self, adapter: Adapter, change: Change) -> None:
+        self._adapter, self._change = adapter, change
         for claim in ("name", "package", "methods", "options", "limits", "coordinates"):
             setattr(self, claim, getattr(adapter, claim))
 
@@ -168,21 +175,21 @@ class Faulty(Adapter):
         return self._adapter.settings(scene, profile)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
-        run = self._adapter.load(self._fault.model(scene), self._fault.settings(settings))
-        return _FaultyRun(run, self._fault, scene, settings.step)
+        run = self._adapter.load(self._change.model(scene), self._change.settings(settings))
+        return _FaultyRun(run, self._change, scene, settings.step)
 
 
 class _FaultyRun(Run):
-    def __init__(self, run: Run, fault: Fault, scene: Scene, step: float) -> None:
-        self._run, self._fault, self._scene, self._step = run, fault, scene, step
+    def __init__(self, run: Run, change: Change, scene: Scene, step: float) -> None:
+        self._run, self._change, self._scene, self._step = run, change, scene, step
         self.size = run.size
 
     def rollout(self, batch: Batch) -> Trajectory:
-        motion = self._run.rollout(self._fault.inputs(batch))
-        return self._fault.motion(self._scene, batch, self._step, motion)
+        motion = self._run.rollout(self._change.inputs(batch))
+        return self._change.motion(self._scene, batch, self._step, motion)
 
     def readback(self, batch: Batch) -> Readback:
-        return self._run.readback(self._fault.inputs(batch))
+        return self._run.readback(self._change.inputs(batch))
 
     def native(self, batch: Batch) -> str:
         return self._run.native(batch)

@@ -1,4 +1,4 @@
-"""Faults of what is recorded: the engine is right, and its motion is written down wrong."""
+"""Changes of what is recorded: the engine is right, and its motion is written down wrong."""
 
 from __future__ import annotations
 
@@ -11,21 +11,24 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference import accelerations
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
-from .planting import Fault
+from .planting import Change
 
-__all__ = ["RECORDING"]
-
-Record = Callable[[Scene, Batch, float, Trajectory], Trajectory]
+Frames = NDArray[np.intp]
 
 _FIELDS = ("position", "orientation", "velocity", "angular_velocity")
 _FRAME = 6
 """The frame that is recorded wrong where only one is."""
+_TWIST = 0.1  # [rad/s]
+_FASTEST = 100.0  # [rad/s]
 
 
-def _each(field: str, change: Callable[[Array, Trajectory], Array]) -> Record:
+def each(field: str, change: Callable[[Array, Trajectory], Array]) -> Change:
     """Record one field otherwise; the start stays as it was drawn."""
 
     def record(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
@@ -34,187 +37,172 @@ def _each(field: str, change: Callable[[Array, Trajectory], Array]) -> Record:
         fields: dict[str, Any] = {field: changed}
         return dataclasses.replace(motion, **fields)
 
-    return record
+    return Change(motion=record)
 
 
-def _frames(pick: Callable[[NDArray[np.intp]], NDArray[np.intp]]) -> Record:
+def frames(pick: Callable[[Frames], Frames], fields: tuple[str, ...] = _FIELDS) -> Change:
     """Record other frames than those that are due."""
 
     def record(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
         due = pick(np.arange(len(motion.time)))
-        return dataclasses.replace(motion, **{key: getattr(motion, key)[:, due] for key in _FIELDS})
+        return dataclasses.replace(motion, **{key: getattr(motion, key)[:, due] for key in fields})
 
-    return record
+    return Change(motion=record)
 
 
-def _bodies(one: int, other: int, fields: tuple[str, ...] = _FIELDS) -> Record:
-    """Record two bodies in each other's place, from the second frame on."""
+def exchanged(*pairs: tuple[int, int], fields: tuple[str, ...] = _FIELDS) -> Change:
+    """Record bodies in each other's place, from the second frame on."""
 
     def record(_scene: Scene, _batch: Batch, _step: float, motion: Trajectory) -> Trajectory:
         changed: dict[str, Any] = {key: getattr(motion, key).copy() for key in fields}
         for key, values in changed.items():
-            values[:, 1:, [one, other]] = getattr(motion, key)[:, 1:, [other, one]]
+            for one, other in pairs:
+                values[:, 1:, [one, other]] = getattr(motion, key)[:, 1:, [other, one]]
         return dataclasses.replace(motion, **changed)
 
-    return record
+    return Change(motion=record)
 
 
-def _in_body_frames(spin: Array, motion: Trajectory) -> Array:
+def repeated(due: Frames) -> Frames:
+    """Record a frame twice, and the later ones late."""
+    return np.where(due > _FRAME, due - 1, due)
+
+
+def dropped(due: Frames) -> Frames:
+    """Leave a frame out, and record the last twice to make up for it."""
+    return np.minimum(np.where(due >= _FRAME, due + 1, due), due[-1])
+
+
+def spin_in_body_frames(spin: Array, motion: Trajectory) -> Array:
+    """Give angular velocities in the bodies' own frames."""
     return rotation.rotate(rotation.conjugate(motion.orientation), spin)
 
 
-def _beside_centres(position: Array, motion: Trajectory) -> Array:
-    """Places of points 1 mm from the centres of mass along the bodies' z-axes."""
+def beside_centres(position: Array, motion: Trajectory) -> Array:
+    """Give places of points 1 mm from the centres of mass along the bodies' z-axes."""
     return position + rotation.rotate(motion.orientation, np.array([0.0, 0.0, 1e-3]))
 
 
-def _differences(position: Array, motion: Trajectory) -> Array:
-    """Velocities as differences of places, as a converter makes them that has none."""
-    velocity = motion.velocity.copy()
-    velocity[:, 1:] = np.diff(position, axis=1) / (motion.time[1] - motion.time[0])
-    return velocity
+def differences(velocity: Array, motion: Trajectory) -> Array:
+    """Give velocities as differences of places, as a converter makes them that has none."""
+    found = velocity.copy()
+    found[:, 1:] = np.diff(motion.position, axis=1) / (motion.time[1] - motion.time[0])
+    return found
 
 
-def _smoothed(position: Array, _: Trajectory) -> Array:
+def smoothed(position: Array, _: Trajectory) -> Array:
+    """Average each frame with its neighbours."""
     smooth = position.copy()
     smooth[:, 1:-1] = (position[:, :-2] + position[:, 1:-1] + position[:, 2:]) / 3.0
     return smooth
 
 
-def _interpolated(values: Array, _: Trajectory) -> Array:
-    """One frame is lost and filled from its neighbours."""
+def interpolated(values: Array, _: Trajectory) -> Array:
+    """Fill one frame, which is lost, from its neighbours."""
     filled = values.copy()
     filled[:, _FRAME] = (values[:, _FRAME - 1] + values[:, _FRAME + 1]) / 2.0
     return filled
 
 
-def _repeated(due: NDArray[np.intp]) -> NDArray[np.intp]:
-    return np.where(due > _FRAME, due - 1, due)
+def drifting(position: Array, motion: Trajectory) -> Array:
+    """Let places drift at 0.5 m/s."""
+    return position + 0.5 * motion.time[:, None, None] * np.array([1.0, 0.0, 0.0])
 
 
-def _dropped(due: NDArray[np.intp]) -> NDArray[np.intp]:
-    """One frame is missing, and the last comes twice to make up for it."""
-    return np.minimum(np.where(due >= _FRAME, due + 1, due), due[-1])
+def shaken(position: Array, _: Trajectory) -> Array:
+    """Shake places by 1 mm."""
+    moved = position.copy()
+    moved[..., :2] += np.random.default_rng(1).normal(0.0, 1e-3, (*position.shape[:2], 1, 2))
+    return moved
 
 
-def _fault(
-    name: str, scene: str, engine: str, checks: tuple[str, ...], motion: Record, odd: bool = False
-) -> Fault:
-    return Fault(name, scene, (engine,), checks, motion=motion, odd=odd)
+def lowered(position: Array, _: Trajectory) -> Array:
+    """Let the motion go on 1 mm lower."""
+    return position - np.array([0.0, 0.0, 1e-3])
 
 
-RECORDING = (
-    _fault(
-        "angular velocity in body frames",
-        "workbench",
-        "dart",
-        ("kinematics", "energy"),
-        _each("angular_velocity", _in_body_frames),
-    ),
-    _fault(
-        "orientation turned the other way",
-        "workbench",
-        "mujoco",
-        ("gap", "kinematics"),
-        _each("orientation", lambda values, _: rotation.conjugate(values)),
-    ),
-    _fault(
-        "places 1 mm beside the centres of mass",
-        "2ladder",
-        "exudyn",
-        ("gap",),
-        _each("position", _beside_centres),
-    ),
-    _fault(
-        "velocities from differences of places",
-        "3pendulum",
-        "mujoco",
-        ("kinematics",),
-        _each("velocity", lambda _, motion: _differences(motion.position, motion)),
-    ),
-    _fault(
-        "velocities 0.1 % too fast",
-        "3pendulum",
-        "dart",
-        ("kinematics",),
-        _each("velocity", lambda values, _: 1.001 * values),
-    ),
-    _fault(
-        "places smoothed over three frames",
-        "3pendulum",
-        "exudyn",
-        ("kinematics", "gap"),
-        _each("position", _smoothed),
-    ),
-    _fault(
-        "places of one frame interpolated",
-        "2ladder",
-        "mujoco",
-        ("kinematics", "gap"),
-        _each("position", _interpolated),
-    ),
-    _fault(
-        "one frame twice, the later ones late",
-        "workbench",
-        "exudyn",
-        ("kinematics", "error growth-weighted"),
-        _frames(_repeated),
-    ),
-    _fault(
-        "one frame twice, the later ones late, under wheels",
-        "particlecar",
-        "dart",
-        ("balance", "wheels"),
-        _frames(_repeated),
-    ),
-    _fault(
-        "one frame left out, the last twice",
-        "ballscroll",
-        "pybullet",
-        ("kinematics", "error growth-weighted"),
-        _frames(_dropped),
-    ),
-    _fault(
-        "one frame left out, the last twice, of a cube",
-        "simplecubli",
-        "exudyn",
-        ("balance", "momentum"),
-        _frames(_dropped),
-    ),
-    _fault(
-        "two links in each other's place",
-        "3pendulum",
-        "pybullet",
-        ("gap",),
-        _bodies(1, 2),
-        odd=True,
-    ),
-    _fault(
-        "rates of two flywheels exchanged",
-        "simplecubli in flight",
-        "mujoco",
-        ("kinematics", "momentum"),
-        _bodies(1, 2, ("angular_velocity",)),
-    ),
-    _fault(
-        "rates of two wheels exchanged",
-        "particlecar",
-        "mujoco",
-        ("kinematics", "wheels"),
-        _bodies(1, 4, ("angular_velocity",)),
-    ),
-    _fault(
-        "orientation that is no unit quaternion",
-        "ballscroll",
-        "mujoco",
-        ("finite",),
-        _each("orientation", lambda values, _: (1.0 + 1e-6) * values),
-    ),
-    _fault(
-        "angular velocity in degrees, of one body",
-        "balldrop",
-        "exudyn",
-        ("kinematics",),
-        _each("angular_velocity", lambda values, _: np.degrees(values)),
-    ),
-)
+def aside(velocity: Array, _: Trajectory) -> Array:
+    """Let the last body move aside at 0.1 m/s."""
+    parting = velocity.copy()
+    parting[:, :, -1, 1] += 0.1
+    return parting
+
+
+def twisting(facing: Array, motion: Trajectory) -> Array:
+    """Twist the last body about itself, beside its rate."""
+    turn = rotation.from_vector(np.array([0.0, 0.0, _TWIST]) * motion.time[:, None])
+    twisted = facing.copy()
+    twisted[:, :, -1] = rotation.multiply(facing[:, :, -1], turn)
+    return twisted
+
+
+def told_to_twist(spin: Array, motion: Trajectory) -> Array:
+    """Give the last body the rate of a twist that it has not."""
+    told = spin.copy()
+    told[:, :, -1] += rotation.rotate(motion.orientation[:, :, -1], np.array([0.0, 0.0, _TWIST]))
+    return told
+
+
+def in_single_precision(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Round all numbers after the start."""
+    kept = {name: getattr(motion, name).copy() for name in _FIELDS}
+    for values in kept.values():
+        values[:, 1:] = values[:, 1:].astype(np.float32)
+    kept["orientation"] /= rotation.norm(kept["orientation"])[..., None]
+    return dataclasses.replace(motion, **kept)
+
+
+def swapped_recording(_: Scene, __: Batch, ___: float, motion: Trajectory) -> Trajectory:
+    """Record xyzw where wxyz is published."""
+    return dataclasses.replace(motion, orientation=np.roll(motion.orientation, -1, axis=-1))
+
+
+def cut_spins(scene: Scene, _: Batch, __: float, motion: Trajectory) -> Trajectory:
+    """Cut the rates of hinges."""
+    mechanism = Mechanism.of(scene)
+    native = mechanism.native_rotation(motion.orientation)
+    spin = motion.angular_velocity.copy()
+    for hinge in mechanism.hinges:
+        axis = rotation.rotate(native[:, :, hinge.parent], hinge.axis)
+        rate = np.sum((spin[:, :, hinge.child] - spin[:, :, hinge.parent]) * axis, axis=-1)
+        excess = rate - np.clip(rate, -_FASTEST, _FASTEST)
+        spin[:, :, hinge.child] -= excess[..., None] * axis
+    return dataclasses.replace(motion, angular_velocity=spin)
+
+
+def late(
+    *, steps: float = 0.0, frames: float = 0.0, places: bool = True, speeds: bool = True
+) -> Change:
+    """Record frames some steps or frames late; the first is the start."""
+
+    def record(scene: Scene, batch: Batch, step: float, motion: Trajectory) -> Trajectory:
+        delay = steps * step + frames * scene.clock.frame
+        linear, angular = _pulls(scene, batch, motion)
+        turned = delay * motion.angular_velocity + 0.5 * delay**2 * angular
+        moved: dict[str, Any] = {}
+        if places:
+            moved["position"] = motion.position + delay * motion.velocity + 0.5 * delay**2 * linear
+            moved["orientation"] = rotation.multiply(
+                rotation.from_vector(turned), motion.orientation
+            )
+        if speeds:
+            moved["velocity"] = motion.velocity + delay * linear
+            moved["angular_velocity"] = motion.angular_velocity + delay * angular
+        for key, values in moved.items():
+            values[:, 0] = getattr(motion, key)[:, 0]
+        return dataclasses.replace(motion, **moved)
+
+    return Change(motion=record)
+
+
+def _pulls(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Array, Array]:
+    """Accelerations just after each frame, under the inputs that then begin."""
+    mechanism = Mechanism.of(scene)
+    states = BodyStates(
+        motion.position,
+        mechanism.native_rotation(motion.orientation),
+        motion.velocity,
+        motion.angular_velocity,
+    )
+    held = np.minimum(np.arange(len(motion.time)), batch.steps - 1)
+    return accelerations(mechanism, states, batch.force[:, held], batch.torque[:, held])

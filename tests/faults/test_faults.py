@@ -31,7 +31,7 @@ _UNSEEN = [
 _TOLD = [
     pytest.param(fault, engine, id=f"{fault.name}, {engine}")
     for fault, engine in _PLANTED
-    if fault.told and engine not in fault.untold
+    if fault.change.told and engine not in fault.untold
 ]
 
 
@@ -71,7 +71,7 @@ def test_the_motion_shows_a_fault(fault: Fault, faulty: str) -> None:
 def test_reading_the_model_back_tells_a_fault(fault: Fault, faulty: str) -> None:
     lines = told(fault.scene, fault, faulty)
 
-    assert any(line.startswith(fault.told) for line in lines), lines
+    assert any(line.startswith(fault.change.told) for line in lines), lines
 
 
 @pytest.mark.parametrize(("fault", "faulty"), _UNSEEN)

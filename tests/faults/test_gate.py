@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import h5py
@@ -13,6 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.dataset.gate import CheckTable, Making, judge_rows
 from mbds_xsim.dataset.shard import make_shard
 from mbds_xsim.dataset.variant import Item, Variant
@@ -24,10 +24,9 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
 
-from .contact_changes import ground
-from .planting import Fault, Faulty
-from .recorded import RECORDED
-from .smooth import heavier
+from .changes import force, ground, heavier, times, torque
+from .faults import change_of
+from .planting import Change, Faulty
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +56,7 @@ CLAIMS: dict[str, _Claim] = {
     "inputs 1 % weak": _with_force(lambda force: force / 0.99),
     "noise of another seed": _another_seed,
     "gravity 1 % strong": _gravity(1.01),
-    "a body 1 % heavier": lambda scene, batch: (heavier("link3", -0.01)(scene), batch),
+    "a body 1 % heavier": lambda scene, batch: (heavier("link3", -0.01).model(scene), batch),
 }
 """What a scene says of a motion that was made otherwise."""
 
@@ -106,7 +105,7 @@ def test_a_frame_twice_with_the_rest_late_is_not_published(
     pendulum: tuple[Scene, Batch, Making, Trajectory, Trajectory],
 ) -> None:
     scene, batch, making, motion, _ = pendulum
-    twice = _recorded("a frame twice, those after it late").motion(scene, batch, 0.0, motion)
+    twice = change_of("a frame twice, those after it late").motion(scene, batch, 0.0, motion)
 
     assert _published(judge_rows(scene, batch, twice, making)) == 0
 
@@ -121,43 +120,29 @@ def test_inputs_dropped_in_one_frame_are_named(
     assert any(f"inputs of step {_DROPPED}:" in line for line in verdict.misbuilt)
 
 
-def _recorded(name: str) -> Fault:
-    return next(fault for fault in RECORDED if fault.name == name)
-
-
-def _no_noise(batch: Batch) -> Batch:
-    return dataclasses.replace(batch, force=np.zeros_like(batch.force))
-
-
 def _other_noise(batch: Batch) -> Batch:
     return _another_seed(load_scene("simplecubli"), batch)[1]
 
 
-def _torque_off(batch: Batch) -> Batch:
-    torque = batch.torque.copy()
-    torque[..., 0] = 0.0
-    return dataclasses.replace(batch, torque=torque)
-
-
-def _torque_weak(batch: Batch) -> Batch:
-    return dataclasses.replace(batch, torque=0.95 * batch.torque)
+def _first_hinge_off(given: Array) -> Array:
+    return np.concatenate([np.zeros_like(given[..., :1]), given[..., 1:]], axis=-1)
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {},
-        {"inputs": _no_noise},
-        {"inputs": _other_noise},
-        {"inputs": _torque_off},
-        {"inputs": _torque_weak},
-        {"model": ground(restitution=0.88)},
-        {"model": ground(friction=0.35)},
-        {"motion": _recorded("last ten frames frozen").motion},
+        None,
+        force(np.zeros_like),
+        Change(inputs=_other_noise),
+        torque(_first_hinge_off),
+        torque(times(0.95)),
+        ground("restitution", lambda _: 0.88),
+        ground("friction", lambda _: 0.35),
+        change_of("last ten frames frozen"),
     ],
 )
 def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(
-    change: dict[str, Any], tmp_path: Path
+    change: Change | None, tmp_path: Path
 ) -> None:
     if "mujoco" not in registry.installed_engines():
         pytest.skip("not installed: mujoco")
@@ -166,8 +151,7 @@ def test_a_shard_of_thrown_cubes_is_published_as_it_is_told_alone(
     variant = Variant(scene, contender, seed=0, noise=True)
     adapter = registry.load_adapter("mujoco")
     if change:
-        fault = Fault("shard", "simplecubli", ("mujoco",), ("coefficients",), **change)
-        adapter = Faulty(adapter, fault)
+        adapter = Faulty(adapter, change)
     item = Item(variant, _ROWS.start, len(_ROWS))
     with mock.patch("mbds_xsim.simulate.timed.load_adapter", return_value=adapter):
         make_shard(item, tmp_path)
