@@ -289,3 +289,12 @@ def test_where_the_starter_has_threads_a_task_starts_from_nothing(
 
     assert isinstance(alone[0], Crash)
     assert among_others == [None]
+
+
+def test_a_killed_starter_takes_only_what_it_has_started() -> None:
+    kill = "import os, signal, time; os.kill(os.getppid(), signal.SIGKILL); time.sleep(60)"
+
+    crash, answer = run_tasks([Task(exec, (kill,)), Task(math.factorial, (3,))], workers=1)
+
+    assert crash == Crash("the process that starts tasks ended: without a word")
+    assert answer == 6

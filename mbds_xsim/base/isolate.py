@@ -123,6 +123,9 @@ def run_tasks(
             while waiting or running:
                 while waiting and len(running) < most:
                     place = waiting.pop()
+                    if starter.over:  # something has killed it
+                        starter.end()
+                        starter = _Starter(tasks, Path(folder))
                     running.append(_Process(place, tasks[place], starter))
                     if started is not None:
                         started(place)

@@ -172,7 +172,8 @@ def _killed_at_random(program: _Program, out: Path, rng: random.Random, within: 
         time.sleep(0.005)
     time.sleep(rng.uniform(0.0, within))
     hit = running.poll() is None
-    workers = _children(running.pid)
+    starters = _children(running.pid)
+    workers = starters + [task for starter in starters for task in _children(starter)]
     victims = [running.pid] if rng.random() < 0.5 else workers or [running.pid]
     for victim in victims:
         _kill(victim)
