@@ -19,6 +19,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing import CASES, AdapterContract, Case
+from tests.faults.native import no_reaction
 from tests.faults.planting import Change, Faulty
 
 _SUITE = AdapterContract()
@@ -80,6 +81,11 @@ def test_a_wrong_adapter_fails(
     test(load_adapter(name), _case(case))
     with pytest.raises(AssertionError, match=case):
         test(_mutant(name, **defect), _case(case))
+
+
+def test_a_hinge_torque_without_its_reaction_fails(engine: str) -> None:
+    with no_reaction(engine), pytest.raises(AssertionError, match="flywheel"):
+        _POSITIONS(load_adapter(engine), _case("flywheel"))
 
 
 def test_a_velocity_lag_that_is_not_declared_fails() -> None:

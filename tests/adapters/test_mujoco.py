@@ -20,7 +20,6 @@ from mbds_xsim.scene.scene import (
     Body,
     Clock,
     DistanceLink,
-    Force,
     Inertia,
     Joint,
     Particle,
@@ -160,33 +159,6 @@ def test_springs_and_dampers_converge_in_fourth_order() -> None:
     errors = position_errors(scene, (2, 4, 8))
     assert np.log2(errors[0] / errors[2]) / 2 == pytest.approx(4.0, abs=0.2)
     assert errors[2] < 1e-7
-
-
-def test_a_force_stays_in_the_world_while_the_body_turns() -> None:
-    force = np.array([1.0, -2.0, 0.5])
-    spinning = Body(
-        "box",
-        inertia=Inertia(2.0, (0.1, 0.2, 0.25), (0.01, 0.02, 0.03), com=(0.3, -0.1, 0.2)),
-        angular_velocity=(3.0, -4.0, 5.0),
-    )
-    scene = Scene(
-        "pushed", (spinning,), length=1.0, forces=(Force("box", ((1.0, -2.0, 0.5),)),), clock=CLOCK
-    )
-    motion = rollout(scene, draw_batch(scene, [0]), 4)
-    acceleration = force / 2.0 + [0.0, 0.0, -9.81]
-    exact = [0.3, -0.1, 0.2] + 0.5 * motion.time[:, None] ** 2 * acceleration
-    np.testing.assert_allclose(motion.position[0, :, 0], exact, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("torques", [(), (Torque("D", (2.0, -1.0), hold=10),)])
-def test_a_loop_hinge_closes_and_drives(torques: tuple[Torque, ...]) -> None:
-    """The driven hinge is the one that closes the loop: no joint of the engine's carries it."""
-    scene = four_bar(torques)
-    assert [joint.name for joint in Mechanism.of(scene).loops] == ["D"]
-    errors = position_errors(scene, (4, 8, 16))
-    assert np.log2(errors[0] / errors[2]) / 2 > 1.8
-    assert errors[2] < 5e-6
-    assert gap(scene, rollout(scene, draw_batch(scene, [0]), 4)) < 2e-5
 
 
 def test_a_loop_hinge_tells_its_axis() -> None:

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
@@ -26,7 +24,6 @@ from mbds_xsim.scene.scene import (
     Joint,
     Scene,
     SpringDamper,
-    Torque,
 )
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import readback
@@ -95,49 +92,6 @@ def test_a_constant_force_is_held_in_the_world_over_all_sub_steps(substeps: int)
     np.testing.assert_allclose(motion.orientation, free.orientation, rtol=0, atol=1e-12)
 
 
-def test_a_full_inertia_tumbles_as_eulers_equations_say() -> None:
-    spin = np.array([3.0, -1.0, 2.0])
-    probe = scene(body("a", angular_velocity=(3.0, -1.0, 2.0)), gravity=NO_GRAVITY, steps=25)
-    inertia = Mechanism.of(probe).inertia[0]
-
-    def derivative(_: float, y: Array) -> Array:
-        q, w = y[:4], y[4:]
-        rate = np.linalg.solve(inertia, -np.cross(w, inertia @ w))
-        return np.concatenate([0.5 * rotation.multiply(q, np.array([0.0, *w])), rate])
-
-    start = np.concatenate([rotation.IDENTITY, spin])
-    exact = solve_ivp(derivative, (0.0, 0.5), start, method="DOP853", rtol=1e-12, atol=1e-12)
-    q, w = exact.y[:4, -1], exact.y[4:, -1]
-    motion = extrapolated(probe, 200)
-    np.testing.assert_allclose(motion.orientation[0, -1, 0], q, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(
-        motion.angular_velocity[0, -1, 0], rotation.rotate(q, w), rtol=0, atol=2e-5
-    )
-
-
-@pytest.mark.parametrize("closed", [False, True])
-def test_a_hinge_torque_stays_on_and_acts_on_both_bodies(closed: bool) -> None:
-    rotor = Inertia(mass=1.0, moments=(0.02, 0.02, 0.03))
-    stator = Inertia(mass=2.0, moments=(0.05, 0.05, 0.07))
-    joints = [Joint("drive", "hinge", "a", "b", (0.0, 0.0, 0.1), (0.0, 0.0, 1.0))]
-    if closed:  # the later of two coaxial hinges closes a loop, and the torque is there
-        joints.insert(0, Joint("bearing", "hinge", "a", "b", (0.0, 0.0, -0.1), (0.0, 0.0, 1.0)))
-    probe = scene(
-        body("a", inertia=stator),
-        body("b", inertia=rotor),
-        joints=tuple(joints),
-        torques=(Torque("drive", (0.3, -0.1), hold=5),),
-        gravity=NO_GRAVITY,
-    )
-    motion = simulate(probe, 10)
-    impulse = np.cumsum([0.0] + [0.3 * 0.02] * 5 + [-0.1 * 0.02] * 5)
-    spin = motion.angular_velocity[0]
-    np.testing.assert_allclose(spin[:, 1, 2], impulse / 0.03, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(spin[:, 0, 2], -impulse / 0.07, rtol=0, atol=1e-9)
-    assert np.abs(spin[..., :2]).max() < 1e-9
-    assert np.abs(motion.position).max() < 1e-9
-
-
 @pytest.mark.parametrize("reverse", [False, True])
 def test_a_slider_carries_a_mass_down_an_incline(reverse: bool) -> None:
     down = np.array([0.8, 0.0, -0.6])
@@ -193,25 +147,6 @@ def test_a_fixed_joint_makes_one_body_of_two() -> None:
     )
 
 
-def test_a_spring_with_damper_swings_as_its_formula_says() -> None:
-    mass, stiffness, damping = 1.3, 80.0, 3.0
-    probe = scene(
-        body("a", (0.0, 0.0, -0.5), velocity=(0.0, 0.0, 1.0)),
-        springs=(
-            SpringDamper(
-                "s", ("world", "a"), ((0.0, 0.0, 0.5), (0.0, 0.0, -0.5)), stiffness, damping
-            ),
-        ),
-        gravity=NO_GRAVITY,
-        steps=50,
-    )
-    motion = extrapolated(probe, 20)
-    decay = damping / (2 * mass)
-    rate = np.sqrt(stiffness / mass - decay**2)
-    exact = np.exp(-decay * motion.time) * np.sin(rate * motion.time) / rate
-    np.testing.assert_allclose(motion.position[0, :, 0, 2] + 0.5, exact, rtol=0, atol=2e-5)
-
-
 def test_a_spring_off_centre_turns_both_bodies() -> None:
     probe = scene(
         body("a"),
@@ -229,66 +164,6 @@ def test_a_spring_off_centre_turns_both_bodies() -> None:
     np.testing.assert_allclose(linear.sum(axis=0), 0.0, atol=1e-12)
     momentum = spin.sum(axis=0) + np.cross(motion.position[0, -1], linear).sum(axis=0)
     np.testing.assert_allclose(momentum, 0.0, atol=2e-4)
-
-
-def four_bar(kind: str = "hinge") -> Scene:
-    """A parallelogram: its two cranks turn as one physical pendulum."""
-    crank = Inertia(mass=1.0, moments=(0.02, 0.02, 0.02))
-    coupler = Inertia(mass=2.0, moments=(0.1, 0.1, 0.1))
-    axis = (0.0, 1.0, 0.0)
-
-    def pin(name: str, parent: str, child: str, x: float, z: float, **start: float) -> Joint:
-        return Joint(name, "hinge", parent, child, (x, 0.0, z), axis, **start)
-
-    closing = (
-        pin("d", "coupler", "right", 0.5, -0.4)
-        if kind == "hinge"
-        else Joint("d", "ball", "coupler", "right", (0.5, 0.0, -0.4))
-    )
-    return scene(
-        Body("left", inertia=crank, position=(0.0, 0.0, -0.2)),
-        Body("right", inertia=crank, position=(0.5, 0.0, -0.2)),
-        Body("coupler", inertia=coupler, position=(0.25, 0.0, -0.4)),
-        joints=(
-            pin("a", "world", "left", 0.0, 0.0, start=0.6, rate=1.0),
-            pin("b", "world", "right", 0.5, 0.0),
-            pin("c", "left", "coupler", 0.0, -0.4),
-            closing,
-        ),
-        steps=50,
-    )
-
-
-@pytest.mark.parametrize("kind", ["hinge", "ball"])
-def test_a_closed_loop_moves_as_the_pendulum_that_it_is(kind: str) -> None:
-    probe = four_bar(kind)
-    inertia = 2 * (0.02 + 1.0 * 0.2**2) + 2.0 * 0.4**2
-    torque = 9.81 * (2 * 1.0 * 0.2 + 2.0 * 0.4)
-
-    def derivative(_: float, y: Array) -> Array:
-        return np.array([y[1], -torque * np.sin(y[0]) / inertia])
-
-    exact = solve_ivp(derivative, (0.0, 1.0), [0.6, 1.0], rtol=1e-11, atol=1e-11).y[0, -1]
-    motion = extrapolated(probe, 40)
-    x, z = motion.position[0, -1, 0, [0, 2]]
-    assert abs(np.arctan2(-x, -z) - exact) < 1e-4
-    assert worst_gap(probe, simulate(probe, 40)) < 1e-4
-
-
-def test_a_loop_closed_by_a_fixed_joint_changes_nothing() -> None:
-    bodies = (
-        body("a", angular_velocity=(1.0, 2.0, -1.0)),
-        body("b", (0.4, 0.1, 0.2)),
-        body("c", (0.1, 0.5, -0.2)),
-    )
-    welds = [
-        Joint("ab", "fixed", "a", "b", (0.3, 0.0, 0.0)),
-        Joint("bc", "fixed", "b", "c", (0.2, 0.3, 0.0)),
-        Joint("ca", "fixed", "c", "a", (0.0, 0.2, 0.0)),
-    ]
-    ring, chain = scene(*bodies, joints=tuple(welds)), scene(*bodies, joints=tuple(welds[:2]))
-    closed, plain = simulate(ring), simulate(chain)
-    np.testing.assert_allclose(closed.position, plain.position, rtol=0, atol=1e-6)
 
 
 def test_a_fixed_loop_of_moving_bodies_holds() -> None:
@@ -370,19 +245,6 @@ def test_the_model_is_read_back_as_the_scene_has_it() -> None:
     with ENGINE.open(probe, settings) as run:
         model = run.readback(batch)
     assert readback.compare(Mechanism.of(probe), batch, settings, model) == []
-
-
-@pytest.mark.parametrize("name", ["5pendulum", "2ladder"])
-def test_the_start_is_kept_and_the_bits_repeat(name: str) -> None:
-    probe = load_scene(name)
-    batch = draw_batch(probe, [0, 1, 2]).truncated(2)
-    with ENGINE.open(probe, Settings(METHOD, 0.001)) as run:
-        first, second, alone = run.rollout(batch), run.rollout(batch), run.rollout(batch[[2]])
-    for key in ("position", "orientation", "velocity", "angular_velocity"):
-        start = getattr(first, key)[:, 0]
-        np.testing.assert_allclose(start, getattr(batch, key), rtol=0, atol=1e-12)
-        assert np.array_equal(getattr(first, key), getattr(second, key))
-        assert np.array_equal(getattr(first, key)[[2]], getattr(alone, key))
 
 
 def test_too_fast_a_spin_ends_the_trajectory() -> None:
