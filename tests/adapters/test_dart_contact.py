@@ -11,8 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim import reference
-from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import UnknownName, Unsupported
 from mbds_xsim.checks.energy import energy_of
@@ -28,6 +26,7 @@ from mbds_xsim.simulate.readback import compare
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.testing.contact_cases import RADIUS as R
 from mbds_xsim.testing.contact_cases import ball, gaps, laid_cubli, rolling
+from tests.adapters.exact import balldrop_followed, ballscroll_followed
 
 dartpy: Any = pytest.importorskip("dartpy")
 
@@ -52,43 +51,19 @@ def rollout(scene: Scene, batch: Batch, settings: Settings | None = None) -> Tra
         return run.rollout(batch)
 
 
-def particle_errors(scene: Scene, one: Trajectory, other: Trajectory) -> Array:
-    """RMS over particles of the distance [m], shape (trajectory, frame)."""
-    mechanism = Mechanism.of(scene)
-    places = (mechanism.particle_positions(m.position, m.orientation) for m in (one, other))
-    return np.asarray(np.sqrt(np.mean(np.sum(np.subtract(*places) ** 2, axis=-1), axis=-1)))
-
-
 @pytest.mark.parametrize("noise", [False, True])
 def test_ballscroll_follows_the_exact_solution(noise: bool) -> None:
-    scene = load_scene("ballscroll")
-    batch = draw_batch(scene, range(6), seed=1, noise=noise)
-    motion = rollout(scene, batch)
+    motion = ballscroll_followed(rollout, noise=noise, within=2e-3)
 
-    assert motion.failures == (None,) * 6
-    assert particle_errors(scene, motion, reference.solve(scene, batch)).max() < 2e-3
-    assert gaps(scene, motion).min() > -1e-7
     assert not motion.position[..., 1].any()
 
 
 @pytest.mark.parametrize("noise", [False, True])
 def test_balldrop_follows_the_exact_solution(noise: bool) -> None:
-    scene = load_scene("balldrop")
-    batch = draw_batch(scene, range(6), seed=1, noise=noise)
-    exact, motion = reference.solve(scene, batch), rollout(scene, batch)
-    error = particle_errors(scene, motion, exact)
+    motion = balldrop_followed(rollout, 6, noise=noise, apex=0.02, flight=5e-4)
 
     assert np.abs(motion.position[..., 1]).max() < 1e-12
-    assert gaps(scene, motion).min() > -0.01
-    for row in range(len(batch)):
-        kicks = np.flatnonzero(np.diff(exact.velocity[row, :, 0, 2]) > 0.5)
-        first, second, third = (int(k) for k in kicks[:3])
-        assert error[row, : first + 1].max() < 5e-4
-        assert error[row, : third + 1].max() < 2e-2
-        peak, wanted = (
-            gaps(scene, each)[row, first + 1 : second + 1].max() for each in (motion, exact)
-        )
-        assert peak == pytest.approx(wanted, rel=0.02)
+    assert motion.position[..., 2].min() > 5 * R - 0.01
 
 
 @pytest.mark.parametrize("detector", ["ode", "fcl", "bullet", "dart"])
@@ -211,19 +186,6 @@ def even_car(rate: float, torque: float, steps: int) -> Scene:
     )
 
 
-def test_torques_on_the_wheels_drive_the_car() -> None:
-    scene = even_car(5.0, 3.0, 50)
-    motion = rollout(scene, draw_batch(scene, [0]), careful(40))
-    about_axle = 12 * (0.2 - R) ** 2 + 13 * 6.17e-4
-    gain = 4 * 3.0 / 0.2 / (72.0 + 4 * about_axle / 0.2**2)
-    time = motion.time
-    # First order in the step of 5e-4 s.
-    exact = time + 0.5 * gain * time * (time + 5e-4)
-    np.testing.assert_allclose(motion.position[0, :, 0, 0], exact, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(motion.velocity[0, :, 0, 0], 1.0 + gain * time, rtol=0, atol=1e-6)
-    assert np.abs(motion.position[0, :, 0, 1]).max() < 1e-6
-
-
 def test_the_car_drives_at_a_hundred_radians_a_second() -> None:
     scene = even_car(100.0, 0.0, 25)
     motion = rollout(scene, draw_batch(scene, [0]), careful(20))
@@ -240,33 +202,6 @@ def test_drawn_cars_converge_with_the_step() -> None:
     coarse, fine = (np.linalg.norm(b - a) for a, b in pairwise(ends))
     assert fine < 2e-3
     assert coarse / fine == pytest.approx(2.0, abs=0.3)
-
-
-def test_the_cubli_flies_as_the_reference_until_it_lands() -> None:
-    scene = load_scene("simplecubli")
-    batch = draw_batch(scene, range(3), seed=1).truncated(30)
-    exact, motion = reference.solve(scene, batch), rollout(scene, batch)
-    assert all(isinstance(end, reference.FirstImpact) for end in exact.failures)
-    turn = rotation.multiply(rotation.conjugate(exact.orientation), motion.orientation)
-    assert np.nanmax(particle_errors(scene, motion, exact)) < 5e-4
-    assert np.nanmax(np.linalg.norm(rotation.to_vector(turn), axis=-1)) < 1e-3
-
-
-def test_flight_keeps_the_angular_momentum_of_frame_and_flywheels() -> None:
-    scene = load_scene("simplecubli")
-    mechanism = Mechanism.of(scene)
-    motion = rollout(scene, draw_batch(scene, [2], seed=1, noise=False).truncated(10))
-    assert gaps(scene, motion).min() > 0
-    turn = rotation.matrix(mechanism.native_rotation(motion.orientation[0]))
-    inertia = turn @ mechanism.inertia @ turn.swapaxes(-1, -2)
-    share = mechanism.mass / mechanism.mass.sum()
-    place, speed = motion.position[0], motion.velocity[0]
-    place, speed = (a - (share @ a)[:, None] for a in (place, speed))
-    total = np.einsum("fbij,fbj->fi", inertia, motion.angular_velocity[0])
-    total += np.einsum("b,fbi->fi", mechanism.mass, np.cross(place, speed))
-    wheels = motion.angular_velocity[0, :, 1:] - motion.angular_velocity[0, :, :1]
-    assert np.abs(wheels[-1] - wheels[0]).max() > 5.0
-    assert np.linalg.norm(total - total[0], axis=1).max() < 1e-3 * np.linalg.norm(total[0])
 
 
 @pytest.mark.parametrize("ground", [Ground(0.0, E), Ground(MU, 0.5)], ids=["smooth", "rough"])
@@ -298,19 +233,6 @@ def test_the_native_model_reads_back_as_the_scene(name: str, profile: Any) -> No
         shapes[1].getDynamicsAspect().setRestitutionCoeff(0.5)
         found = compare(mechanism, batch, settings, run.readback(batch))
     assert [line.partition(" of ")[0] for line in found] == ["friction", "restitution"]
-
-
-def test_spheres_lie_where_the_scene_has_them() -> None:
-    scene = load_scene("simplecubli")
-    mechanism = Mechanism.of(scene)
-    batch = draw_batch(scene, [4])
-    with ENGINE.open(scene, matched(scene)) as run:
-        run.readback(batch)
-        spheres = run._model.shapes[1:]  # type: ignore[attr-defined]
-        got = [shape.getWorldTransform().translation() for shape in spheres]
-    turn = mechanism.native_rotation(batch.orientation[0])[mechanism.sphere_body]
-    arm = rotation.rotate(turn, mechanism.sphere_offset)
-    np.testing.assert_allclose(got, batch.position[0, mechanism.sphere_body] + arm, atol=1e-12)
 
 
 @pytest.mark.parametrize(
