@@ -17,8 +17,14 @@ from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.momentum import momentum
-from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.checks.resting import contact_gap, hop, penetration, resting
+from mbds_xsim.checks.passivity import (
+    contact_gap,
+    energy_rise,
+    hop,
+    passivity,
+    penetration,
+    resting,
+)
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method

@@ -6,12 +6,13 @@ Roache, Verification and Validation in Computational Science and Engineering, 19
 
 The extrapolation holds where steps are short enough for the declared order to show. Three runs
 suffice where they are; further ones, each at half the step of the one before, are asked for by
-`unsettled`. Where even those show no order, the check says that it cannot measure.
+`Consistency.unsettled`. Where even those show no order, the check says that it cannot measure.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.agreement import CHAOS, markers_of
 from mbds_xsim.checks.energy import energy_of
 from mbds_xsim.checks.finding import Finding, Record
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
@@ -65,61 +67,71 @@ class Extrapolation:
     holds, same shape."""
 
 
-def consistency(
-    scene: Scene,
-    batch: Batch,
-    runs: Sequence[Trajectory],
-    reference: Trajectory,
-    method: Method,
-    *,
-    growth: Array | None = None,
-    resolution: float = 1e-9,
-) -> list[Finding]:
-    """Compare the limit of runs at steps h, h/2, h/4 and so on with the reference.
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """Runs at steps h, h/2, h/4 and so on, whose limit is held against the reference."""
 
-    Each finding's series is the deviation of the limit over its estimated uncertainty, which
-    may reach 3, at each frame by the shortest steps that show the order; frames outside the
-    asymptotic range, or of growth 100 and more, are NaN. A trajectory that shows the declared
-    order over no ten frames has no figure. It does not pass where it converges at a lower order
-    or not at all. Where the order still rises, or runs of the check stopped, it is not judged,
-    and the note says why, unless it is further from the reference than any order explains.
+    scene: Scene
+    batch: Batch
+    """Its starts and inputs."""
+    runs: Sequence[Trajectory]
+    """Two or more, each at half the step of the one before. Three are far sharper than two: they
+    show the order, and so how good the extrapolation is. Four show whether it is steady."""
+    reference: Trajectory
+    """The solution that the limit must meet."""
+    method: Method
+    """Whose order is extrapolated with."""
+    growth: Array | None = None
+    """Sensitivity G, shape (trajectory, frame), if known."""
+    resolution: float = 1e-9
+    """Accuracy of the reference and of the engine's arithmetic, over the scene's length and over
+    the energy scale; grows with G."""
 
-    Args:
-        scene: What was simulated.
-        batch: Its starts and inputs.
-        runs: Two or more, each at half the step of the one before. Three are far sharper than
-            two: they show the order, and so how good the extrapolation is. Four show whether the
-            order is steady.
-        reference: The solution that the limit must meet.
-        method: Whose order is extrapolated with.
-        growth: Sensitivity G, shape (trajectory, frame), if known.
-        resolution: Accuracy of the reference and of the engine's arithmetic, over the scene's
-            length and over the energy scale; grows with G.
+    @property
+    def findings(self) -> list[Finding]:
+        """Findings for positions (particles) and for energy.
 
-    Returns:
-        Findings for positions (particles) and for energy.
-    """
-    compared = _compared(scene, batch, runs, reference, method, growth, resolution)
-    return [_finding(each, batch, runs, scene.clock.frame) for each in compared]
+        Their series is the deviation of the limit over its estimated uncertainty, which may reach
+        3, at each frame by the shortest steps that show the order; frames outside the asymptotic
+        range, or of growth 100 and more, are NaN. A trajectory that shows the declared order over
+        no ten frames has no figure. It does not pass where it converges at a lower order or not at
+        all. Where the order still rises, or runs of the check stopped, it is not judged, and the
+        note says why, unless it is further from the reference than any order explains.
+        """
+        return [_finding(each, self) for each in self._compared]
 
+    @property
+    def unsettled(self) -> bool:
+        """Whether a run at half the shortest step could change the findings.
 
-def unsettled(
-    scene: Scene,
-    batch: Batch,
-    runs: Sequence[Trajectory],
-    reference: Trajectory,
-    method: Method,
-    *,
-    growth: Array | None = None,
-    resolution: float = 1e-9,
-) -> bool:
-    """Tell whether a run at half the shortest step could change what `consistency` finds.
+        It could where no order shows, where a run stopped early, and where the limit misses the
+        reference by no more than an order that is not steady explains.
+        """
+        return any(bool(each.open.any()) for each in self._compared)
 
-    It could where no order shows, where a run stopped early, and where the limit misses the
-    reference by no more than an order that is not steady explains.
-    """
-    compared = _compared(scene, batch, runs, reference, method, growth, resolution)
-    return any(bool(each.open.any()) for each in compared)
+    @functools.cached_property
+    def _compared(self) -> list[_Comparison]:
+        scene, every, growth = self.scene, (*self.runs, self.reference), self.growth
+        order, lower = self.method.order_for(scene), self.method.velocity_order_for(scene)
+        mechanism = Mechanism.of(scene)
+        places = [_flat(markers_of(mechanism, run)) for run in every]
+        stored = [energy_of(Record(scene, self.batch, run)) for run in every]
+        levels = [energy.by_body / stored[-1].scale[:, None, None] for energy in stored]
+        shape = places[-1].shape[:2]
+        grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
+        near = scene.length * scene.budget.error_1s
+        with np.errstate(over="ignore", invalid="ignore"):
+            floor, predictable = self.resolution * grown, grown < CHAOS
+            positions = (
+                "consistency of positions",
+                places,
+                scene.length * floor,
+                predictable,
+                near,
+            )
+            energies = ("consistency of energy", levels, floor, predictable, scene.budget.energy)
+            both = [_compare(each, *energies) for each in (order, lower)]
+            return [_compare(order, *positions), _either(*both) if lower < order else both[0]]
 
 
 def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolation:
@@ -214,31 +226,6 @@ class _Comparison:
         return stops or "the runs agree to rounding"
 
 
-def _compared(
-    scene: Scene,
-    batch: Batch,
-    runs: Sequence[Trajectory],
-    reference: Trajectory,
-    method: Method,
-    growth: Array | None,
-    resolution: float,
-) -> list[_Comparison]:
-    order, lower = method.order_for(scene), method.velocity_order_for(scene)
-    mechanism = Record(scene, batch, reference).mechanism
-    places = [_flat(markers_of(mechanism, run)) for run in (*runs, reference)]
-    stored = [energy_of(Record(scene, batch, run)) for run in (*runs, reference)]
-    levels = [energy.by_body / stored[-1].scale[:, None, None] for energy in stored]
-    shape = places[-1].shape[:2]
-    grown = np.ones(shape) if growth is None else np.maximum(1.0, growth[:, : shape[1]])
-    budget = scene.budget
-    with np.errstate(over="ignore", invalid="ignore"):
-        floor, predictable, near = resolution * grown, grown < CHAOS, scene.length * budget.error_1s
-        positions = ("consistency of positions", places, scene.length * floor, predictable, near)
-        energies = ("consistency of energy", levels, floor, predictable, budget.energy)
-        both = [_compare(each, *energies) for each in (order, lower)]
-        return [_compare(order, *positions), _either(*both) if lower < order else both[0]]
-
-
 def _either(first: _Comparison, second: _Comparison) -> _Comparison:
     """Take the second where the first judges little of a trajectory and the second does not.
 
@@ -301,9 +288,8 @@ def _unsteady(before: Extrapolation, found: Extrapolation, finest: Array, floor:
     return np.where(moves, np.maximum(found.uncertainty, whole), found.uncertainty)
 
 
-def _finding(
-    compared: _Comparison, batch: Batch, runs: Sequence[Trajectory], frame: float
-) -> Finding:
+def _finding(compared: _Comparison, about: Consistency) -> Finding:
+    batch, runs, frame = about.batch, about.runs, about.scene.clock.frame
     rows = range(len(compared.series))
     refused = {row: compared.refusal(row) for row in rows if not compared.judged[row]}
     remarks: dict[str, list[str]] = {}

@@ -6,11 +6,9 @@ the engine converges, the shortest one is halved, twice at most.
 
 from __future__ import annotations
 
-from typing import Any
-
 from mbds_xsim.base.isolate import run_tasks
 from mbds_xsim.checks import Finding
-from mbds_xsim.checks.consistency import LEAST_SPAN, consistency, unsettled
+from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, Running, Watch, step_task
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
@@ -32,7 +30,7 @@ def convergence(
     Only smooth motion has an order of convergence: with contact, what comes before it.
     """
     given = _given(scene, batch, outcome, reference)
-    return [] if given is None else consistency(*given[0], **given[1])
+    return [] if given is None else given.findings
 
 
 def further_step(
@@ -45,7 +43,7 @@ def further_step(
     if len(outcome.other_steps) + 1 >= _RUNS or outcome.failures(batch):
         return None
     given = _given(scene, batch, outcome, reference)
-    if given is None or not unsettled(*given[0], **given[1]):
+    if given is None or not given.unsettled:
         return None
     step = outcome.contender.settings.step
     half = min(step, *outcome.other_steps) / 2.0
@@ -80,8 +78,8 @@ def refine(
 
 def _given(
     scene: Scene, batch: Batch, outcome: Outcome, reference: ReferenceOutcome
-) -> tuple[tuple[Any, ...], dict[str, Any]] | None:
-    """Give what the check is about, as it takes it; None where nothing is to be compared."""
+) -> Consistency | None:
+    """Give what the check is about; None where nothing is to be compared."""
     flies = smooth(scene, reference)
     smooth_ones = [k for k, row in enumerate(outcome.sample) if flies[row]]
     rows = [outcome.sample[k] for k in smooth_ones]
@@ -93,7 +91,8 @@ def _given(
     runs[contender.settings.step] = trajectory[rows]
     method = registry.load_adapter(contender.engine).methods[contender.settings.method]
     ordered = [runs[step] for step in sorted(runs, reverse=True)]
-    return (scene, batch[rows], ordered, truth[rows], method), {"growth": reference.growth[rows]}
+    growth = reference.growth[rows]
+    return Consistency(scene, batch[rows], ordered, truth[rows], method, growth)
 
 
 def smooth(scene: Scene, reference: ReferenceOutcome) -> list[bool]:

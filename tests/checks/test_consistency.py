@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.checks.consistency import consistency, extrapolate, unsettled
+from mbds_xsim.checks import Finding
+from mbds_xsim.checks.consistency import Consistency, extrapolate
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate.claims import Method
@@ -23,6 +24,10 @@ METHODS = {
     "midpoint": (Method("midpoint", "trapezoidal", 2), (2, 4, 8)),
     "rk4": (Method("RK4", "RK4", 4), (1, 2, 4)),
 }
+
+
+def consistency(*about: Any, **more: Any) -> list[Finding]:
+    return Consistency(*about, **more).findings
 
 
 def _lighter(scene: Scene) -> Scene:
@@ -258,11 +263,11 @@ def test_an_order_that_rises_through_the_declared_one_fails_nobody(
     runs = _off(pendulum.exact, _RISING)
     about = (pendulum.scene, pendulum.batch)
 
-    assert unsettled(*about, runs[first : first + 3], pendulum.exact, _SECOND)
+    assert Consistency(*about, runs[first : first + 3], pendulum.exact, _SECOND).unsettled
     for finding in consistency(*about, runs[first : first + 5], pendulum.exact, _SECOND):
         assert finding.passed.all()
         assert np.isfinite(finding.figure).all()
-    assert not unsettled(*about, runs[first : first + 5], pendulum.exact, _SECOND)
+    assert not Consistency(*about, runs[first : first + 5], pendulum.exact, _SECOND).unsettled
 
 
 def test_an_order_that_stays_below_is_not_measurable_while_it_rises(pendulum: Any) -> None:
@@ -292,14 +297,11 @@ def test_a_lower_order_than_declared_or_none_is_told_by_four_runs(
 def test_a_wrong_limit_shows_though_the_order_cannot_be_measured(pendulum: Any) -> None:
     errors = 3e-2 + np.array((9e-4, 8e-4, 6.3e-4, 4e-4))
     runs = _off(pendulum.exact, errors)
-    for finding in consistency(
-        pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
-    ):
+    about = pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
+    for finding in consistency(*about):
         assert not finding.passed.any()
         assert "further from the reference than any explains" in finding.where[0]
-    assert not unsettled(
-        pendulum.scene, pendulum.batch, runs, pendulum.exact, Method("RK4", "RK4", 4)
-    )
+    assert not Consistency(*about).unsettled
 
 
 def test_a_run_of_the_check_that_stops_is_told_and_a_finer_one_asked_for(pendulum: Any) -> None:
@@ -307,11 +309,11 @@ def test_a_run_of_the_check_that_stops_is_told_and_a_finer_one_asked_for(pendulu
     runs = _off(pendulum.exact, errors, stops=6)
     about = (pendulum.scene, pendulum.batch)
 
-    assert unsettled(*about, runs[:3], pendulum.exact, _SECOND)
+    assert Consistency(*about, runs[:3], pendulum.exact, _SECOND).unsettled
     for finding in consistency(*about, runs[:3], pendulum.exact, _SECOND):
         assert finding.passed.all()
         assert "not measurable, because the coarsest run" in finding.note
-    assert not unsettled(*about, runs, pendulum.exact, _SECOND)
+    assert not Consistency(*about, runs, pendulum.exact, _SECOND).unsettled
     for finding in consistency(*about, runs, pendulum.exact, _SECOND):
         assert finding.passed.all()
         assert finding.where[0] == "judged from 0.00 to 0.80 s"
@@ -324,5 +326,5 @@ def test_the_declared_order_over_little_of_the_motion_asks_for_finer_runs(pendul
     late.position[:, 15:] += 1e-3
     about = (pendulum.scene, pendulum.batch)
 
-    assert not unsettled(*about, runs, pendulum.exact, _SECOND)
-    assert unsettled(*about, [*runs[:2], late], pendulum.exact, _SECOND)
+    assert not Consistency(*about, runs, pendulum.exact, _SECOND).unsettled
+    assert Consistency(*about, [*runs[:2], late], pendulum.exact, _SECOND).unsettled

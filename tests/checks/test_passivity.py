@@ -22,8 +22,7 @@ from mbds_xsim.checks.eccentric import (
 )
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.checks.impacts import impacts_of
-from mbds_xsim.checks.passivity import energy_rise, passivity
-from mbds_xsim.checks.resting import contact_gap
+from mbds_xsim.checks.passivity import contact_gap, energy_rise, passivity
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Throw
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import Finding, Record
-from mbds_xsim.checks.resting import resting
+from mbds_xsim.checks.passivity import resting
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Trajectory

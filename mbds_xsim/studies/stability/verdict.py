@@ -27,8 +27,7 @@ from mbds_xsim.checks import agreement
 from mbds_xsim.checks.energy import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.joints import angle_gap, gap
-from mbds_xsim.checks.passivity import passivity
-from mbds_xsim.checks.resting import penetration
+from mbds_xsim.checks.passivity import passivity, penetration
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way
