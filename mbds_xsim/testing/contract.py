@@ -33,7 +33,8 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import Feature, Method, features_of
-from mbds_xsim.testing.cases import CASES, Case
+from mbds_xsim.testing.case import Case
+from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.contact_contract import ContactContract
 
 _STEPS_PER_FRAME = (4, 8, 16)

@@ -19,8 +19,8 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate as run
+from mbds_xsim.testing.case import Case as Exact
 from mbds_xsim.testing.cases import CASES
-from mbds_xsim.testing.cases import Case as Exact
 
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
 METHODS = {
