@@ -16,10 +16,11 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.process import redirected
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded, starts
+from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .contact import ContactSolver, centers, contact_failures, pairs
@@ -176,7 +177,7 @@ class DartRun(Run):
         return f"{self._listing}{_INPUTS}{run}"
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
-        return self._model.coordinates(starts(self._mechanism, batch))
+        return self._model.coordinates(BodyStates.of(self._mechanism, batch))
 
     def close(self) -> None:
         vars(self).clear()

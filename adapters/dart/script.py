@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.scene.shapes import shapes
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+from mbds_xsim.scene.shapes import TENSION, pull_call, shapes
 
 _PAIR = {
     "fixed": "Weld",
@@ -44,22 +44,14 @@ def show(body, radius, *points):
     bodies[body].createShapeNode(shape).createVisualAspect()
 
 """
-_SPRINGS = """
+_SPRINGS = f"""
 
 def motion(body, point):
     if body is None:
         return np.array(point), np.zeros(3)
     place = body.getWorldTransform()
     return place.translation() + place.rotation() @ point, body.getLinearVelocity(point)
-
-
-def pull(ends, points, length, stiffness, damping):
-    (first, first_rate), (second, second_rate) = map(motion, ends, points)
-    line = second - first
-    along = line / np.linalg.norm(line)
-    tension = stiffness * (np.linalg.norm(line) - length)
-    tension += damping * along @ (second_rate - first_rate)
-    for end, point, sign in zip(ends, points, (1.0, -1.0)):
+{TENSION}    for end, point, sign in zip(ends, points, (1.0, -1.0)):
         if end is not None:
             end.addExtForce(sign * tension * along, point)
 
@@ -193,7 +185,8 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
     yield f"skeleton.setVelocities({u.tolist()!r})"
     if mechanism.springs:
         yield _SPRINGS
-        yield from map(_pull, mechanism.springs)
+        for spring in mechanism.springs:
+            yield pull_call(spring, "bodies[{}]".format, spring.in_body)
         yield "\n"
     yield _VIEW
     if step:
@@ -203,10 +196,3 @@ def _running(mechanism: Mechanism, q: Array, u: Array, step: str, count: int) ->
     else:
         yield "# The steps are the toolkit's: RK4 on skeleton.computeForwardDynamics()."
     yield _RESULT
-
-
-def _pull(spring: PointPair) -> str:
-    ends = ", ".join("None" if k == WORLD_INDEX else f"bodies[{k}]" for k in spring.bodies)
-    points = ", ".join(repr(point.tolist()) for point in spring.in_body)
-    law = f"{spring.length!r}, {spring.stiffness!r}, {spring.damping!r}"
-    return f"    pull(({ends}), ({points}), {law})"

@@ -9,6 +9,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
@@ -18,7 +19,6 @@ from mbds_xsim.simulate.adapter import (
     blow_up,
     first_failures,
     recorded,
-    starts,
     too_fast,
 )
 
@@ -82,7 +82,7 @@ class ExudynRun(Run):
         return recorded(self._mechanism, bodies, failures)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
-        return self._model.from_bodies(starts(self._mechanism, batch))
+        return self._model.from_bodies(BodyStates.of(self._mechanism, batch))
 
     def _put(self, coordinates: Array, velocities: Array) -> None:
         """Start afresh, without the solver's memory of an earlier trajectory."""

@@ -22,7 +22,6 @@ from mbds_xsim.simulate.adapter import (
     blow_up,
     first_failures,
     recorded,
-    starts,
     too_fast,
 )
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes
@@ -107,7 +106,7 @@ class ModelRun(Run):
         return Frames(self._model, self._data, self._bodies, count, length)
 
     def _start(self, batch: Batch) -> tuple[Array, Array]:
-        bodies = starts(self._mechanism, batch)
+        bodies = BodyStates.of(self._mechanism, batch)
         if self._idle.any():
             bodies = self._hanger.hung(bodies)
         return self._coordinates.from_links(to_links(self._mechanism, bodies))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,9 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.shapes import TENSION, pull_call
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, recorded, starts
+from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, recorded
 
 from .client import Client
 from .contact import BulletContact
@@ -24,7 +25,7 @@ from .model import RATES, SPEED_CAP, Multibodies
 _BLOW_UP = 0.5 * SPEED_CAP
 # A free body or ball joint turns by at most this in a step (btMultiBody::stepPositionsMultiDof).
 _TURN_CAP = math.pi / 4
-_SPRINGS = """
+_SPRINGS = f"""
 import numpy as np
 
 
@@ -37,15 +38,7 @@ def motion(address, point):
         state = [p.getLinkState(*address, 1, 1)[k] for k in (0, 1, 6, 7)]
     arm = np.reshape(p.getMatrixFromQuaternion(state[1]), (3, 3)) @ point
     return state[0] + arm, state[2] + np.cross(state[3], arm)
-
-
-def pull(ends, points, length, stiffness, damping):
-    (first, first_rate), (second, second_rate) = map(motion, ends, points)
-    line = second - first
-    along = line / np.linalg.norm(line)
-    tension = stiffness * (np.linalg.norm(line) - length)
-    tension += damping * along @ (second_rate - first_rate)
-    for end, place, sign in zip(ends, (first, second), (1, -1)):
+{TENSION}    for end, place, sign in zip(ends, (first, second), (1, -1)):
         if end is not None:
             p.applyExternalForce(*end, list(sign * tension * along), list(place), p.WORLD_FRAME)
 
@@ -108,8 +101,7 @@ class PyBulletRun(Run):
             self._roll(batch, row, reading[row], self._substeps if each_step else 1)
         states = self._model.states(reading)
         failures = self._failures(reading, states)
-        copies = BodyStates(*(values.copy() for values in vars(states).values()))
-        return recorded(self._mechanism, copies, failures)
+        return recorded(self._mechanism, states.each(np.copy), failures)
 
     def _roll(self, batch: Batch, row: int, reading: Array, calls: int) -> None:
         """Fill in what Bullet tells of every frame (frame, body, 13), up to a blow-up."""
@@ -132,8 +124,7 @@ class PyBulletRun(Run):
     def _start(self, batch: Batch, row: int) -> None:
         if self._contact:
             self._contact.forget()
-        start = starts(self._mechanism, batch[[row]])
-        self._model.put(BodyStates(*(values[0] for values in vars(start).values())))
+        self._model.put(BodyStates.of(self._mechanism, batch[[row]])[0])
 
     def _failures(self, reading: Array, state: BodyStates) -> tuple[Failure | None, ...]:
         """Find what went wrong: Bullet never says it."""
@@ -215,18 +206,12 @@ def _script(model: Multibodies, count: int) -> str:
 
 
 def _pull(spring: PointPair, model: Multibodies) -> str:
-    ends = ", ".join(
-        "None" if body == WORLD_INDEX else repr(model.address(body)) for body in spring.bodies
-    )
-    points = ", ".join(repr(point.tolist()) for point in _points(spring, model.principal))
-    law = f"{spring.length!r}, {spring.stiffness!r}, {spring.damping!r}"
-    return f"    pull(({ends}), ({points}), {law})"
-
-
-def _points(spring: PointPair, principal: Array) -> Iterator[Array]:
-    for body, point in zip(spring.bodies, spring.in_body, strict=True):
-        axes = rotation.IDENTITY if body == WORLD_INDEX else principal[body]
-        yield rotation.rotate(rotation.conjugate(axes), point)
+    principal = [
+        rotation.IDENTITY if body == WORLD_INDEX else model.principal[body]
+        for body in spring.bodies
+    ]
+    points = map(rotation.rotate, map(rotation.conjugate, principal), spring.in_body)
+    return pull_call(spring, lambda body: repr(model.address(body)), points)
 
 
 def _divisible_step(frame: float, substeps: int) -> float:

@@ -63,7 +63,7 @@ class Record:
         if self.finite.all():
             return states
         keep = self.finite[:, :, None, None]
-        return BodyStates(*(np.where(keep, field, np.nan) for field in vars(states).values()))
+        return states.each(lambda values: np.where(keep, values, np.nan))
 
     @functools.cached_property
     def spheres(self) -> Spheres:

@@ -157,7 +157,7 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyState
     start = dynamics.pack(BodyStates(states.position, states.native, velocity, spin))
     found = dynamics.unpack(dynamics.project(start))
     shape = (len(sphere), 3, mechanism.body_count)
-    return BodyStates(*(values.reshape(*shape, -1) for values in vars(found).values()))
+    return found.each(lambda values: values.reshape(*shape, -1))
 
 
 def lowest(mechanism: Mechanism, native: Array, sphere: Index) -> Array:

@@ -331,7 +331,7 @@ class Flow:
         known, dynamics = known_states(states), dynamics_of(mechanism)
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))
         found = dynamics.unpack(dynamics.project(dynamics.pack(tree)))
-        filled = BodyStates(*(np.full_like(values, np.nan) for values in vars(states).values()))
+        filled = states.each(lambda values: np.full_like(values, np.nan))
         for name, values in vars(filled).items():
             values[known] = getattr(found, name)
         return filled

@@ -8,6 +8,7 @@ an adapter copies the columns its engine wants. The order is that of `Mechanism.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +43,11 @@ class BodyStates:
 
     def __getitem__(self, rows: Any) -> BodyStates:
         """Take some of the states, by their leading axes."""
-        return BodyStates(*(values[rows] for values in vars(self).values()))
+        return self.each(lambda values: values[rows])
+
+    def each(self, change: Callable[[Array], Array]) -> BodyStates:
+        """Change all four arrays alike."""
+        return BodyStates(*map(change, vars(self).values()))
 
     def with_world(self) -> BodyStates:
         """Append the world as a last body at rest, so that index −1 finds it."""
@@ -255,11 +260,9 @@ class _Tree:
 
 def _of_children(tree: _Tree, bodies: BodyStates) -> BodyStates:
     """States of the links' bodies, in link order."""
-    return BodyStates(*(values[..., tree.body, :] for values in vars(bodies).values()))
+    return bodies.each(lambda values: values[..., tree.body, :])
 
 
 def _of_parents(tree: _Tree, bodies: BodyStates) -> BodyStates:
     """States of the links' parents, the world's among them, in link order."""
-    return BodyStates(
-        *(values[..., tree.parent_body, :] for values in vars(bodies.with_world()).values())
-    )
+    return bodies.with_world().each(lambda values: values[..., tree.parent_body, :])

@@ -257,12 +257,6 @@ def careful_step(frame: float, longest: float, fewest: int) -> float:
     return frame / (_REFINABLE * math.ceil(count / _REFINABLE))
 
 
-def starts(mechanism: Mechanism, batch: Batch) -> BodyStates:
-    """Give the starts of a batch with rotations of native frames, shape (trajectory, body, …)."""
-    native = mechanism.native_rotation(batch.orientation)
-    return BodyStates(batch.position, native, batch.velocity, batch.angular_velocity)
-
-
 def recorded(
     mechanism: Mechanism, bodies: BodyStates, failures: tuple[Failure | None, ...]
 ) -> Trajectory:
