@@ -10,6 +10,17 @@ from typer import Exit, Option
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import shared
 
+_Trajectories = Annotated[
+    int, Option(help="Starts of each interval to search with.", min=1, max=1000)
+]
+_HeldOut = Annotated[int, Option(help="Starts of each interval to verify with.", min=1, max=1000)]
+_Seed = Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)]
+_Limit = Annotated[float, Option(help="Longest rollout of a start [s].", min=0.1)]
+_Options = Annotated[bool, Option("--options", help="Vary the engines' own options, too.")]
+_Out = Annotated[
+    Path | None, Option(metavar="FILE", help="Write here, not where validate finds them.")
+]
+
 
 @shared.command(
     "study",
@@ -19,23 +30,14 @@ from mbds_xsim.commands import shared
 def match(
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
-    trajectories: Annotated[
-        int, Option(help="Starts of each interval to search with.", min=1, max=1000)
-    ] = 2,
-    held_out: Annotated[
-        int, Option(help="Starts of each interval to verify with.", min=1, max=1000)
-    ] = 20,
-    seed: Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)] = 0,
-    limit: Annotated[float, Option(help="Longest rollout of a start [s].", min=0.1)] = 30.0,
-    options: Annotated[
-        bool, Option("--options", help="Vary the engines' own options, too.")
-    ] = False,
+    trajectories: _Trajectories = 2,
+    held_out: _HeldOut = 20,
+    seed: _Seed = 0,
+    limit: _Limit = 30.0,
+    options: _Options = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
-    out: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="Write here, not where validate finds them."),
-    ] = None,
+    out: _Out = None,
     json: shared.JsonFile = None,
     html: shared.HtmlFile = None,
     opened: shared.Opened = False,
@@ -46,21 +48,13 @@ def match(
     from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.simulate.registry import scene_names
     from mbds_xsim.studies.match import search as study
-    from mbds_xsim.studies.match.file import matched_toml, stored_path
+    from mbds_xsim.studies.match.file import matched_toml
     from mbds_xsim.studies.match.present import present
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines)
-    if out is not None and len(scenes) > 1:
-        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
-        raise InputError(msg)
-    for name in scenes if out is None else []:
-        if name not in scene_names():
-            msg = f"{name} has no place among the built-in scenes; say where to write with --out"
-            raise InputError(msg)
-    targets = [out] if out is not None else [stored_path(name) for name in scenes]
+    targets = _targets(scenes, out)
     for target in targets:
         shared.check_targets(json=json, html=html, out=target)
     found = []
@@ -90,3 +84,18 @@ def match(
     shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
     met = all(engine.meets_budget for result in found for engine in result.engines)
     raise Exit(0 if met else 1)
+
+
+def _targets(scenes: list[str], out: Path | None) -> list[Path]:
+    """Say where each scene's settings go."""
+    from mbds_xsim.simulate.registry import scene_names
+    from mbds_xsim.studies.match.file import stored_path
+
+    if out is not None and len(scenes) > 1:
+        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
+        raise InputError(msg)
+    for name in scenes if out is None else []:
+        if name not in scene_names():
+            msg = f"{name} has no place among the built-in scenes; say where to write with --out"
+            raise InputError(msg)
+    return [out] if out is not None else [stored_path(name) for name in scenes]

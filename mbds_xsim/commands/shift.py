@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,7 @@ from mbds_xsim.commands.shared import (
     DeviceWorkers,
     HtmlFile,
     JsonFile,
+    MarkdownFile,
     Opened,
     check_targets,
     check_torch,
@@ -23,8 +24,40 @@ from mbds_xsim.commands.shared import (
     write_json,
 )
 
-_MODELS = typer.Argument(metavar="MODELS", help="Folder that train has written.")
-_DATA = typer.Argument(metavar="DATA", help="Folder that generate has written.")
+if TYPE_CHECKING:
+    from mbds_xsim.learn.shift.study import ShiftStudy
+    from mbds_xsim.report.blocks import Report
+
+_Models = Annotated[Path, typer.Argument(metavar="MODELS", help="Folder that train has written.")]
+_Data = Annotated[Path, typer.Argument(metavar="DATA", help="Folder that generate has written.")]
+_Scenes = Annotated[
+    list[str] | None,
+    typer.Option(help="Only this scene; may be repeated. All with models when left out."),
+]
+_Trajectories = Annotated[
+    int | None,
+    typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
+]
+_Settings = Annotated[
+    str | None, typer.Option(help="Only these: native or matched; both when left out.")
+]
+_On = Annotated[
+    str | None,
+    typer.Option(help="Only models so trained: each, leave-one-out, all, by-interval."),
+]
+_Seeds = Annotated[int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)]
+_At = Annotated[
+    int | None,
+    typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
+]
+_Cache = Annotated[bool, typer.Option(help="Use what was solved, predicted and simulated before.")]
+_Csv = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the figures of every trajectory as CSV.")
+]
+_Png = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")]
+_Rollouts = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
+]
 
 
 @command(
@@ -33,49 +66,24 @@ _DATA = typer.Argument(metavar="DATA", help="Folder that generate has written.")
     "mbds-xsim shift models data --scene 6pendulum --json - --workers 2",
 )
 def shift(
-    models: Annotated[Path, _MODELS],
-    data: Annotated[Path, _DATA],
-    scene: Annotated[
-        list[str] | None,
-        typer.Option(help="Only this scene; may be repeated. All with models when left out."),
-    ] = None,
-    trajectories: Annotated[
-        int | None,
-        typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
-    ] = None,
-    settings: Annotated[
-        str | None, typer.Option(help="Only these: native or matched; both when left out.")
-    ] = None,
-    on: Annotated[
-        str | None,
-        typer.Option(help="Only models so trained: each, leave-one-out, all, by-interval."),
-    ] = None,
-    seeds: Annotated[
-        int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)
-    ] = None,
-    at: Annotated[
-        int | None,
-        typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
-    ] = None,
-    cache: Annotated[
-        bool, typer.Option(help="Use what was solved, predicted and simulated before.")
-    ] = True,
+    models: _Models,
+    data: _Data,
+    scene: _Scenes = None,
+    trajectories: _Trajectories = None,
+    settings: _Settings = None,
+    on: _On = None,
+    seeds: _Seeds = None,
+    at: _At = None,
+    cache: _Cache = True,
     workers: DeviceWorkers = None,
     device: Device = "cpu",
     json: JsonFile = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the figures of every trajectory as CSV."),
-    ] = None,
+    csv: _Csv = None,
     html: HtmlFile = None,
     opened: Opened = False,
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")] = None,
-    rollouts: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
-    ] = None,
-    markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
-    ] = None,
+    png: _Png = None,
+    rollouts: _Rollouts = None,
+    markdown: MarkdownFile = None,
 ) -> None:
     """Test models that were trained on one engine's data on every other engine's."""
     check_torch("shift")
@@ -98,37 +106,37 @@ def shift(
     names = map(folder_name, scene or _scenes(models, data))
     # All at once: what the last is lacking is said before the first has taken its time.
     questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
+    how: dict[str, Any] = {"at": at, "cache": cache, "workers": workers, "device": device}
     studies = []
     for question in questions:
         with progress_on(console) as meter:
-            found = study(
-                question,
-                at=at,
-                cache=cache,
-                workers=workers,
-                device=device,
-                meter=meter,
-                command=command_line(),
-            )
+            found = study(question, meter=meter, command=command_line(), **how)
         print_report(present(found.shift), console)
         studies.append(found)
     stored = to_json([found.shift for found in studies])
     write_if(csv, lambda: to_csv([found.evaluation for found in studies]))
     write_if(png, lambda: to_png([found.shift for found in studies], stored))
     write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
-    shown = html is not None or opened
-    reports = [
+    title = "Learned models under a change of engine"
+    reports = _reports(studies, link(png, markdown), shown=html is not None or opened)
+    deliver(reports, title, console, html=html, markdown=markdown, opened=opened)
+    write_json(stored, json)
+
+
+def _reports(studies: list[ShiftStudy], picture: str, *, shown: bool) -> list[Report]:
+    """Give a chapter each; a page shows motions too, and plays those of a single study."""
+    from mbds_xsim.learn.shift.study import samples_of
+    from mbds_xsim.studies.shift.present import present
+
+    return [
         present(
             found.shift,
             samples_of(found.evaluation) if shown else None,
             played=len(studies) == 1,
-            picture=link(png, markdown) if not k else "",
+            picture="" if k else picture,
         )
         for k, found in enumerate(studies)
     ]
-    title = "Learned models under a change of engine"
-    deliver(reports, title, console, html=html, markdown=markdown, opened=opened)
-    write_json(stored, json)
 
 
 def _scenes(models: Path, data: Path) -> list[str]:

@@ -3,21 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from typer import Argument, Option
 
 from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rich.console import Console
+
     from mbds_xsim.simulate.adapter import Profile
     from mbds_xsim.simulate.simulator import Simulator
     from mbds_xsim.studies.stability.definition import Study, Value
     from mbds_xsim.studies.stability.rows import Survey
+    from mbds_xsim.studies.stability.survey import Plan
 
 T = TypeVar("T")
 
 _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json": ".json"}
+
+
+_Studies = Annotated[
+    list[str] | None, Argument(metavar="[STUDY…]", help="Names of --list; all when left out.")
+]
+_Listed = Annotated[bool, Option("--list", help="Name the studies, and end.")]
+_Engines = Annotated[
+    str | None,
+    Option(help="Comma-separated; all installed when left out; none: only --models."),
+]
+_Methods = Annotated[
+    str | None, Option("--methods", "--method", help="Comma-separated; all by default.")
+]
+_Settings = Annotated[str, Option(help="matched (all methods), native, or both: matched,native.")]
+_Value = Annotated[str | None, Option(help="Only this value; any number, or a name of the study.")]
+_Step = Annotated[float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")]
+_Quick = Annotated[bool, Option("--quick", help="Three values and three steps.")]
+_Limit = Annotated[float, Option(help="Longest that a cell may take [s].", min=1.0)]
+_Fresh = Annotated[bool, Option("--fresh", help="Run again what was run earlier.")]
+_Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of every study there.")]
+_Csv = Annotated[Path | None, Option(metavar="FILE", help="Write the cells as CSV.")]
+_Png = Annotated[Path | None, Option(metavar="FILE", help="Write the maps.")]
 
 
 @shared.command(
@@ -27,61 +54,44 @@ _ENDS = {"csv": ".csv", "png": ".png", "html": ".html", "markdown": ".md", "json
     "  ·  mbds-xsim stability pace links --models models/6pendulum --engines none",
 )
 def stability(
-    studies: Annotated[
-        list[str] | None,
-        Argument(metavar="[STUDY…]", help="Names of --list; all when left out."),
-    ] = None,
-    listed: Annotated[bool, Option("--list", help="Name the studies, and end.")] = False,
-    engines: Annotated[
-        str | None,
-        Option(help="Comma-separated; all installed when left out; none: only --models."),
-    ] = None,
+    studies: _Studies = None,
+    listed: _Listed = False,
+    engines: _Engines = None,
     models: shared.ModelPlaces = None,
-    methods: Annotated[
-        str | None, Option("--methods", "--method", help="Comma-separated; all by default.")
-    ] = None,
-    settings: Annotated[
-        str, Option(help="matched (all methods), native, or both: matched,native.")
-    ] = "matched,native",
-    value: Annotated[
-        str | None, Option(help="Only this value; any number, or a name of the study.")
-    ] = None,
-    step: Annotated[
-        float | None, Option(help="Only this step [s]; divides a frame of 0.1 s.")
-    ] = None,
-    quick: Annotated[bool, Option("--quick", help="Three values and three steps.")] = False,
-    limit: Annotated[float, Option(help="Longest that a cell may take [s].", min=1.0)] = 30.0,
-    fresh: Annotated[bool, Option("--fresh", help="Run again what was run earlier.")] = False,
+    methods: _Methods = None,
+    settings: _Settings = "matched,native",
+    value: _Value = None,
+    step: _Step = None,
+    quick: _Quick = False,
+    limit: _Limit = 30.0,
+    fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
-    out: Annotated[
-        Path | None, Option(metavar="DIR", help="Write all files of every study there.")
-    ] = None,
+    out: _Out = None,
     json: shared.JsonFile = None,
-    csv: Annotated[Path | None, Option(metavar="FILE", help="Write the cells as CSV.")] = None,
+    csv: _Csv = None,
     html: shared.HtmlFile = None,
     opened: shared.Opened = False,
-    png: Annotated[Path | None, Option(metavar="FILE", help="Write the maps.")] = None,
+    png: _Png = None,
     markdown: shared.MarkdownFile = None,
 ) -> None:
     """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
-    from mbds_xsim.base.isolate import core_count
-    from mbds_xsim.report.bar import StudyBar
-    from mbds_xsim.report.files import results_json, rows_csv, write_if
-    from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.stability.present import cells_of, listing, present, to_png
+    from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
-    from mbds_xsim.studies.stability.survey import Plan, survey
+    from mbds_xsim.studies.stability.survey import Plan
 
     console = shared.console_for(json)
     if listed:
         print_blocks([listing(STUDIES.values())], console)
         return
-    shared.check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
+    shared.check_targets(**asked)
     others = _models(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None
+    how: dict[str, Any] = {"limit": limit, "workers": workers, "cache": cache}
     plans = [
         Plan(
             study=study,
@@ -92,40 +102,56 @@ def stability(
             profiles=_profiles(settings),
             values=_values(study, value, quick=quick),
             counts=_counts(step, quick=quick),
-            limit=limit,
-            workers=workers,
             fresh=fresh or single,
-            cache=cache,
             command=shared.command_line(),
+            **how,
         )
         for study in map(study_named, studies or STUDIES)
     ]
+    sweeps = [_mapped(plan, console, out, single=single) for plan in plans]
+    _write(sweeps, asked, console, opened=opened)
 
-    def write(sweeps: list[Survey], files: dict[str, Path | None]) -> None:
-        rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
-        write_if(files["csv"], lambda: rows)
-        write_if(files["png"], lambda: to_png(sweeps, rows))
-        reports = [present(sweep) for sweep in sweeps]
-        last = files is asked
-        shared.deliver(
-            reports, "Where methods fail", console,
-            html=files["html"], markdown=files["markdown"], opened=opened and last, quiet=not last,
-        )  # fmt: skip
-        shared.write_json(results_json(sweeps), files["json"])
 
-    asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
-    sweeps = []
-    for plan in plans:
-        with StudyBar(console, workers or core_count(), plan.study.name) as meter:
-            sweeps.append(survey(plan, meter))
-        if single:
-            print_blocks(cells_of(sweeps[-1]), console)
-        else:
-            print_report(present(sweeps[-1]), console)
-        if out is not None:
-            base = out / plan.study.name
-            write(sweeps[-1:], {kind: base.with_suffix(end) for kind, end in _ENDS.items()})
-    write(sweeps, asked)
+def _mapped(plan: Plan, console: Console, out: Path | None, *, single: bool) -> Survey:
+    """Survey and say one study, and write its files before the next one begins."""
+    from mbds_xsim.base.isolate import core_count
+    from mbds_xsim.report.bar import StudyBar
+    from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.studies.stability.present import cells_of, present
+    from mbds_xsim.studies.stability.survey import survey
+
+    with StudyBar(console, plan.workers or core_count(), plan.study.name) as meter:
+        sweep = survey(plan, meter)
+    if single:
+        print_blocks(cells_of(sweep), console)
+    else:
+        print_report(present(sweep), console)
+    if out is not None:
+        base = out / plan.study.name
+        files = {kind: base.with_suffix(end) for kind, end in _ENDS.items()}
+        _write([sweep], files, console, quiet=True)
+    return sweep
+
+
+def _write(
+    sweeps: list[Survey],
+    files: Mapping[str, Path | None],
+    console: Console,
+    *,
+    opened: bool = False,
+    quiet: bool = False,
+) -> None:
+    from mbds_xsim.report.files import results_json, rows_csv, write_if
+    from mbds_xsim.studies.stability.present import present, to_png
+
+    rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
+    write_if(files["csv"], lambda: rows)
+    write_if(files["png"], lambda: to_png(sweeps, rows))
+    shared.deliver(
+        [present(sweep) for sweep in sweeps], "Where methods fail", console,
+        html=files["html"], markdown=files["markdown"], opened=opened, quiet=quiet,
+    )  # fmt: skip
+    shared.write_json(results_json(sweeps), files["json"])
 
 
 def _models(places: list[Path] | None) -> tuple[Simulator, ...]:

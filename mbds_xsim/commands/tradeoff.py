@@ -10,8 +10,27 @@ from typer import Option
 from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbds_xsim.learn.trained import TrainedModel
     from mbds_xsim.scene.scene import Scene
+    from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
+
+
+_Onto = Annotated[
+    Path | None,
+    Option(
+        metavar="FILE",
+        help="With --models: take the engines from the JSON of an earlier run of the scene.",
+    ),
+]
+_Starts = Annotated[int, Option(help="Starts of the medium interval.", min=1, max=1000)]
+_Limit = Annotated[
+    float, Option(help="Longest rollout of one start [s]; slower points are only listed.", min=0.1)
+]
+_Fresh = Annotated[bool, Option("--fresh", help="Measure again what was measured earlier.")]
+_Csv = Annotated[Path | None, Option(metavar="FILE", help="Write the raw rows as CSV.")]
+_Png = Annotated[Path | None, Option(metavar="FILE", help="Write the charts.")]
 
 
 @shared.command(
@@ -24,29 +43,18 @@ def tradeoff(
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
     models: shared.ModelPlaces = None,
-    onto: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE",
-            help="With --models: take the engines from the JSON of an earlier run of the scene.",
-        ),
-    ] = None,
-    starts: Annotated[int, Option(help="Starts of the medium interval.", min=1, max=1000)] = 3,
+    onto: _Onto = None,
+    starts: _Starts = 3,
     seed: shared.Seed = 0,
-    limit: Annotated[
-        float,
-        Option(help="Longest rollout of one start [s]; slower points are only listed.", min=0.1),
-    ] = 30.0,
-    fresh: Annotated[
-        bool, Option("--fresh", help="Measure again what was measured earlier.")
-    ] = False,
+    limit: _Limit = 30.0,
+    fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     json: shared.JsonFile = None,
-    csv: Annotated[Path | None, Option(metavar="FILE", help="Write the raw rows as CSV.")] = None,
+    csv: _Csv = None,
     html: shared.HtmlFile = None,
     opened: shared.Opened = False,
-    png: Annotated[Path | None, Option(metavar="FILE", help="Write the charts.")] = None,
+    png: _Png = None,
     markdown: shared.MarkdownFile = None,
 ) -> None:
     """Chart speed against accuracy: every engine, method and step, and their options."""
@@ -56,43 +64,20 @@ def tradeoff(
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.tradeoff.present import present, to_png
-    from mbds_xsim.studies.tradeoff.rows import read_tradeoff
-    from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines)
     shared.check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     loaded = [shared.scene_named(name) for name in scenes]
     trained = _models(models, onto, loaded)
+    how: dict[str, Any] = {"workers": workers, "fresh": fresh, "cache": cache}
+    asked = {"choice": choice, "starts": starts, "seed": seed, "limit": limit}
     studies, rows = [], []
     for scene in loaded:
         with StudyBar(console, workers or core_count(), scene.name) as meter:
-            how: dict[str, Any] = {
-                "workers": workers,
-                "fresh": fresh,
-                "cache": cache,
-                "meter": meter,
-            }
-            if onto is not None:
-                study = read_tradeoff(onto)
-            else:
-                study, found = tradeoff_with_rows(
-                    scene,
-                    choice=choice,
-                    starts=starts,
-                    seed=seed,
-                    limit=limit,
-                    command=shared.command_line(),
-                    **how,
-                )
-                rows += found
-            if trained:
-                from mbds_xsim.studies.tradeoff.learned import with_models
-
-                again = f"{study.command} && {shared.command_line()}" if onto else ""
-                study, found = with_models(study, scene, trained, command=again, **how)
-                rows += found
+            study, found = _chart(scene, onto, trained, asked, meter=meter, **how)
         studies.append(study)
+        rows += found
         print_report(present(study), console)
     stored = results_json(studies)
     write_if(csv, lambda: rows_csv(rows))
@@ -104,6 +89,33 @@ def tradeoff(
         reports, "Speed against accuracy", console, html=html, markdown=markdown, opened=opened
     )
     shared.write_json(stored, json)
+
+
+def _chart(
+    scene: Scene,
+    onto: Path | None,
+    trained: list[TrainedModel],
+    asked: Mapping[str, Any],
+    **how: Any,
+) -> tuple[Tradeoff, list[Measurement]]:
+    """Measure the engines of a scene, or take them from where they are stored, then the models."""
+    from mbds_xsim.studies.tradeoff.rows import read_tradeoff
+    from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
+
+    command = shared.command_line()
+    rows: list[Measurement] = []
+    if onto is not None:
+        study = read_tradeoff(onto)
+        command = f"{study.command} && {command}"
+    else:
+        study, rows = tradeoff_with_rows(scene, command=command, **asked, **how)
+        command = ""
+    if not trained:
+        return study, rows
+    from mbds_xsim.studies.tradeoff.learned import with_models
+
+    study, added = with_models(study, scene, trained, command=command, **how)
+    return study, [*rows, *added]
 
 
 def _models(

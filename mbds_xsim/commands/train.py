@@ -105,10 +105,11 @@ def train(
     console = console_for(json)
     check_targets(json=json, png=png)
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
-    named = [word.strip() for word in dict.fromkeys((models or "").split(","))]
     request = TrainingRequest(
         groups=groups(data),
-        models=trainable() if models is None else named,
+        models=trainable()
+        if models is None
+        else [*dict.fromkeys(map(str.strip, models.split(",")))],
         on=on,
         seeds=seeds,
         profile_name=profile,
