@@ -103,13 +103,12 @@ def train(
     from mbds_xsim.report.terminal import print_blocks
 
     console = console_for(json)
-    check_targets(json=json, png=png)
+    check_targets(json=json, png=png, out=None if plan else out / "model.pt")
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
+    named = [word.strip() for word in dict.fromkeys((models or "").split(","))]
     request = TrainingRequest(
         groups=groups(data),
-        models=trainable()
-        if models is None
-        else [*dict.fromkeys(map(str.strip, models.split(",")))],
+        models=trainable() if models is None else named,
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -126,11 +125,6 @@ def train(
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             measured = _costs(trainings, *carrier, console)
-            if trainings.blocked:
-                first = next(iter(trainings.blocked.values()))
-                count = len(trainings.blocked)
-                text = f"{count} of these runs could not be written there: {first}"
-                print_blocks([Text(text)], console)
             write_json(encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json)
             return
         told = _trained(trainings, request, *carrier, console)
@@ -147,6 +141,9 @@ def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Con
     measured = costs(trainings, workers=at_once, carrier=carrier) if trainings.runs else []
     if measured:
         print_blocks(_cost_blocks(trainings, measured, at_once), console)
+    if blocked := [*trainings.blocked.values()]:
+        text = f"{len(blocked)} of these runs could not be written there: {blocked[0]}"
+        print_blocks([Text(text)], console)
     return measured
 
 

@@ -227,6 +227,8 @@ RECORDED = (
             "2 s the turn itself is 0.2 rad off the reference, of 0.1 allowed"}),
     _fault("rate of a twist that a ball has not", "ballscroll", "mujoco, dart", "rolling",
         recorded.each("angular_velocity", recorded.told_to_twist)),
+    _fault("a flywheel faces as it started", "simplecubli", "mujoco", "angle gap",
+        recorded.each("orientation", recorded.held_in_the_world)),
     _fault("all numbers after the start rounded to single precision", "3pendulum", "mujoco",
         "precision", Change(motion=recorded.in_single_precision)),
     _fault("velocity of a body aside", "workbench", _ALL, "gap rate",

@@ -136,6 +136,13 @@ def twisting(facing: Array, motion: Trajectory) -> Array:
     return twisted
 
 
+def held_in_the_world(facing: Array, _: Trajectory) -> Array:
+    """Keep the last body facing as it started, whatever it hangs on turns."""
+    held = facing.copy()
+    held[:, :, -1] = facing[:, :1, -1]
+    return held
+
+
 def told_to_twist(spin: Array, motion: Trajectory) -> Array:
     """Give the last body the rate of a twist that it has not."""
     told = spin.copy()

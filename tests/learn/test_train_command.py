@@ -530,6 +530,7 @@ def test_bad_input_is_one_clear_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(places["EMPTY"])
+    monkeypatch.setattr(Dataset, "check", lambda *_: pytest.fail("all data were read first"))
     given = [places.get(word, word) for word in words]
     assert _end(given, monkeypatch) == 2
     told = capsys.readouterr().err
