@@ -18,16 +18,14 @@ import sys
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ellipj, ellipk
 
 from benchmarks.harness import print_table
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Trajectory
-
-Array = NDArray[np.float64]
 
 _G = 9.81
 _AXIS = (0.0, 1.0, 0.0)

@@ -16,7 +16,6 @@ from statistics import quantiles
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from benchmarks.harness import Work, print_head, print_made, print_table, processor_s, take_turns
 from mbds_xsim.base.errors import InputError
@@ -33,8 +32,6 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import simulate
-
-Array = NDArray[np.float64]
 
 SCENES = ("6pendulum", "3ladder")
 TRAINED, TRACKS, BATCH = ("gns", "sgnn"), ("lite", "native", "paper"), 64

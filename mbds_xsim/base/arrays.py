@@ -5,4 +5,5 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.checks import Finding, Record, audited
@@ -29,8 +29,6 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
-
-Array = NDArray[np.float64]
 
 _OF_POSITIONS = (finite, start, gap, angle_gap, planarity, penetration)
 _OF_VELOCITIES = (

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.safe_text import on_a_line
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 TIME = "time"
 _COMMENT = "#"

@@ -22,6 +22,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from mbds_xsim.base import bounds
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.columns import TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
@@ -35,8 +36,6 @@ from mbds_xsim.dataset.hdf5 import (
 )
 from mbds_xsim.dataset.layout import FIELDS, MOTION, attribute
 from mbds_xsim.scene.scene import Clock, Scene
-
-Array = NDArray[np.float64]
 
 _DAMAGE = (
     OSError, zipfile.BadZipFile, zlib.error, UnicodeDecodeError, EOFError, csv.Error,

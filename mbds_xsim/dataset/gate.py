@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import CHECKS, Finding, Record, agreement, audited
 from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_faults
@@ -32,8 +33,6 @@ from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, simulate
-
-Array = NDArray[np.float64]
 
 # The checks make many passes over arrays: pieces that stay in a core's cache are twice as fast,
 # and bound the memory.
@@ -75,9 +74,9 @@ class CheckTable:
     frame: NDArray[np.int32]
     reasons: list[list[str]]
     """Of each trajectory, why it does not pass all checks; in the order of the checks."""
-    failed: NDArray[np.bool_]
+    failed: Mask
     """Shape (trajectory, check)."""
-    ended: NDArray[np.bool_]
+    ended: Mask
     """Whether the engine ended it before its time: no check can then pass it; (trajectory,)."""
     misbuilt: list[str]
     """What the engine's model has otherwise than the scene: all trajectories are wrong then."""
@@ -96,7 +95,7 @@ class CheckTable:
             misbuilt=[],
         )
 
-    def add(self, rows: NDArray[np.int64], findings: Iterable[Finding]) -> None:
+    def add(self, rows: Index, findings: Iterable[Finding]) -> None:
         """Store findings about some of the trajectories."""
         for finding in findings:
             column, about = _NUMBERS[finding.check], finding.applies
@@ -109,7 +108,7 @@ class CheckTable:
                 line = f"{finding.line(int(k))}, frame {finding.frame[k]}"
                 self.reasons[rows[k]].append(line)
 
-    def published(self, *, certified: bool) -> NDArray[np.bool_]:
+    def published(self, *, certified: bool) -> Mask:
         """Tell which trajectories came to their end and pass all checks, or those of integrity."""
         judged = list(COLUMNS) if certified else list(INTEGRITY)
         failed = self.failed[:, [_NUMBERS[name] for name in judged]].any(axis=1) | self.ended
@@ -186,13 +185,13 @@ def _evidence_of(record: Record) -> BalanceEvidence | None:
         return evidence_of(record)
 
 
-def _groups(scene: Scene, index: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
+def _groups(scene: Scene, index: Index) -> Iterator[tuple[int, Index]]:
     size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
     for group in np.unique(index // size):
         yield int(group), np.flatnonzero(index // size == group)
 
 
-def _view(rows: NDArray[np.int64]) -> slice | list[int]:
+def _view(rows: Index) -> slice | list[int]:
     """Give a slice, which copies nothing, where rows follow each other."""
     first, last = int(rows[0]), int(rows[-1])
     return slice(first, last + 1) if last - first + 1 == len(rows) else rows.tolist()

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
 from mbds_xsim.dataset.series import PairedSeries, Series
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES
-
-Numbers = NDArray[np.int64]
 
 STARTS = tuple(f"start/{name}" for name in STATES)
 _SAME = ("scene", "seed", "noise", "frame_s", "steps", "count")
@@ -34,7 +33,7 @@ class PairedData:
 
     files: dict[str, Dataset]
     """By engine and settings, as in `mujoco-matched`: the order of the axis `engine`."""
-    index: Numbers
+    index: Index
     """Number of each trajectory, ascending."""
 
     def __len__(self) -> int:
@@ -49,7 +48,7 @@ class PairedData:
         return self._first.scene
 
     @functools.cached_property
-    def rows(self) -> tuple[Numbers, ...]:
+    def rows(self) -> tuple[Index, ...]:
         """Row of each trajectory in each file."""
         return tuple(np.flatnonzero(np.isin(one.index, self.index)) for one in self.files.values())
 
@@ -122,8 +121,8 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
     return pairs
 
 
-def numbers_in(files: Sequence[Dataset], split: str | None) -> Numbers:
-    """Numbers of the trajectories that all files have (in a part), ascending."""
+def numbers_in(files: Sequence[Dataset], split: str | None) -> Index:
+    """Index of the trajectories that all files have (in a part), ascending."""
     each = [one.index if split is None else one.index[one.rows_of(split)] for one in files]
     return functools.reduce(np.intersect1d, each)
 
@@ -142,7 +141,7 @@ def check_alike(files: Sequence[Dataset]) -> None:
                 raise InputError(msg)
 
 
-def check_paired(files: Sequence[Dataset], rows: Sequence[Numbers], names: Sequence[str]) -> None:
+def check_paired(files: Sequence[Dataset], rows: Sequence[Index], names: Sequence[str]) -> None:
     """Raise InputError unless datasets are the same bits: nothing but the engine may differ."""
     for name in names:
         first = np.asarray(files[0][name][rows[0]])

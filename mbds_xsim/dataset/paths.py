@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.base.write import write_whole
@@ -17,8 +17,6 @@ from mbds_xsim.report import palette, themed
 from mbds_xsim.report.skeleton import Projection
 from mbds_xsim.report.themed import DRAWN, PALE
 from mbds_xsim.scene.sampling_terms import INTERVALS
-
-Array = NDArray[np.float64]
 
 _WIDE = 1.8
 

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, markers
 from mbds_xsim.scene.sampling import noise_components
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +21,7 @@ class Points:
     """Particles, and stand-ins in bodies without any."""
 
     mechanism: Mechanism
-    body: NDArray[np.int64]
+    body: Index
     """Body of each point, shape (point,)."""
     offset: Array
     """From its centre of mass in the native frame [m], shape (point, 3)."""
@@ -138,7 +137,7 @@ def _lifted(points: Points, values: Array, rest: Array) -> Array:
     return whole
 
 
-_Known = tuple[Array, NDArray[np.int64], Array]
+_Known = tuple[Array, Index, Array]
 """Points whose place in a body is known, own ones and joints on another body's point: the offset
 from its centre of mass in the native frame [m], shape (known, 3); the number of the point, −1 where
 it is fixed in W; the place of those [m], shape (known, 3)."""

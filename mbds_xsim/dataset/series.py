@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.hdf5 import open_hdf5, refuse_other, values_of
 
@@ -111,9 +112,6 @@ def _stamp(path: Path) -> Stamp:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-Indices = NDArray[np.int64]
-
-
 class Rows(ABC):
     """A dataset of trajectories that is indexed as an array, reading only the rows asked for.
 
@@ -133,7 +131,7 @@ class Rows(ABC):
         """Give one trajectory, by a row from 0 on."""
 
     @abstractmethod
-    def _take(self, rows: Indices) -> NDArray[Any]:
+    def _take(self, rows: Index) -> NDArray[Any]:
         """Read some trajectories, in the shape of their rows."""
 
     def __repr__(self) -> str:
@@ -197,7 +195,7 @@ class Series(Rows):
     like: NDArray[Any]
 
     @functools.cached_property
-    def first(self) -> Indices:
+    def first(self) -> Index:
         """First row of each shard, then the number of rows."""
         return np.concatenate([[0], np.cumsum([part.rows for part in self.parts])])
 
@@ -216,7 +214,7 @@ class Series(Rows):
         shard = int(self.shard_of(row))
         return self.shard(shard)[row - self.first[shard]]
 
-    def _take(self, rows: Indices) -> NDArray[Any]:
+    def _take(self, rows: Index) -> NDArray[Any]:
         found = np.empty((*rows.shape, *self.like.shape[1:]), self.dtype)
         shard = self.shard_of(rows)
         for k in np.unique(shard):
@@ -232,11 +230,11 @@ class PairedSeries(Rows):
     name: str
     like: NDArray[Any]
     members: tuple[Series, ...]
-    rows: tuple[Indices, ...]
+    rows: tuple[Index, ...]
     """Of each engine: the row of each trajectory."""
 
     @staticmethod
-    def of(members: tuple[Series, ...], rows: tuple[Indices, ...]) -> PairedSeries:
+    def of(members: tuple[Series, ...], rows: tuple[Index, ...]) -> PairedSeries:
         """Put the same dataset of several engines side by side."""
         one = members[0]
         like = np.empty((0, len(members), *one.shape[1:]), one.dtype)
@@ -248,7 +246,7 @@ class PairedSeries(Rows):
     def _one(self, row: int) -> NDArray[Any]:
         return self._take(np.array([row]))[0]
 
-    def _take(self, rows: Indices) -> NDArray[Any]:
+    def _take(self, rows: Index) -> NDArray[Any]:
         pairs = zip(self.members, self.rows, strict=True)
         return np.stack([one[own[rows]] for one, own in pairs], axis=rows.ndim)
 
@@ -262,7 +260,7 @@ class Windows:
     """
 
     series: tuple[Series, ...]
-    rows: Indices
+    rows: Index
     """Trajectories that the windows come from."""
     length: int
     """Frames of a window."""
@@ -281,11 +279,11 @@ class Windows:
     def __len__(self) -> int:
         return len(self.rows) * self.per_trajectory
 
-    def where(self, numbers: Indices) -> tuple[Indices, Indices]:
+    def where(self, numbers: Index) -> tuple[Index, Index]:
         """Row of the trajectory and first frame of each window."""
         return self.rows[numbers // self.per_trajectory], numbers % self.per_trajectory
 
-    def take(self, numbers: Indices | Sequence[int]) -> tuple[NDArray[Any], ...]:
+    def take(self, numbers: Index | Sequence[int]) -> tuple[NDArray[Any], ...]:
         """Read windows, one array a dataset, of shape (window, frame, …).
 
         Raises:
@@ -313,7 +311,7 @@ class Windows:
         """Read several windows at once."""
         return list(zip(*self.take(numbers), strict=True))
 
-    def _gather(self, series: Series, shard: Indices, row: Indices, frame: Indices) -> NDArray[Any]:
+    def _gather(self, series: Series, shard: Index, row: Index, frame: Index) -> NDArray[Any]:
         shape = (len(row), self.length, *series.shape[2:])
         found = np.empty(shape, series.shard(0).dtype)
         for k in np.unique(shard):
@@ -324,5 +322,5 @@ class Windows:
         return found
 
     @functools.cached_property
-    def _steps(self) -> Indices:
+    def _steps(self) -> Index:
         return np.arange(self.length)

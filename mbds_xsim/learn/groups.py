@@ -17,16 +17,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.paired import check_alike, numbers_in
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-
-Numbers = NDArray[np.int64]
 
 _SEVERAL = ("all", "leave-one-out")
 
@@ -68,8 +66,8 @@ class TrainingGroup:
         """Leave open files behind when it goes to another process."""
         return {key: value for key, value in vars(self).items() if key != "data"}
 
-    def numbers(self, split: str) -> Numbers:
-        """Numbers of the trajectories of a part that every engine of the group has, ascending."""
+    def numbers(self, split: str) -> Index:
+        """Index of the trajectories of a part that every engine of the group has, ascending."""
         return numbers_in([*self.data.values()], split)
 
 
@@ -128,8 +126,8 @@ class Share:
     interval: str = ""
     """Of the starts: low, medium or high; all when left out."""
 
-    def numbers(self, group: TrainingGroup, split: str) -> Numbers:
-        """Numbers of the trajectories of a part, ascending."""
+    def numbers(self, group: TrainingGroup, split: str) -> Index:
+        """Index of the trajectories of a part, ascending."""
         numbers = group.numbers(split)
         if not self.interval:
             return numbers
@@ -172,7 +170,7 @@ def shares_of(group: TrainingGroup, on: str) -> dict[str, Share]:
     return shares
 
 
-def turns(numbers: Numbers, count: int) -> Numbers:
+def turns(numbers: Index, count: int) -> Index:
     """Which of so many engines each trajectory is taken from.
 
     The interval of speed is the number modulo 3, so whole triples are taken in turn: with three

@@ -17,18 +17,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.layers import keep
 from mbds_xsim.learn.mechanics_points import PointRows, points_of, rows_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def constrained(
@@ -264,7 +262,7 @@ class Mechanics(nn.Module):
         return -self.spring.T @ (self.spring_law[:, 2:] * stretch * along)
 
 
-def _blocks(speed_map: Array) -> tuple[Array, Indices]:
+def _blocks(speed_map: Array) -> tuple[Array, Index]:
     """See `Mechanics.coupling` and `Mechanics.block`."""
     coupling = np.einsum("ki,kj->ijk", speed_map, speed_map)
     i, j = coupling.any(axis=-1).nonzero()

@@ -18,17 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.spin import idle_axes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 
 _SAME = 1e-12  # relative, of lengths and second moments
 _DIGITS = 12
@@ -40,7 +36,7 @@ class BodyPoints:
     """Nodes of one body (or of the world, whose tips are its unit vectors)."""
 
     com: int
-    tips: Indices
+    tips: Index
     """Nodes, shape (tip,)."""
     directions: Array
     """Orthonormal, from the centre of mass to the tips, in the native frame, shape (tip, 3)."""
@@ -74,13 +70,13 @@ class NodePoints:
     """Where the other nodes are in W [m], shape (fixed + 4, 3)."""
     mass: Array
     """Of the bodies whose centre of mass a node is [kg], shape (node,)."""
-    rods: Indices
+    rods: Index
     """Tip and centre of mass, pairs of nodes, shape (rod, 2)."""
     rod_mass: Array
     """J_k / d_k² [kg], shape (rod,)."""
     rod_length: Array
     """d_k [m], shape (rod,)."""
-    carrier: tuple[Indices, Array]
+    carrier: tuple[Index, Array]
     """A body that carries each free node (node,), and the node in its native frame (node, 3)."""
 
     @property
@@ -166,7 +162,7 @@ def _rods(mechanism: Mechanism) -> Array:
     return axes
 
 
-def kinds_of(points: NodePoints) -> tuple[Indices, int]:
+def kinds_of(points: NodePoints) -> tuple[Index, int]:
     """Number the nodes by mass and by whether they are fixed, (node,); and count these kinds."""
     mass = points.mass[: points.count - 3]
     moves = np.arange(len(mass)) < points.free
@@ -174,7 +170,7 @@ def kinds_of(points: NodePoints) -> tuple[Indices, int]:
     return kind, int(kind.max()) + 1
 
 
-def distinct(rows: Array) -> Indices:
+def distinct(rows: Array) -> Index:
     """Number the different rows of a table, shape (row,); what rounding makes of one is alike."""
     unit = np.abs(rows).max(axis=0, initial=0.0)
     rounded = np.round(rows / np.where(unit > 0.0, unit, 1.0), _DIGITS)
@@ -235,7 +231,7 @@ def _choose(chosen: list[Array], arm: Array, second: Array, length: float) -> No
         chosen.append(arm)
 
 
-def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Indices) -> tuple[Indices, Array]:
+def _nodes(mechanism: Mechanism, frames: list[_Frame], first: Index) -> tuple[Index, Array]:
     """Number the points of all bodies by node, free ones first, and place the fixed ones."""
     group = np.arange(first[-1])
     anchored: dict[int, Array] = {}

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, rollout
@@ -23,8 +23,6 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.reference.cache import read_sealed, sealed
 from mbds_xsim.scene.mechanism import JointKind
 from mbds_xsim.scene.state import Batch
-
-Array = NDArray[np.float64]
 
 LOST = 0.1
 """Root mean square error at which a prediction is no longer valid, of the scene's length."""
@@ -70,7 +68,7 @@ class RigidPairs:
         return (apart - self.distance).abs().amax(-1)
 
 
-def _fixed_in(graph: Graph) -> NDArray[np.bool_]:
+def _fixed_in(graph: Graph) -> Mask:
     """Whether each node is fixed in each body, the world (−1) last, shape (node, body + 1)."""
     fixed = np.zeros((graph.node_count, graph.body_count + 1), dtype=bool)
     fixed[np.arange(graph.node_count), graph.body.numpy()] = True

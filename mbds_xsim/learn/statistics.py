@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep
@@ -21,7 +21,6 @@ from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PlacedJoint
 from mbds_xsim.scene.sampling_terms import HingeTorque
 
-Array = NDArray[np.float64]
 AxisWeights = dict[str, Array]
 """How a hinge's axis follows from the particles: see the buffers of `Channels`."""
 

@@ -13,9 +13,9 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.reference.cache import key_of, load
@@ -24,8 +24,6 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
 from mbds_xsim.simulate.timed import Simulation, Work, forewarnings, simulate
-
-Array = NDArray[np.float64]
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
 _REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter

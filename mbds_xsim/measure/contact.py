@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.checks import Finding
 from mbds_xsim.measure.campaign import ReferenceOutcome
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.claims import Method
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _SLIDING = 2e-3  # over the scene's length, as other errors of places
 _FALLING = 5e-4
@@ -133,7 +130,7 @@ def _distance(motion: Trajectory, exact: Trajectory) -> Array:
     return np.asarray(np.linalg.norm(motion.position - exact.position, axis=-1))
 
 
-def _bounces(mechanism: Mechanism, exact: Trajectory) -> NDArray[np.int64]:
+def _bounces(mechanism: Mechanism, exact: Trajectory) -> Index:
     """Count each ball's bounces so far, (trajectory, frame, body): its speed jumps upwards."""
     climb = exact.velocity[..., 2]
     lift = -0.5 * mechanism.scene.gravity[2] * mechanism.scene.clock.frame
@@ -141,7 +138,7 @@ def _bounces(mechanism: Mechanism, exact: Trajectory) -> NDArray[np.int64]:
 
 
 def _rebounds(
-    mechanism: Mechanism, motion: Trajectory, exact: Trajectory, bounces: NDArray[np.int64]
+    mechanism: Mechanism, motion: Trajectory, exact: Trajectory, bounces: Index
 ) -> tuple[Array, Mask]:
     """Compare heights of the first rebounds at the frame nearest the top, the rest added.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import Finding, Record, agreement, audit, audited
 from mbds_xsim.checks.eccentric import impact_coefficients
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome
@@ -18,9 +18,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback, registry
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ONE_SECOND = 1.0
 

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 
-Array = NDArray[np.float64]
 S = TypeVar("S", bound=msgspec.Struct)
 Verdict = str
 """pass, warn or fail."""

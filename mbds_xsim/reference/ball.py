@@ -14,10 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from mbds_xsim.base.arrays import Array
 
 STILL = 1e-12
 """Slip below which there is none [m/s]; rounding leaves 1e-15."""

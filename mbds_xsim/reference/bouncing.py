@@ -12,9 +12,9 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.ball import Ball, BallContact, BallState, Load, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.even_ball import EvenBall
@@ -24,7 +24,6 @@ from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _SHORTEST = 1e-8  # of what is left of the bounces [s]

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mbds_xsim.base.arrays import Array
+
 Derivative = Callable[[Array], Array]
 
 _SAFETY = 0.9

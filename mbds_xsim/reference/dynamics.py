@@ -12,9 +12,9 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Indices
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.reference.multipliers import POOR, Multipliers
 from mbds_xsim.reference.singular import interpolated, projected_onto_branch, typical_states
@@ -23,9 +23,6 @@ from mbds_xsim.scene.assembly import assemble
 from mbds_xsim.scene.constraints import Moving, evaluate, motion_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Rows that are left out may be off by what a stage is off the constraints; else they count.
 _FOLLOWS = 1e-4

@@ -12,14 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
 from mbds_xsim.reference.sliding import Sliding, slide
 from mbds_xsim.reference.turning import turned
 
-Array = NDArray[np.float64]
 _Law = Callable[[float], Sliding]
 
 

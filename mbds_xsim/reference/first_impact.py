@@ -9,11 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.scene.state import Failure
-
-Array = NDArray[np.float64]
 
 TOUCHING = 1e-12
 """Gap between a sphere and the ground that is none [m]."""
@@ -38,7 +36,7 @@ class FirstImpact(Failure):
         return FirstImpact(frame, reason, time)
 
 
-def resting(height: Array, climb: Array) -> NDArray[np.bool_]:
+def resting(height: Array, climb: Array) -> Mask:
     """Whether a scene starts in contact, from heights and their rates, shape (batch, sphere)."""
     return np.asarray(((height <= TOUCHING) & (climb <= TOUCHING)).any(axis=1))
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING
@@ -16,8 +16,6 @@ from mbds_xsim.scene.mechanism import Mechanism, marker_positions, markers
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Progress = Callable[[int, int], None]
 
 _SIZE = 1e-8  # RMS displacement of the start [m], and RMS change of its velocities [m/s]

@@ -11,16 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Indices, Mask
 from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.singular import BIFURCATION, has_branch
 from mbds_xsim.scene.state import Failure
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Progress = Callable[[int, int], None]
 
 _FIRST_STEP = 0.1  # of a frame
@@ -82,7 +80,7 @@ def march(
     return _March(dynamics, start, inputs, frame, rtol, companions).run(progress)
 
 
-def branchless(dynamics: Dynamics, start: Array, inputs: Inputs) -> NDArray[np.bool_]:
+def branchless(dynamics: Dynamics, start: Array, inputs: Inputs) -> Mask:
     """Whether states start at a bifurcation without a way to go on, shape (batch,)."""
     if not inputs.force.shape[1]:
         return np.zeros(len(start), dtype=bool)
@@ -178,9 +176,7 @@ class _March:
         why = f"{_SINGULAR_STEPS} steps begin where constraints nearly depend: see axes in loops"
         self._end_together(self.singular > _SINGULAR_STEPS, self._stuck(why))
 
-    def _impacts(
-        self, new: Array, forces: tuple[Array, Array], h: Array, good: NDArray[np.bool_]
-    ) -> Array:
+    def _impacts(self, new: Array, forces: tuple[Array, Array], h: Array, good: Mask) -> Array:
         """When a contact sphere reaches the ground in a good step; NaN where none does."""
         times = np.full(len(new), np.nan)
         if not len(self.dynamics.topology.sphere_body):
@@ -232,14 +228,14 @@ class _March:
         time = np.repeat(first, self.companions)
         self._end(np.isfinite(time), lambda k: FirstImpact.at(int(self.at[k]) + 1, float(time[k])))
 
-    def _end(self, ended: NDArray[np.bool_], failure: Callable[[int], Failure]) -> None:
+    def _end(self, ended: Mask, failure: Callable[[int], Failure]) -> None:
         """Stop some states before the end of the frame they are in."""
         if ended.any():
             for k in np.flatnonzero(ended).tolist():
                 self.marched.failures[self.row[k]] = failure(k)
             self._keep(~ended)
 
-    def _end_together(self, ended: NDArray[np.bool_], failure: Callable[[int], Failure]) -> None:
+    def _end_together(self, ended: Mask, failure: Callable[[int], Failure]) -> None:
         """Stop some states, and their companions."""
         together = np.any(ended.reshape(-1, self.companions), axis=1)
         self._end(np.repeat(together, self.companions), failure)
@@ -251,6 +247,6 @@ class _March:
 
         return failure
 
-    def _keep(self, kept: NDArray[np.bool_]) -> None:
+    def _keep(self, kept: Mask) -> None:
         for key in ("row", "y", "at", "left", "step", "tries", "singular", "rate"):
             setattr(self, key, getattr(self, key)[kept])

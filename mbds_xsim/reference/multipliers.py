@@ -9,12 +9,9 @@ are then not unique, but the motion is. A pose at which that set loses rank is f
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Indices, Mask
 from mbds_xsim.reference.topology import Topology
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # A row whose part independent of the others is below this share of it (squared) is taken as
 # dependent. Rounding leaves 1e-13 there; in regular mechanisms the least is about a ratio of
@@ -106,7 +103,7 @@ class Multipliers:
         self._load(loaded)
         return float(factor[-1, -1] ** 2)
 
-    def _load(self, loaded: NDArray[np.bool_]) -> None:
+    def _load(self, loaded: Mask) -> None:
         column = np.arange(self.row_count)[:, None]
         row = np.minimum(column + np.arange(self._band + 1), self.row_count - 1)
         self._loaded = loaded

@@ -11,11 +11,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-
-Array = NDArray[np.float64]
+from mbds_xsim.base.arrays import Array
 
 BIFURCATION = (
     "the start is a bifurcation: the mechanism is in a singular pose, and its velocities (or, at "

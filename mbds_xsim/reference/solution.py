@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.bouncing import march_balls
@@ -19,7 +20,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _TOGETHER = 16  # trajectories; more do not get cheaper

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless, stopped
@@ -20,7 +20,6 @@ from mbds_xsim.scene.state import Failure
 if TYPE_CHECKING:
     from scipy.integrate import Radau
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 # Decays in a frame above which Radau is the faster one, measured on a fly-ball governor.

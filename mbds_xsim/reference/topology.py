@@ -12,14 +12,11 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Indices
 from mbds_xsim.scene.constraints import Layout, layout_of
 from mbds_xsim.scene.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.ball import STILL, BallContact, BallState, Load, flown
 from mbds_xsim.reference.turning import cross, integrated, turning
-
-Array = NDArray[np.float64]
 
 _SEED = 2.0 * STILL  # slip from which one starts that grows out of none
 _FIRM = 1.0 - 1e-12  # share of the largest friction below which rolling goes on

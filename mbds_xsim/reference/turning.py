@@ -6,9 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mbds_xsim.base.arrays import Array
 
 _RTOL = {"DOP853": 1e-13, "LSODA": 1e-12}
 

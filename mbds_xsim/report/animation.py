@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.report.palette import Style
-
-Array = NDArray[np.float64]
 
 
 def packed_base(base: Array, low: Array, high: Array) -> str:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.base.write import write_whole
@@ -27,8 +27,6 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.catalogue import scene_row
-
-Array = NDArray[np.float64]
 
 _FAINT = "#cfd5da"
 _BODY = "#6f8296"

@@ -6,16 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 
-Array = NDArray[np.float64]
 Edge = tuple[int, int]
 
 
@@ -24,7 +23,7 @@ class Skeleton:
     """Points numbered moving first, then fixed."""
 
     mechanism: Mechanism
-    body: NDArray[np.int64]
+    body: Index
     """Body of each moving point, shape (point,)."""
     offset: Array
     """In the native frame of its body [m], shape (point, 3)."""

@@ -26,16 +26,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Indices
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Indices = NDArray[np.intp]
 
 _AXES = np.eye(3)
 # Rows r × e_i of an arm r, as a linear map of r.

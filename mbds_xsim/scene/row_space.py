@@ -9,14 +9,11 @@ down to 1e-9 of a row; many of them by a sparse Cholesky factorisation of J Jᵀ
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.linalg import SuperLU, norm, splu
 
-from mbds_xsim.base.arrays import Array
-
-Indices = NDArray[np.intp]
+from mbds_xsim.base.arrays import Array, Indices
 
 _FEW = 400
 _INDEPENDENT = 1e-9

@@ -9,10 +9,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.learn.energy_models import Hamiltonian, Lagrangian
 from mbds_xsim.learn.mechanics import Mechanics, constrained
@@ -27,7 +27,6 @@ from mbds_xsim.simulate.registry import load_scene
 from .energies import TrueEnergy, acceleration, march, no_inputs
 from .mechanisms import scene_of
 
-Array = NDArray[np.float64]
 torch.set_num_threads(1)
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.particles import (
     EXPLODED,
@@ -49,7 +49,6 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.registry import load_scene
 
-Array = NDArray[np.float64]
 Analytic = Callable[..., Motions]
 FRAMES = 5
 COUNT = 12

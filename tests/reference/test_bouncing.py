@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
@@ -27,8 +27,6 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
-
-Array = NDArray[np.float64]
 
 G, MU = 9.81, 0.43
 MASS, MOMENT = 1.0, 6.17e-4

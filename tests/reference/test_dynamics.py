@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import accelerations
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
@@ -17,8 +17,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.simulate.registry import load_scene
-
-Array = NDArray[np.float64]
 
 BATCH = 3
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import FirstImpact, sensitivity, solve
 from mbds_xsim.scene.mechanism import Mechanism
@@ -26,8 +26,6 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
-
-Array = NDArray[np.float64]
 
 RADIUS = 0.05
 ANGLE = math.asin(0.8)

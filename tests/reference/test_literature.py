@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import solve
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
@@ -20,8 +20,6 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.timed import simulate
-
-Array = NDArray[np.float64]
 
 ANDREWS = registry.load_scene("andrews")
 BRICARD = registry.load_scene("bricard")

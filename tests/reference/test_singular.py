@@ -7,17 +7,15 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.four_bars import angle_and_rate, energy, four_bars
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.reference import marching, solve, stiff
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, SpringDamper, Torque
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
-
-Array = NDArray[np.float64]
 
 AXIS = (0.0, -1.0, 0.0)
 CRANK, ROD = 0.5, 1.0

@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.scene.constraints import constraint_rows
@@ -27,8 +27,6 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.registry import load_scene
-
-Array = NDArray[np.float64]
 
 
 def run(scene: Scene) -> Trajectory:

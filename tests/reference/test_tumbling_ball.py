@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import sensitivity, solve
 from mbds_xsim.reference.ball import BallContact, BallState, Load
 from mbds_xsim.reference.even_ball import EvenBall
@@ -18,8 +18,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene, Vector
 from mbds_xsim.scene.state import Trajectory
-
-Array = NDArray[np.float64]
 
 G, MU, MASS, RADIUS = 9.81, 0.43, 1.5, 0.1
 MOMENTS = (0.004, 0.007, 0.009)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.measure.result import (
     SCHEMA,
     EngineResult,
@@ -27,8 +27,6 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
-
-Array = NDArray[np.float64]
 
 TRAJECTORIES = 3
 

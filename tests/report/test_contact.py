@@ -8,8 +8,8 @@ import re
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.measure.result import EnsembleResult
 from mbds_xsim.report import palette, themed
 from mbds_xsim.scene.mechanism import Mechanism
@@ -22,8 +22,6 @@ from mbds_xsim.studies.validate.episodes import contact_of, contacts_of
 
 from .conftest import Case, Fake, make_case
 from .test_page import numbers, viewer, written
-
-Array = NDArray[np.float64]
 
 ROWS, STEPS, FRAME = 3, 200, 0.02
 TIME: Array = FRAME * np.arange(STEPS + 1, dtype=np.float64)

@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim import __main__ as cli
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.draw import draw_scene
 from mbds_xsim.report.palette import PARTS
@@ -18,8 +18,6 @@ from mbds_xsim.report.skeleton import Projection, outline, pose_of
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
 from mbds_xsim.simulate import registry
-
-Array = NDArray[np.float64]
 
 HINGE, BALL, SPRING, PARTICLE = PARTS["hinge"], PARTS["ball"], PARTS["spring"], "#6f8296"
 

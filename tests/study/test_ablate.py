@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -23,8 +23,6 @@ from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
 from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
 from mbds_xsim.studies.ablate.study import ablate
 from tests.command_line import CommandLine
-
-Array = NDArray[np.float64]
 
 _SECOND = Clock(0.02, 50)
 _GRAVITY = 9.81

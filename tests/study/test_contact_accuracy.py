@@ -7,9 +7,9 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.contact import contact_findings
@@ -22,7 +22,6 @@ from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.timed import simulate
 
-Array = NDArray[np.float64]
 EULER = Method("Euler", "semi-implicit Euler", 1)
 RK4 = Method("RK4", "RK4", 4)
 CONTACT_SCENES = ("ballscroll", "balldrop", "simplecubli", "particlecar")

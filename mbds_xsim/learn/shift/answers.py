@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.gaps import (
     ALL,
@@ -41,8 +41,6 @@ _BLIND = (
 _ALONE = "This cannot be asked: no model was trained on two of the tested engines, each alone"
 _UNTOLD = f"this cannot be told: {_BLIND}"
 _VERDICTS = ("helps", "harms", "makes no difference that can be told")
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

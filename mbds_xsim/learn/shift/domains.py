@@ -14,9 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from mbds_xsim import reference
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.write import write_whole
@@ -29,8 +29,6 @@ from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
-
-Array = NDArray[np.float64]
 
 REFERENCE = "reference"
 """Name of the domain that no engine made."""
@@ -101,7 +99,7 @@ class Paired:
     """Test trajectories of a scene that every domain has."""
 
     scene: Scene
-    index: NDArray[np.int64]
+    index: Index
     """Their numbers, ascending."""
     domains: tuple[Recorded, ...]
     batch: Batch
@@ -182,7 +180,7 @@ def _is_joined(path: Path) -> bool:
     return attributes_of(path).get("kind") == "joined"
 
 
-def _recorded(file: Dataset, rows: NDArray[np.int64]) -> Recorded:
+def _recorded(file: Dataset, rows: Index) -> Recorded:
     about = file.attributes
     place, chosen = file.path.resolve(), tuple(rows.tolist())
     return Recorded(about["engine"], about["profile"], place, chosen, about[CONTENT])

@@ -11,16 +11,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.safe_text import csv_text
 from mbds_xsim.learn.particles import EXPLODED, LOST, RolloutFigures, measure
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
-
-Array = NDArray[np.float64]
 
 ENGINE = "engine"
 """Stands for a model where an engine's own motion is the prediction."""
@@ -47,7 +45,7 @@ class Evaluation:
     """Floors of noise and chaos, as far as the reference is known, (trajectory, frame) [m²]."""
 
     @property
-    def at(self) -> NDArray[np.int64]:
+    def at(self) -> Index:
         """Places of the frames."""
         return np.array(self.frames) - 1
 
@@ -103,12 +101,12 @@ class Evaluation:
         """Errors at `frames` with lost ones counted."""
         return np.asarray(np.minimum(error[..., self.at], self.largest))
 
-    def rows(self, interval: str) -> NDArray[np.bool_]:
+    def rows(self, interval: str) -> Mask:
         """Trajectories of an interval."""
         number = self.test.index % (len(INTERVALS) - 1)
         return np.asarray((interval == INTERVALS[0]) | (number == INTERVALS.index(interval) - 1))
 
-    def intervals(self) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    def intervals(self) -> Iterator[tuple[str, Mask]]:
         """Give the intervals that there are trajectories of, and these."""
         rows = {interval: self.rows(interval) for interval in INTERVALS}
         return ((interval, chosen) for interval, chosen in rows.items() if chosen.any())
@@ -125,7 +123,7 @@ def _cell(
     evaluation: Evaluation,
     key: tuple[str, str, int, str, str],
     figures: RolloutFigures,
-    rows: NDArray[np.bool_],
+    rows: Mask,
 ) -> ErrorCell:
     scene, error = evaluation.test.scene, figures.error[rows]
     at = error[:, evaluation.at]
@@ -150,7 +148,7 @@ def _cell(
     )
 
 
-def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, NDArray[np.bool_]]:
+def valid_time(error: Array, length: float, frame_s: float) -> tuple[Array, Mask]:
     """Time until the root mean square error first exceeds `LOST` of the length [s], (trajectory,).
 
     The known horizon where it never does; and whether it never does.
@@ -179,7 +177,7 @@ def _over_known(statistic: Callable[..., Array], figures: Array) -> Array:
     return result
 
 
-def _counts(flags: NDArray[np.bool_]) -> tuple[int, ...]:
+def _counts(flags: Mask) -> tuple[int, ...]:
     return tuple(flags.sum(axis=0).tolist())
 
 

@@ -16,14 +16,13 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import kendalltau
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.learn.shift.evaluation import Evaluation, known_mean
 from mbds_xsim.learn.shift.result import INTERVALS, Agreement, Gap, values
 from mbds_xsim.learn.trained import TrainedModel
 
-Array = NDArray[np.float64]
 Errors = dict[tuple[str, int], float]
 """Mean errors by model and frame."""
 Look = Callable[[TrainedModel, str], Array]

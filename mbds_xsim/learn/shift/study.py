@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
@@ -51,7 +51,6 @@ from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.identity import machine
 from mbds_xsim.simulate.registry import package_version
 
-Array = NDArray[np.float64]
 _AT = 10
 
 
@@ -226,7 +225,7 @@ class Samples:
 
     evaluation: Evaluation
     domain: Recorded
-    index: NDArray[np.int64]
+    index: Index
     """Numbers of the trajectories, one of each interval."""
     truth: Array
     """[m], shape (trajectory, frame, particle, 3)."""

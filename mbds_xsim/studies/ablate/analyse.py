@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.constraints import constraint_rows, degrees_of_freedom, dense_jacobian
@@ -19,9 +19,6 @@ from mbds_xsim.simulate.adapter import ModelSize, Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.studies.ablate.effects import Effect
 from mbds_xsim.studies.ablate.result import Floor, Row, Size, Verdict
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _INSTANT = 1.0
 _APART = 0.01  # of the scene's length, as for the agreement time

@@ -9,13 +9,11 @@ from collections.abc import Callable, Mapping
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Scene
-
-Array = NDArray[np.float64]
 
 LEAST = 1e-3  # of an inertia that is dropped
 _ON_LINE = 1e-9  # of the longest arm

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     GRAVITY,
@@ -29,8 +29,6 @@ from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import checked
-
-Array = NDArray[np.float64]
 
 PULL = -GRAVITY[2]
 UP = np.array([0.0, 0.0, 1.0])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.finding import Record, spheres_of
 from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.checks.impacts import impacts_of
@@ -26,8 +26,6 @@ from mbds_xsim.studies.contact.bench import (
     ball,
     crate,
 )
-
-Array = NDArray[np.float64]
 
 _HEIGHTS = (0.05, 0.06, 0.07)  # of an elastic ball's drops: flights of 0.2 s and more [m]
 _BOUNCING = 3.0  # [s]

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
@@ -27,8 +27,6 @@ from mbds_xsim.studies.contact.bench import (
     crate,
     wheel,
 )
-
-Array = NDArray[np.float64]
 
 _BALL_GROUND = Ground(FRICTION, RESTITUTION)
 # Corners that rebound from each other's pushes would rattle.

@@ -9,8 +9,8 @@ at the end of one.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Ground
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import Profile
@@ -24,8 +24,6 @@ from mbds_xsim.studies.contact.bench import (
     ContactFigure,
     ball,
 )
-
-Array = NDArray[np.float64]
 
 RESTITUTIONS = (0.0, 0.5, RESTITUTION, 1.0)
 SPEEDS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)

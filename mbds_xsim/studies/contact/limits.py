@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -21,9 +21,6 @@ from mbds_xsim.studies.contact.bench import (
     ContactFigure,
     ball,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SPINS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
 """[rad/s]"""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.safe_text import in_figure
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
@@ -15,8 +15,6 @@ from mbds_xsim.report import themed
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
-
-Array = NDArray[np.float64]
 
 _REACH = 4.0
 """A point further from the truth than this many times the motion's extent has left the view."""
@@ -126,7 +124,7 @@ def draw_samples(figure: Any, samples: Samples) -> None:
     )  # fmt: skip
 
 
-def _draw_nodes(axes: Any, edges: NDArray[np.int64], nodes: Array, look: dict[str, Any]) -> None:
+def _draw_nodes(axes: Any, edges: Index, nodes: Array, look: dict[str, Any]) -> None:
     for one, two in edges:
         axes.plot(nodes[[one, two], 0], nodes[[one, two], 2], **look)
     loose = np.setdiff1d(np.arange(len(nodes)), edges)
@@ -134,7 +132,7 @@ def _draw_nodes(axes: Any, edges: NDArray[np.int64], nodes: Array, look: dict[st
     axes.plot(nodes[loose, 0], nodes[loose, 2], "o", ms=4, **{**look, "lw": 0.0}, **hollow)
 
 
-def _edges(graph: Graph) -> NDArray[np.int64]:
+def _edges(graph: Graph) -> Index:
     """Pairs of nodes, each once, shape (edge, 2)."""
     edges = np.stack([graph.senders.numpy(), graph.receivers.numpy()], axis=1)
     return edges[edges[:, 0] < edges[:, 1]]

@@ -21,8 +21,8 @@ import re
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
 from mbds_xsim.checks.energy import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
@@ -32,9 +32,6 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way
 from mbds_xsim.studies.stability.rows import Outcome, Told
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ENERGY = 0.1  # of the energy scale
 _OPEN = 0.01  # of the scene's length, and [rad]

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.identity import machine, row_key
@@ -22,8 +22,6 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
 from mbds_xsim.studies.tradeoff.rows import Measurement
 from mbds_xsim.studies.tradeoff.truths import Place, Truth, Truths
-
-Array = NDArray[np.float64]
 
 _GRACE = 30.0
 """What a case may take beside its rollouts [s]."""

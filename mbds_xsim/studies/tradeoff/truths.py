@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.reference import FirstImpact
@@ -15,8 +15,6 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Simulator
 from mbds_xsim.studies.tradeoff.sweep import SPAN
-
-Array = NDArray[np.float64]
 
 INSTANT = 1.0
 """Time of the error that is charted, where the reference lasts so long [s]."""
@@ -41,7 +39,7 @@ class Truth:
     """Whether the error counts against a budget: not where an engine is held to itself."""
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Whether each frame is known, shape (frame,)."""
         return np.asarray(np.isfinite(self.trajectory.position).all(axis=(0, 2, 3)))
 

@@ -9,17 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push, pushes_of
 from mbds_xsim.checks.impacts import Impacts, impacts_of
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _LEAST = 0.05
 """Of the impulse of gravity: a smaller one of the ground is the rounding of a flight."""

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
@@ -18,7 +18,6 @@ from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact
 from mbds_xsim.studies.validate.motion import styles
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _SIZE = (4.5, 3.1)
@@ -198,12 +197,12 @@ def _with_styles(validation: Validation, each: Iterable[T]) -> Iterator[tuple[T,
     return zip(each, styles(validation.engines), strict=True)
 
 
-def _known(evidence: Evidence) -> NDArray[np.bool_]:
+def _known(evidence: Evidence) -> Mask:
     """Frames for which there is a reference, shape (trajectory, frame)."""
     return np.asarray(np.isfinite(evidence.reference.position).all(axis=(2, 3)))
 
 
-def _no_solution(axes: Any, time: Array, known: NDArray[np.bool_]) -> None:
+def _no_solution(axes: Any, time: Array, known: Mask) -> None:
     """Hatch what lies beyond the first impact of the first trajectory that has one."""
     last = int(known.sum(axis=1).min()) - 1
     if last + 1 < len(time):

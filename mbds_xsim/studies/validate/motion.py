@@ -6,14 +6,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence
 from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.palette import Style, engine_style
 from mbds_xsim.report.skeleton import Skeleton, skeleton
-
-Array = NDArray[np.float64]
 
 _DASHED = {"native"}
 
@@ -94,7 +92,7 @@ def _base(motions: list[Array]) -> Array:
     return np.nan_to_num(base)
 
 
-def _finite(positions: Array) -> NDArray[np.bool_]:
+def _finite(positions: Array) -> Mask:
     return np.asarray(np.isfinite(positions).all(axis=(-1, -2)))
 
 

@@ -7,7 +7,6 @@ import platform
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbds_xsim.base.counted import counted
 from mbds_xsim.base.silence import Silent
@@ -28,7 +27,6 @@ from mbds_xsim.simulate.choice import Choice
 
 __all__ = ["Choice", "validate_with_evidence"]
 
-Array = NDArray[np.float64]
 
 _ONE_SECOND = 1.0
 _HIGH = INTERVALS.index("high")
