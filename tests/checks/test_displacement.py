@@ -17,12 +17,10 @@ from mbds_xsim.checks.ground import pushes_of
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Ground, Inertia, Scene
 from mbds_xsim.scene.state import Trajectory
-from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.claims import Method
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import simulate as run
-from mbds_xsim.testing.case import Case as Exact
-from mbds_xsim.testing.cases import CASES
 
 RK4 = Method("RK4", "RK4", 4)
 LEAPFROG = Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5)
@@ -243,15 +241,3 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
 
     assert np.isnan(finding.series[0, 9:]).all()
     assert finding.passed.tolist() == [True, True, False]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
-    batch = draw_batch(case.scene, [0])
-    for name, method in adapter.methods.items():
-        for step in (5e-3, 1e-3):
-            if not adapter.refusals(case.scene, name):
-                motion = run(case.scene, batch, adapter.name, Settings(name, step)).trajectory
-                finding = found(Record(case.scene, batch, motion, method, step))
-                assert finding.passed.all(), (name, step, finding.figure, finding.where)

@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 
 from . import changes as to
-from . import native, native_contact
+from . import native
 from . import recording as recorded
 from .bench import ENGINES
 from .planting import Change, Fault
@@ -104,7 +104,7 @@ BALLS = (
     _fault("friction pyramid within the cone", "ballscroll at 45°", "mujoco, exudyn", "friction",
         to.ground("friction", _as(_FRICTION / math.sqrt(2.0))), odd=True),
     _fault("friction box around the cone", "ballscroll at 45°", "pybullet, dart", "friction",
-        Change(native=native_contact.friction_box), odd=True),
+        Change(native=native.friction_box), odd=True),
     _fault("restitution 0.05 too high", "balldrop", _ALL, "restitution",
         to.ground("restitution", _more(0.05)), untold=("mujoco",), odd=True),
     _fault("restitution 0.05 too low", "balldrop", _ALL, "restitution",
@@ -136,7 +136,7 @@ CAR = (
     _fault("contact left out, under wheels", "particlecar", _ALL, "penetration",
         Change(model=to.bare)),
     _fault("speed of hinges held at 100 rad/s", "particlecar at 100 rad/s", "pybullet, dart",
-        "wheels", Change(native=native_contact.speed_limit)),
+        "wheels", Change(native=native.speed_limit)),
     _fault("speed of hinges recorded up to 100 rad/s", "particlecar at 100 rad/s", "mujoco, exudyn",
         "wheels", Change(motion=recorded.cut_spins)),
     _fault("axle damping of 0.001 N·m·s", "particlecar for 0.8 s", "mujoco, dart",
@@ -150,7 +150,7 @@ CAR = (
     _fault("ground 1 mm low", "particlecar", "mujoco, pybullet", "contact gap",
         recorded.each("position", recorded.lowered)),
     _fault("friction of one wheel 0.40", "particlecar for 0.8 s", "mujoco, pybullet", "cones",
-        Change(native=native_contact.slippery_wheel, told="friction of")),
+        Change(native=native.slippery_wheel, told="friction of")),
     _fault("gravity 1 % strong, on wheels", "particlecar for 0.8 s", "mujoco, dart", "cones",
         to.gravity(1.01 * 9.81)),
     _fault("chassis of 30 % more inertia", "particlecar for 0.8 s", "pybullet", "cones",
@@ -194,7 +194,7 @@ CUBE = (
             "mujoco": "eleven impacts on springs of twelve steps know restitution to 0.037; those "
             "of 3 s do show it"}),
     _fault("rolling resistance of 0.1 m", "simplecubli", "pybullet", "balance",
-        Change(native=native_contact.rolling_resistance)),
+        Change(native=native.rolling_resistance)),
 )  # fmt: skip
 
 RECORDED = (
