@@ -36,6 +36,7 @@ class Dart(Adapter):
     """DART through dartpy."""
 
     name = "dart"
+    revision = 2
     package = "dartpy"
     coordinates: ClassVar[Literal["reduced", "maximal"]] = "reduced"
     contact_law = CONTACT_LAW

@@ -54,6 +54,7 @@ class Exudyn(Adapter):
     """Rigid bodies with six coordinates each; joints are constraints with multipliers."""
 
     name = "exudyn"
+    revision = 2
     package = "exudyn"
     methods: ClassVar = {
         "trapezoidal": Method("trapezoidal", "trapezoidal", 2),

@@ -60,8 +60,10 @@ Marker = Callable[[int, Array], str]
 
 # No body gets as far within a trajectory; the ground ends there [m].
 _FAR = 1e4
-# Slower impacts, of what comes to rest, are damped as if they had this speed [m/s].
-_SLOWEST_IMPACT = 1e-2
+# Slower impacts, of what comes to rest, are damped as if they had this speed [m/s], or the one that
+# this acceleration makes within an impact [m/s²]. What rests on stiffer ground trembles faster and
+# must be damped in fewer seconds: friction of turning wheels feeds the trembling in every cycle.
+_SLOWEST_IMPACT, _SLOWEST_GAIN = 1e-2, 20.0
 # How far a sphere may get within a frame, in lengths of its path under gravity alone.
 _REACH = 2.0
 # Smallest restitution: the law has none of 0, and gets stiff on the way there.
@@ -131,7 +133,8 @@ def contact_listing(mechanism: Mechanism, contact: PenaltyContact, marker: Marke
         if ground.restitution:
             # Model 1 misses the restitution.
             yield f"    impactModel=2, restitutionCoefficient={coefficient(ground.restitution)!r},"
-            yield f"    minimumImpactVelocity={_SLOWEST_IMPACT!r},"
+            slowest = min(_SLOWEST_IMPACT, _SLOWEST_GAIN * contact.duration)
+            yield f"    minimumImpactVelocity={slowest!r},"
         else:
             damping = 2.0 * math.sqrt(stiffness * float(mechanism.mass.sum()))
             yield f"    impactModel=0, contactDamping={damping!r},"

@@ -210,6 +210,15 @@ def test_the_car_drives_at_full_speed_without_hopping_or_clamps() -> None:
     car_slips_on_the_ground(alone, 25)
 
 
+def test_fine_steps_do_not_shake_a_car_whose_wheels_slip() -> None:
+    """Friction feeds its trembling the faster, the stiffer its springs; so it is damped as fast."""
+    car = load_scene("particlecar")
+    batch = draw_batch(car, [1], noise=False).truncated(2)
+    motion = rollout(car, batch, careful(5, 6, slip_speed=1e-3, step=0.02 / 200))
+
+    assert np.abs(motion.velocity[0, 1:, 0, 2]).max() < 5e-5
+
+
 def test_the_native_text_alone_gives_the_same_motion() -> None:
     scene = ball(velocity=(4.0, 0.0, 0.0), steps=3)
     settings = careful(25, 6)
