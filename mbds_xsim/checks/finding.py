@@ -228,6 +228,12 @@ class Check:
             note=found.note,
         )
 
+    def finding(self, record: Record) -> Finding:
+        """Give the finding on a record that has something for the check to look at."""
+        found = self(record)
+        assert found is not None, f"{self.name} does not apply to {record.scene.name}"
+        return found
+
 
 def check(
     name: str, budget: str | float | Callable[[Record], float] | None, unit: str = "1"

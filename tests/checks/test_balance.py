@@ -31,10 +31,7 @@ def driven() -> tuple[Scene, Batch, Trajectory]:
 
 def _both(scene: Scene, batch: Batch, motion: Trajectory) -> tuple[Finding, Finding]:
     record = Record(scene, batch, motion)
-    found = balance(record), balance_drift(record)
-    assert found[0] is not None
-    assert found[1] is not None
-    return found[0], found[1]
+    return balance.finding(record), balance_drift.finding(record)
 
 
 def _turned(motion: Trajectory, angle: float) -> Trajectory:
@@ -102,9 +99,8 @@ def test_a_force_shows_in_flight() -> None:
     motion = reference.solve(scene, batch, cache=False)
     force = batch.force.copy()
     force[:, 5, 0, 0] += 1.0
-    found = balance(Record(scene, dataclasses.replace(batch, force=force), motion))
+    found = balance.finding(Record(scene, dataclasses.replace(batch, force=force), motion))
 
-    assert found is not None
     assert (found.frame == 6).all()
     assert found.figure == pytest.approx(1.0 / (19.0 * 9.81), rel=1e-6)
     assert set(found.where) == {"impulse, disc"}

@@ -28,14 +28,8 @@ MASS, RADIUS, MU, FRAME = 2.0, 0.1, 0.43, 0.02
 MOMENT = 0.4 * MASS * RADIUS**2
 
 
-def found(record: Record) -> Finding:
-    finding = displacement(record)
-    assert finding is not None
-    return finding
-
-
 def of_case(case: Any, motion: Trajectory) -> Finding:
-    return found(Record(case.scene, case.batch, motion, RK4, 1e-3))
+    return displacement.finding(Record(case.scene, case.batch, motion, RK4, 1e-3))
 
 
 def ball(frames: int) -> Scene:
@@ -79,7 +73,7 @@ def rolled(impulses: Array, times: Array, speed: float, rate: float) -> tuple[Sc
 
 
 def judged(scene: Scene, motion: Trajectory) -> Finding:
-    return found(Record(scene, draw_batch(scene, [0]), motion, RK4, 1e-3))
+    return displacement.finding(Record(scene, draw_batch(scene, [0]), motion, RK4, 1e-3))
 
 
 @settings(max_examples=60, deadline=None)
@@ -104,7 +98,7 @@ def test_no_course_of_contact_within_the_cone_is_blamed(
     (push,) = pushes_of(record)
     assume(push.reach.all())
 
-    assert found(record).passed.all()
+    assert displacement.finding(record).passed.all()
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +196,9 @@ def test_a_fault_in_smooth_motion_shows(
 
 def test_a_method_that_lags_as_it_declares_passes(pendulum: Any, simulate: Any) -> None:
     motion = simulate(pendulum.scene, pendulum.batch, 8, "euler_reduced")
-    finding = found(Record(pendulum.scene, pendulum.batch, motion, LEAPFROG, FRAME / 8))
+    finding = displacement.finding(
+        Record(pendulum.scene, pendulum.batch, motion, LEAPFROG, FRAME / 8)
+    )
 
     assert finding.passed.all()
 
@@ -214,7 +210,7 @@ def test_a_turn_that_changes_in_the_last_frame_is_not_blamed() -> None:
     chosen = Settings("generalised-alpha", 0.004)
     motion = run(scene, batch, "exudyn", chosen).trajectory
     record = Record(scene, batch, motion, adapter.methods[chosen.method], chosen.step)
-    assert found(record).passed.all()
+    assert displacement.finding(record).passed.all()
 
 
 def test_what_is_at_rest_may_repeat() -> None:

@@ -19,8 +19,7 @@ SECOND_ORDER = Method("midpoint", "trapezoidal", 2)
 
 def test_an_exact_motion_balances(pendulum: Any, tumbling: Any, linkage: Any) -> None:
     for case, limit in ((pendulum, 1e-6), (tumbling, 1e-6), (linkage, 1e-4)):
-        finding = energy_balance(Record(case.scene, case.batch, case.exact, SECOND_ORDER))
-        assert finding is not None
+        finding = energy_balance.finding(Record(case.scene, case.batch, case.exact, SECOND_ORDER))
         assert finding.passed.all()
         assert finding.figure.max() < limit
 
@@ -37,10 +36,8 @@ def test_the_inputs_do_work_that_must_be_counted(pendulum: Any, tumbling: Any) -
 def test_a_drift_of_energy_fails_by_the_order_of_the_method(pendulum: Any) -> None:
     growth = np.linspace(1.0, 1.0 + 2e-3, len(pendulum.exact.time))[:, None, None]
     drifting = dataclasses.replace(pendulum.exact, velocity=pendulum.exact.velocity * growth)
-    second = energy_balance(Record(pendulum.scene, pendulum.batch, drifting, SECOND_ORDER))
-    first = energy_balance(Record(pendulum.scene, pendulum.batch, drifting))
-    assert second is not None
-    assert first is not None
+    second = energy_balance.finding(Record(pendulum.scene, pendulum.batch, drifting, SECOND_ORDER))
+    first = energy_balance.finding(Record(pendulum.scene, pendulum.batch, drifting))
     assert not second.passed.any()
     assert first.passed.all()
     assert first.budget == pendulum.scene.budget.energy_first_order
@@ -52,8 +49,7 @@ def test_a_first_order_method_stays_off_by_its_order(
     figures = []
     for substeps in (10, 20):
         run = simulate(pendulum.scene, pendulum.batch, substeps, "euler_reduced")
-        finding = energy_balance(Record(pendulum.scene, pendulum.batch, run))
-        assert finding is not None
+        finding = energy_balance.finding(Record(pendulum.scene, pendulum.batch, run))
         figures.append(finding.figure)
     assert np.allclose(figures[0] / figures[1], 2.0, rtol=0.15)
 
@@ -85,12 +81,10 @@ def test_turns_of_a_fast_wheel_are_unwrapped(rate: float) -> None:
     motion = Trajectory(np.linspace(0.0, 1.0, 11), zero, orientation, zero, spin, (None,))
     record = Record(scene, batch, motion, SECOND_ORDER)
     assert np.allclose(hinge_turns(record)[0, :, 0], turns, atol=1e-9)
-    finding = energy_balance(record)
-    assert finding is not None
+    finding = energy_balance.finding(record)
     assert finding.figure[0] < 1e-12
     backwards = dataclasses.replace(batch, torque=-batch.torque)
-    wrong = energy_balance(Record(scene, backwards, motion, SECOND_ORDER))
-    assert wrong is not None
+    wrong = energy_balance.finding(Record(scene, backwards, motion, SECOND_ORDER))
     # Twice the work of the torques goes unexplained.
     assert wrong.figure[0] == pytest.approx(
         2 * np.abs(input_work(record)).max() / energy_of(record).scale[0]
@@ -103,7 +97,6 @@ def test_frames_after_a_failure_are_left_out(pendulum: Any) -> None:
     velocity[1, 10] = np.inf
     velocity[1, 11:] = 1e200
     broken = dataclasses.replace(pendulum.exact, velocity=velocity)
-    finding = energy_balance(Record(pendulum.scene, pendulum.batch, broken))
-    assert finding is not None
+    finding = energy_balance.finding(Record(pendulum.scene, pendulum.batch, broken))
     assert np.isnan(finding.series[:2, 10:]).all()
     assert finding.passed.all()

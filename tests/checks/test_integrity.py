@@ -7,23 +7,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.checks import Finding, Record
-from mbds_xsim.checks.finding import Check
+from mbds_xsim.checks import Record
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.scene.state import Failure
 
 
-def _found(check: Check, record: Record) -> Finding:
-    found = check(record)
-    assert found is not None
-    return found
-
-
 def test_a_good_trajectory_is_finite_and_starts_where_it_was_drawn(pendulum: Any) -> None:
     record = Record(pendulum.scene, pendulum.batch, pendulum.exact)
-    assert _found(finite, record).passed.all()
-    assert _found(start, record).passed.all()
-    assert _found(finite, record).figure.max() < 1e-14
+    assert finite.finding(record).passed.all()
+    assert start.finding(record).passed.all()
+    assert finite.finding(record).figure.max() < 1e-14
 
 
 def test_a_number_that_is_not_finite_fails_its_trajectory_alone(pendulum: Any) -> None:
@@ -32,7 +25,7 @@ def test_a_number_that_is_not_finite_fails_its_trajectory_alone(pendulum: Any) -
     broken = dataclasses.replace(
         pendulum.exact, velocity=velocity, failures=(None, Failure(7, "it blew up"), None)
     )
-    finding = _found(finite, Record(pendulum.scene, pendulum.batch, broken))
+    finding = finite.finding(Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [True, False, True]
     assert finding.frame[1] == 7
     assert finding.worst == 1
@@ -43,7 +36,7 @@ def test_a_quaternion_off_unit_length_fails(pendulum: Any) -> None:
     orientation = pendulum.exact.orientation.copy()
     orientation[2, 5, 1] *= 1 + 1e-8
     broken = dataclasses.replace(pendulum.exact, orientation=orientation)
-    finding = _found(finite, Record(pendulum.scene, pendulum.batch, broken))
+    finding = finite.finding(Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [True, True, False]
     assert (finding.frame[2], finding.where[2]) == (5, "link2")
     assert finding.figure[2] == pytest.approx(1e-8, rel=1e-4)
@@ -57,8 +50,7 @@ def test_what_was_rounded_to_single_precision_fails(pendulum: Any, field: str) -
     """From frame 1 on, so that the start is the drawn one; in one trajectory of three."""
     values = getattr(pendulum.exact, field).copy()
     values[1, 1:] = values[1, 1:].astype(np.float32)
-    finding = _found(
-        precision,
+    finding = precision.finding(
         Record(
             pendulum.scene,
             pendulum.batch,
@@ -85,7 +77,7 @@ def test_motion_that_is_exact_by_nature_is_not_rounded(pendulum: Any) -> None:
     batch = dataclasses.replace(pendulum.batch, position=fall["position"][:, 0])
     for motion in (still, fall):
         found = dataclasses.replace(pendulum.exact, time=time, **motion)
-        assert _found(precision, Record(scene, batch, found)).figure.tolist() == [0.0] * 3
+        assert precision.finding(Record(scene, batch, found)).figure.tolist() == [0.0] * 3
 
 
 @pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])
@@ -93,7 +85,7 @@ def test_another_start_than_the_drawn_one_fails(pendulum: Any, field: str) -> No
     values = getattr(pendulum.exact, field).copy()
     values[0, 0, 2, 1] += 1e-9
     broken = dataclasses.replace(pendulum.exact, **{field: values})
-    finding = _found(start, Record(pendulum.scene, pendulum.batch, broken))
+    finding = start.finding(Record(pendulum.scene, pendulum.batch, broken))
     assert finding.passed.tolist() == [False, True, True]
     assert finding.where[0] == "link3"
 
@@ -108,7 +100,7 @@ def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> No
     velocity[0, 0] += 0.9e-6 * length
     velocity[1, 0] += 1.1e-6 * length
     motion = dataclasses.replace(pendulum.exact, angular_velocity=spins, velocity=velocity)
-    assert _found(start, Record(pendulum.scene, batch, motion)).passed.tolist() == [
+    assert start.finding(Record(pendulum.scene, batch, motion)).passed.tolist() == [
         True,
         False,
         True,
@@ -117,23 +109,21 @@ def test_velocities_may_round_as_much_as_rates_at_an_arm_do(pendulum: Any) -> No
 
 def test_the_sign_of_a_quaternion_is_no_defect_but_its_order_is(pendulum: Any) -> None:
     turned = dataclasses.replace(pendulum.exact, orientation=-pendulum.exact.orientation)
-    assert _found(start, Record(pendulum.scene, pendulum.batch, turned)).passed.all()
+    assert start.finding(Record(pendulum.scene, pendulum.batch, turned)).passed.all()
     swapped = dataclasses.replace(
         pendulum.exact, orientation=np.roll(pendulum.exact.orientation, -1, axis=-1)
     )
-    assert not _found(start, Record(pendulum.scene, pendulum.batch, swapped)).passed.any()
+    assert not start.finding(Record(pendulum.scene, pendulum.batch, swapped)).passed.any()
 
 
 def test_a_flat_mechanism_that_leaves_its_plane_fails(linkage: Any, pendulum: Any) -> None:
-    good = planarity(Record(linkage.scene, linkage.batch, linkage.exact))
-    assert good is not None
+    good = planarity.finding(Record(linkage.scene, linkage.batch, linkage.exact))
     assert good.passed.all()
     position = linkage.exact.position.copy()
     position[1, 20, 2, 1] += 2e-6 * linkage.scene.length
-    broken = planarity(
+    broken = planarity.finding(
         Record(linkage.scene, linkage.batch, dataclasses.replace(linkage.exact, position=position))
     )
-    assert broken is not None
     assert broken.passed.tolist() == [True, False, True]
     assert broken.where[1] == "rocker"
     assert planarity(Record(pendulum.scene, pendulum.batch, pendulum.exact)) is None
@@ -142,7 +132,6 @@ def test_a_flat_mechanism_that_leaves_its_plane_fails(linkage: Any, pendulum: An
 def test_sideways_motion_is_measured_over_the_length(pendulum: Any) -> None:
     # The chain swings in 3D: declared flat, its sideways motion must show.
     flat = msgspec.structs.replace(pendulum.scene, dimension=2)
-    finding = planarity(Record(flat, pendulum.batch, pendulum.exact))
-    assert finding is not None
+    finding = planarity.finding(Record(flat, pendulum.batch, pendulum.exact))
     sideways = np.abs(pendulum.exact.position[..., 1] - pendulum.exact.position[:, :1, :, 1])
     assert np.allclose(finding.figure, sideways.max(axis=(1, 2)) / flat.length)

@@ -16,8 +16,7 @@ from mbds_xsim.scene.state import Trajectory
 
 def test_a_motion_that_keeps_its_joints_passes(pendulum: Any, tumbling: Any, linkage: Any) -> None:
     for case in (pendulum, tumbling, linkage):
-        finding = gap(Record(case.scene, case.batch, case.exact))
-        assert finding is not None
+        finding = gap.finding(Record(case.scene, case.batch, case.exact))
         assert finding.passed.all()
         assert finding.figure.max() < 1e-6
 
@@ -26,8 +25,7 @@ def test_a_gap_is_measured_in_metres_and_its_joint_named(linkage: Any) -> None:
     position = linkage.exact.position.copy()
     position[2, 11, 0] += [0.0, 3e-4, 4e-4]
     broken = dataclasses.replace(linkage.exact, position=position)
-    finding = gap(Record(linkage.scene, linkage.batch, broken))
-    assert finding is not None
+    finding = gap.finding(Record(linkage.scene, linkage.batch, broken))
     assert finding.passed.tolist() == [True, True, False]
     assert finding.figure[2] == pytest.approx(5e-4, rel=1e-3)
     assert finding.frame[2] == 11
@@ -41,8 +39,7 @@ def test_a_hinge_may_turn_about_its_axis_and_about_no_other(tumbling: Any) -> No
         native = tumbling.exact.orientation.copy()
         native[:, 9, 1] = rotation.multiply(native[:, 9, 1], rotation.from_vector(vector))
         moved = dataclasses.replace(tumbling.exact, orientation=native)
-        finding = angle_gap(Record(tumbling.scene, tumbling.batch, moved))
-        assert finding is not None
+        finding = angle_gap.finding(Record(tumbling.scene, tumbling.batch, moved))
         assert np.allclose(finding.figure, expected, atol=1e-8)
         assert finding.passed.all() == (expected == 0.0)
 
@@ -51,8 +48,7 @@ def test_a_quaternion_in_another_order_opens_the_joints(pendulum: Any) -> None:
     swapped = dataclasses.replace(
         pendulum.exact, orientation=np.roll(pendulum.exact.orientation, -1, axis=-1)
     )
-    finding = gap(Record(pendulum.scene, pendulum.batch, swapped))
-    assert finding is not None
+    finding = gap.finding(Record(pendulum.scene, pendulum.batch, swapped))
     assert not finding.passed.any()
 
 
@@ -83,9 +79,7 @@ def test_sliders_and_distance_links_are_measured_across_their_freedom() -> None:
     still = np.zeros_like(position)
     moved = Trajectory(np.array([0, 0.02]), position, orientation, still, still, (None,) * 4)
     record = Record(scene, batch, moved)
-    distance, angle = gap(record), angle_gap(record)
-    assert distance is not None
-    assert angle is not None
+    distance, angle = gap.finding(record), angle_gap.finding(record)
     assert np.allclose(distance.figure, [0.0, 3e-3, 2e-3, 0.0], atol=1e-12)
     assert distance.where[1:3] == ("joint rail", "distance link rope")
     assert np.allclose(angle.figure, [0.0, 0.0, 0.0, 4e-3], atol=1e-12)

@@ -179,9 +179,7 @@ def lawful() -> Record:
 
 
 def _figures(record: Record) -> tuple[Array, Array]:
-    unexplained, whole = passivity(record), energy_rise(record)
-    assert unexplained is not None
-    assert whole is not None
+    unexplained, whole = passivity.finding(record), energy_rise.finding(record)
     return unexplained.figure, whole.figure
 
 
@@ -249,11 +247,9 @@ def test_another_friction_of_eccentric_impacts_shows(law: Law, taken: float) -> 
 @pytest.mark.parametrize("law", [_State.hit, _State.press])
 def test_impacts_together_tell_a_coefficient_that_none_of_them_tells(law: Law) -> None:
     """0.033 of restitution, or a sixth of friction, are within the budgets of a single impact."""
-    sound, bounced = impact_coefficients(_bounced(law)), _bounced(law, restitution=0.90)
-    lively, rough = impact_coefficients(bounced), impact_coefficients(_bounced(law, friction=0.37))
-    assert sound is not None
-    assert lively is not None
-    assert rough is not None
+    bounced = _bounced(law, restitution=0.90)
+    records = _bounced(law), bounced, _bounced(law, friction=0.37)
+    sound, lively, rough = map(impact_coefficients.finding, records)
 
     assert sound.figure.max() < 0.1
     assert _eccentric(bounced)[0].passed.all()
@@ -281,10 +277,7 @@ def test_an_impact_that_a_law_cannot_follow_is_left_out() -> None:
 
 
 def _eccentric(record: Record) -> tuple[Finding, Finding]:
-    restitution, friction = eccentric_restitution(record), eccentric_friction(record)
-    assert restitution is not None
-    assert friction is not None
-    return restitution, friction
+    return eccentric_restitution.finding(record), eccentric_friction.finding(record)
 
 
 def test_a_sphere_that_sinks_further_than_its_contact_lasts_shows(lawful: Record) -> None:
@@ -295,15 +288,13 @@ def test_a_sphere_that_sinks_further_than_its_contact_lasts_shows(lawful: Record
         lawful, scene=msgspec.structs.replace(lawful.scene, contacts=(other,))
     )
     unknown, rigid, soft = (
-        contact_gap(dataclasses.replace(larger, contact_time=time)) for time in (None, 1e-5, 1e-2)
+        contact_gap.finding(dataclasses.replace(larger, contact_time=time))
+        for time in (None, 1e-5, 1e-2)
     )
 
-    assert unknown is not None
     assert unknown.passed.all()
-    assert rigid is not None
     assert rigid.figure.max() * lawful.scene.length == pytest.approx(2e-3, rel=0.02)
     assert not rigid.passed.all()
-    assert soft is not None
     assert soft.passed.all()
 
 

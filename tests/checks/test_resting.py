@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbds_xsim.checks import Finding, Record
+from mbds_xsim.checks import Record
 from mbds_xsim.checks.passivity import resting
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, ContactSphere, Force, Ground, Inertia, Scene
@@ -41,21 +41,15 @@ def _lying(scene: Scene, *, creep: float = 0.0, sink: float = 0.0) -> Record:
     return Record(scene, batch, Trajectory(time, place, turn, speed, np.zeros(shape), (None,)))
 
 
-def _found(record: Record) -> Finding:
-    finding = resting(record)
-    assert finding is not None
-    return finding
-
-
 def test_what_lies_still_passes() -> None:
-    assert _found(_lying(_box())).figure.tolist() == [0.0]
+    assert resting.finding(_lying(_box())).figure.tolist() == [0.0]
     pushed = Force("box", ((1.0, 0.0, 0.0),))
-    assert _found(_lying(_box(forces=(pushed,)))).figure.tolist() == [0.0]
+    assert resting.finding(_lying(_box(forces=(pushed,)))).figure.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("motion", [{"creep": 1e-3}, {"sink": 1e-3}])
 def test_what_creeps_or_sinks_does_not(motion: dict[str, float]) -> None:
-    finding = _found(_lying(_box(), **motion))
+    finding = resting.finding(_lying(_box(), **motion))
     # A millimetre a second, from the first frames on, until it has sunk too far.
     assert finding.figure == pytest.approx(1e-3 * 0.98 / 0.4, rel=0.65)
     assert not finding.passed.any()
@@ -67,7 +61,7 @@ def test_what_wakes_up_is_seen() -> None:
     place[:, 30:, :, 0] += 0.1 * 0.02 * np.arange(21)[:, None]
     speed[:, 31:, :, 0] = 0.1
     moved = dataclasses.replace(record.trajectory, position=place, velocity=speed)
-    finding = _found(dataclasses.replace(record, trajectory=moved))
+    finding = resting.finding(dataclasses.replace(record, trajectory=moved))
     assert finding.figure == pytest.approx(0.1 * 0.4 / 0.4)
 
 
@@ -78,7 +72,7 @@ def test_other_inputs_may_wake_it() -> None:
     fast = 4.0 * 0.02 * np.arange(1, 26)
     speed[:, 26:, :, 0], place[:, 26:, :, 0] = fast[:, None], np.cumsum(0.02 * fast)[:, None]
     moved = dataclasses.replace(record.trajectory, position=place, velocity=speed)
-    assert _found(dataclasses.replace(record, trajectory=moved)).figure.tolist() == [0.0]
+    assert resting.finding(dataclasses.replace(record, trajectory=moved)).figure.tolist() == [0.0]
 
 
 @pytest.mark.parametrize("corners", [CORNERS[:2], [(0.2, 0.2), (0.2, -0.2), (0.3, 0.0)]])
