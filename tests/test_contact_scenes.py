@@ -15,7 +15,6 @@ from mbds_xsim import __main__ as cli
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate, Roll
@@ -59,43 +58,6 @@ def _inertia(name: str, body: str) -> Array:
     scene = load_scene(name)
     place = [b.name for b in scene.bodies].index(body)
     return np.asarray(Mechanism.of(scene).inertia[place])
-
-
-@pytest.mark.parametrize(
-    ("name", "dimension", "bodies", "particles", "hinges", "spheres", "freedoms", "length"),
-    [
-        ("ballscroll", 1, 1, 1, 0, 1, 6, 1.0),
-        ("balldrop", 2, 1, 19, 0, 1, 6, 1.0),
-        ("particlecar", 3, 5, 72, 4, 4, 10, 0.8),
-        ("simplecubli", 3, 4, 71, 3, 8, 9, 0.4),
-    ],
-)
-def test_size_of_each_scene(
-    name: str,
-    dimension: int,
-    bodies: int,
-    particles: int,
-    hinges: int,
-    spheres: int,
-    freedoms: int,
-    length: float,
-) -> None:
-    scene = load_scene(name)
-    mechanism = Mechanism.of(scene)
-
-    assert scene.name == name
-    assert scene.dimension == dimension
-    assert mechanism.body_count == bodies
-    assert scene.particle_count == particles
-    assert mechanism.mass.sum() == particles
-    assert [joint.kind for joint in scene.joints] == ["hinge"] * hinges
-    assert not mechanism.loops
-    assert len(scene.contacts) == spheres
-    assert degrees_of_freedom(mechanism) == freedoms
-    assert scene.length == length
-    assert (scene.clock.frame, scene.clock.steps) == (0.02, 200)
-    assert scene.gravity == (0.0, 0.0, -9.81)
-    assert scene.noise == 0.1
 
 
 def test_the_papers_scenes_have_32_particles_on_average() -> None:

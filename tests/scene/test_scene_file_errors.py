@@ -1,0 +1,356 @@
+"""Scene files: every mistake gets one line that says where."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from mbds_xsim.base.errors import InputError, SceneError
+from mbds_xsim.scene.file import read_scene
+
+Table = dict[str, Any]
+Edit = Callable[[Table], object]
+
+
+def _swinging_door() -> Table:
+    """Make a valid scene with something of most kinds, to be spoilt."""
+    return {
+        "name": "door",
+        "length": 1.0,
+        "bodies": [
+            {"name": "leaf", "inertia": {"mass": 2.0, "moments": [0.3, 0.2, 0.4]}},
+            {"name": "knob", "particles": [{"position": [0.5, 0.0, 0.0]}]},
+        ],
+        "joints": [
+            {
+                "name": "frame",
+                "kind": "hinge",
+                "parent": "world",
+                "child": "leaf",
+                "anchor": [-0.5, 0.0, 0.0],
+                "axis": [0.0, 0.0, 1.0],
+                "rate": 1.0,
+            },
+            {
+                "name": "spindle",
+                "kind": "hinge",
+                "parent": "leaf",
+                "child": "knob",
+                "anchor": [0.5, 0.0, 0.0],
+                "axis": [0.0, 1.0, 0.0],
+            },
+        ],
+        "sampling": [{"kind": "hinge_rate", "joints": ["spindle"], "rate": [-1.0, 1.0]}],
+    }
+
+
+def _set(*path: str | int, to: object) -> Edit:
+    def edit(table: Any) -> None:
+        for step in path[:-1]:
+            table = table[step]
+        table[path[-1]] = to
+
+    return edit
+
+
+def _drop(*path: str | int) -> Edit:
+    def edit(table: Any) -> None:
+        for step in path[:-1]:
+            table = table[step]
+        del table[path[-1]]
+
+    return edit
+
+
+_MISTAKES: dict[str, tuple[Edit, str]] = {
+    "unknown key": (
+        _set("bodies", 1, "particles", 0, "masss", to=1.0),
+        "bodies[1].particles[0] (in 'knob'): unknown key 'masss'; did you mean 'mass'? "
+        "Allowed are position, mass, inertia",
+    ),
+    "unknown table": (_set("walls", to=[]), "unknown key 'walls'; allowed are name, bodies, "),
+    "wrong type": (
+        _set("bodies", 1, "particles", 0, "mass", to="1 kg"),
+        "bodies[1].particles[0].mass (in 'knob'): got '1 kg', allowed is a number",
+    ),
+    "wrong length": (
+        _set("joints", 0, "anchor", to=[0, 1]),
+        "joints[0].anchor (in 'frame'): got [0, 1], allowed is an array of 3 numbers",
+    ),
+    "wrong choice": (
+        _set("joints", 1, "kind", to="revolute"),
+        "joints[1].kind (in 'spindle'): got 'revolute', "
+        "allowed is 'ball' or 'fixed' or 'hinge' or 'slider'",
+    ),
+    "missing key": (
+        _drop("joints", 1, "anchor"),
+        "joints[1] (in 'spindle'): the key 'anchor' is missing, it is an array of 3 numbers; "
+        "got name, kind, parent, child, axis",
+    ),
+    "missing name": (_drop("bodies", 1, "name"), "bodies[1]: the key 'name' is missing"),
+    "missing length": (_drop("length"), "the key 'length' is missing, it is a number; got name"),
+    "missing kind of draw": (
+        _drop("sampling", 0, "kind"),
+        "sampling[0]: the key 'kind' is missing; allowed is a table with kind = 'swing' or ",
+    ),
+    "wrong kind of draw": (
+        _set("sampling", 0, "kind", to="hinge"),
+        "sampling[0].kind: got 'hinge', allowed is 'swing' or 'turn' or 'throw' or 'roll' or 'hin",
+    ),
+    "neither range nor levels": (
+        _set("sampling", 0, "rate", to=3.0),
+        "sampling[0].rate: got 3.0, allowed is an array of 2 numbers or a table of low, medium, ",
+    ),
+    "range upside down": (
+        _set("sampling", 0, "rate", to=[1.0, -1.0]),
+        "sampling[0].rate: got [1.0, -1.0], allowed is [low, high]",
+    ),
+    "not a table": (
+        _set("bodies", to=3),
+        "bodies: got 3, allowed is an array, each item a table of name, particles, ",
+    ),
+    "NaN": (
+        _set("joints", 0, "anchor", to=[0.0, math.nan, 0.0]),
+        "joints[0].anchor (in 'frame'): got [0.0, nan, 0.0], allowed are finite numbers",
+    ),
+    "infinite": (_set("length", to=math.inf), "length: got inf, allowed is a finite number above"),
+    "negative mass": (
+        _set("bodies", 0, "inertia", "mass", to=-2.0),
+        "bodies[0].inertia.mass (in 'leaf'): got -2.0, allowed is a finite number above 0",
+    ),
+    "non-physical inertia": (
+        _set("bodies", 0, "inertia", "moments", to=[1.0, 1.0, 3.0]),
+        "bodies[0].inertia (in 'leaf'): moments, products: got principal moments 1, 1, 3; "
+        "allowed is each above 0 and at most the sum of the other two",
+    ),
+    "particles without inertia on a line": (
+        _set("bodies", 1, "particles", 0, "inertia", to=0.0),
+        "bodies['knob'].particles: got smallest principal inertia 0 kg·m², allowed is above 0",
+    ),
+    "both kinds of mass": (
+        _set("bodies", 0, "particles", to=[{"position": [0.0, 0.0, 0.0]}]),
+        "body 'leaf' needs either particles or inertia, got both",
+    ),
+    "orientation not unit": (
+        _set("bodies", 0, "orientation", to=[1.0, 1.0, 0.0, 0.0]),
+        "bodies[0].orientation (in 'leaf'): got [1.0, 1.0, 0.0, 0.0] of norm 1.41421356",
+    ),
+    "two bodies of one name": (
+        _set("bodies", 1, "name", to="leaf"),
+        "bodies: got 'leaf' twice, each name is allowed once",
+    ),
+    "unknown body": (
+        _set("joints", 1, "child", to="handle"),
+        "joints[1].child: no body is called 'handle'; there are: knob, leaf, world",
+    ),
+    "unknown hinge": (
+        _set("sampling", 0, "joints", to=["hinge"]),
+        "sampling[0].joints: no hinge is called 'hinge'; there are: frame, spindle",
+    ),
+    "unknown thrown body": (
+        _set("sampling", 0, to={"kind": "throw", "body": "key"}),
+        "sampling[0].body: no body is called 'key'; there are: knob, leaf",
+    ),
+    "degrees for radians": (
+        _set("joints", 0, "start", to=90.0),
+        "joints[0].start (in 'frame'): got 90.0, allowed is −2π to 2π; hinge angles are in rad",
+    ),
+    "hinge without axis": (
+        _drop("joints", 0, "axis"),
+        "joints[0] (in 'frame'): a hinge joint needs an axis, got none",
+    ),
+    "no steps": (_set("clock", to={"steps": 0}), "clock.steps: got 0, allowed is a whole number"),
+    "place too far": (
+        _set("joints", 1, "anchor", to=[0.0, -1.1e7, 0.0]),
+        "joints[1].anchor (in 'spindle'): got -11000000.0, allowed is 1e+07 at most: farther out, "
+        "double precision rounds by more than 1e-9 m",
+    ),
+    "length too long": (_set("length", to=1e8), "length: got 100000000.0, allowed is 1e+07 at mo"),
+    "length too short": (
+        _set("length", to=1e-10),
+        "length: got 1e-10, allowed is 1e-09 or more: places are resolved to 1e-9 m",
+    ),
+    "spring too long": (
+        _set(
+            "springs",
+            to=[
+                {"name": "s", "bodies": ["world", "leaf"], "rest_length": 1e300}
+                | {"points": [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]}
+            ],
+        ),
+        "springs[0].rest_length (in 's'): got 1e+300, allowed is 1e+15 at most",
+    ),
+    "number too large": (
+        _set("gravity", to=[0.0, 0.0, 1e16]),
+        "gravity: got 1e+16, allowed is 1e+15 at most: products of larger numbers overflow",
+    ),
+    "mass too small": (
+        _set("bodies", 0, "inertia", "mass", to=1e-31),
+        "bodies[0].inertia.mass (in 'leaf'): got 1e-31, allowed is 1e-30 or more: products of sm",
+    ),
+    "moments too small": (
+        _set("bodies", 0, "inertia", "moments", to=[1e-61, 1e-61, 1e-61]),
+        "bodies[0].inertia.moments (in 'leaf'): got [1e-61, 1e-61, 1e-61], allowed is 1e-60 or mo",
+    ),
+    "frame too short": (
+        _set("clock", to={"frame": 5e-324}),
+        "clock.frame: got 5e-324, allowed is 1e-09 or more: in less, 1 m/s moves a body by less",
+    ),
+    "too many states": (
+        _set("clock", to={"steps": 6_000_000}),
+        "clock.steps · bodies: got 12000000, allowed are 10000000 at most: a trajectory of more ta",
+    ),
+    "range too wide": (
+        _set("sampling", 0, "rate", to=[0.0, 1e300]),
+        "sampling[0].rate: got 1e+300, allowed is 1e+15 at most",
+    ),
+    "NUL in a name": (
+        _set("bodies", 1, "name", to="kn\0b"),
+        "bodies[1].name: got 'kn\\x00b', allowed is a line of text without NUL",
+    ),
+    "name too long": (
+        _set("joints", 0, "name", to="é" * 101),
+        "joints[0].name: got 202 bytes of UTF-8, allowed are 200 at most: files are named after it",
+    ),
+    "restless hold": (
+        _set(
+            "sampling",
+            0,
+            to={"kind": "hinge_torque", "joints": ["frame"], "torque": [0, 1], "hold": 0},
+        ),
+        "sampling[0].hold: got 0, allowed is a whole number, 1 or more",
+    ),
+    "edge to nowhere": (
+        _set("edges", to=[[0, 1]]),
+        "edges[0]: got [0, 1], allowed are two different numbers from 0 to 0 (1 particles, 0",
+    ),
+    "velocities that break a joint": (
+        _set("bodies", 0, "velocity", to=[1.0, 1.0, 0.0]),
+        "the initial velocities contradict each other at ",
+    ),
+    "loop that cannot be closed": (
+        _set(
+            "distance_links",
+            to=[
+                {
+                    "name": "stay",
+                    "bodies": ["world", "leaf"],
+                    "points": [[-0.5, 0.0, 1.0], [0.5, 0.0, 0.0]],
+                    "length": 9.0,
+                }
+            ],
+        ),
+        "distance_links['stay'] cannot be closed: the start leaves it off by ",
+    ),
+    "draw against a joint": (
+        _set(
+            "sampling",
+            0,
+            to={
+                "kind": "turn",
+                "point": [0.0, 0.0, 0.0],
+                "axis": [1.0, 0.0, 0.0],
+                "angle": [0.1, 0.2],
+                "rate": [0.0, 0.0],
+            },
+        ),
+        "sampling: the drawn start leaves joints['frame'] off by ",
+    ),
+    "draw that swings a hinged body": (
+        _set(
+            "sampling",
+            0,
+            to={"kind": "swing", "bodies": ["leaf"], "polar": [0, 1], "speed": [0, 1]},
+        ),
+        "sampling: 'leaf' hangs on no ball joint and cannot swing",
+    ),
+    "draw of nothing": (
+        _set("sampling", 0, to={"kind": "swing", "bodies": [], "polar": [0, 1], "speed": [0, 1]}),
+        "sampling[0].bodies: got [], allowed is one name or more, each once",
+    ),
+    "draw of one thing twice": (
+        _set("sampling", 0, to={"kind": "hinge_rate", "joints": ["frame"] * 2, "rate": [0, 1]}),
+        "sampling[0].joints: got ['frame', 'frame'], allowed is one name or more, each once",
+    ),
+}
+
+
+def test_the_scene_to_be_spoilt_is_sound(tmp_path: Path) -> None:
+    path = tmp_path / "door.toml"
+    path.write_text(tomli_w.dumps(_swinging_door()), encoding="utf-8-sig")  # as Notepad does
+
+    assert [body.name for body in read_scene(path).bodies] == ["leaf", "knob"]
+
+
+@pytest.mark.parametrize(("spoil", "expected"), _MISTAKES.values(), ids=_MISTAKES.keys())
+def test_each_mistake_gets_one_line_that_says_where(
+    spoil: Edit, expected: str, tmp_path: Path
+) -> None:
+    table = copy.deepcopy(_swinging_door())
+    spoil(table)
+    path = tmp_path / "door.toml"
+    path.write_text(tomli_w.dumps(table))
+
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+
+    message = str(caught.value)
+    assert expected in message
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    assert isinstance(caught.value, InputError)
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (
+            b"name = 'door'\nlength = = 1\n",
+            "this is not TOML: Invalid value (at line 2, column 10)",
+        ),
+        (b"length = 1\nlength = 2\n", "Cannot overwrite a value (at line 2"),
+        (b"name = '\xff'\n", "got byte 0xff at 8, allowed is UTF-8"),
+        (b"", "the key 'name' is missing, it is a text; got none"),
+        (b"[[joints]]\n" * 20_001, "joints: got 20001, allowed are 20000 at most: larger sce"),
+        (b"# 16 MB\n" * 2_000_001, "got more than 16 MB: 20 000 bodies with joints take 7"),
+        (b".".join([b"a"] * 50_000) + b" = 1\n", "got a key of 100 parts or more"),
+        (b"x = {" + b" .\t".join([b'"a, b"'] * 50_000) + b" = 1}\n", "a key of 100 parts or more"),
+    ],
+    ids=["syntax", "key twice", "not text", "empty", "parts", "size", "deep", "deep in quotes"],
+)
+def test_what_is_not_toml_is_said_with_its_place(
+    content: bytes, expected: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "door.toml"
+    path.write_bytes(content)
+
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert str(caught.value).count(str(path)) == 1
+
+
+def test_parts_in_one_line_are_counted_as_well(tmp_path: Path) -> None:
+    points = ", ".join(["{body = 'leaf', center = [0, 0, 0], radius = 1}"] * 20_001)
+    (tmp_path / "door.toml").write_text(
+        f"contacts = [{points}]\n" + tomli_w.dumps(_swinging_door())
+    )
+
+    with pytest.raises(SceneError, match="contacts: got 20001, allowed are 20000 at most"):
+        read_scene(tmp_path / "door.toml")
+
+
+@pytest.mark.parametrize(("name", "reason"), [("none.toml", "No such file"), ("", "directory")])
+def test_a_file_that_cannot_be_read_is_named(name: str, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=reason) as caught:
+        read_scene(tmp_path / name)
+
+    assert "mbds-xsim scenes" in str(caught.value)
