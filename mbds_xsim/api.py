@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.audit import Audited
     from mbds_xsim.dataset.generate import Generated
     from mbds_xsim.dataset.verify import Verified
-    from mbds_xsim.measure.result import Validation
+    from mbds_xsim.measure.result import Evidence, Validation
 
 _MOST_STARTS = 10_000
 
@@ -78,18 +78,15 @@ def validate(
     Raises:
         InputError: Something that was given cannot be used.
     """
-    from mbds_xsim.base.write import check_writable
     from mbds_xsim.studies.validate.validation import validate_with_evidence
 
     trajectories = _whole("trajectories", trajectories, 1, _MOST_STARTS)
     seed = _whole("seed", seed, 0)
-    _check_workers(workers)
-    _check_limit(limit)
-    _check_flags(noise=noise, inputs=inputs, cache=cache)
-    if page is not None:
-        check_writable(Path(page), "page")
+    _check(workers, limit, noise=noise, inputs=inputs, cache=cache)
+    target = None if page is None else _writable(page)
+    word = None if method is None else str(method)
     choice = Choice.parse(
-        engines=words_of(engines) or None, profiles=settings, method=method, step=step, limit=limit
+        engines=words_of(engines) or None, profiles=settings, method=word, step=step, limit=limit
     )
     validation, evidence = validate_with_evidence(
         load_scene(scene),
@@ -102,13 +99,25 @@ def validate(
         workers=workers,
         command="mbds_xsim.validate",
     )
-    if page is not None:
-        from mbds_xsim.report.files import write_reports
-        from mbds_xsim.studies.validate.present import present
-
-        report = present(validation, evidence)
-        write_reports([report], report.title, html=Path(page))
+    if target is not None:
+        _write_page(target, validation, evidence)
     return validation
+
+
+def _writable(page: object) -> Path:
+    from mbds_xsim.base.write import check_writable
+
+    path = _path("page", page)
+    check_writable(path, "page")
+    return path
+
+
+def _write_page(page: Path, validation: Validation, evidence: Evidence) -> None:
+    from mbds_xsim.report.files import write_reports
+    from mbds_xsim.studies.validate.present import present
+
+    report = present(validation, evidence)
+    write_reports([report], report.title, html=page)
 
 
 def generate(
@@ -146,15 +155,18 @@ def generate(
 
     trajectories = _whole("trajectories", trajectories, 1)
     seed = _whole("seed", seed, 0)
-    _check_workers(workers)
-    _check_limit(limit)
-    _check_flags(noise=noise)
-    several = (scenes,) if isinstance(scenes, Scene | str | Path) else scenes
+    _check(workers, limit, noise=noise)
+    single = isinstance(scenes, str) or not isinstance(scenes, Iterable)
+    several: Any = (scenes,) if single else scenes
+    loaded = tuple(map(load_scene, several))
+    if not loaded:
+        msg = "scenes: got none, allowed are scenes, their names, or their files"
+        raise InputError(msg)
     request = Request(
-        scenes=tuple(map(load_scene, several)),
+        scenes=loaded,
         choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
         trajectories=trajectories,
-        out=Path(out),
+        out=_path("--out", out),
         seed=seed,
         noise=noise,
     )
@@ -191,18 +203,19 @@ def audit(
     """
     from mbds_xsim.dataset.audit import audit_file
     from mbds_xsim.dataset.foreign import Provenance
-    from mbds_xsim.dataset.read import parse_numbers
 
+    if noise is not None:
+        _check(noise=noise)
     told = Provenance(
-        index=tuple(parse_numbers(index, "--index")) if isinstance(index, str) else _tuple(index),
-        seed=seed,
+        index=None if index is None else _numbers(index),
+        seed=None if seed is None else _whole("seed", seed, 0),
         noise=noise,
-        step_s=step,
-        method_order=order,
-        velocity_lag_s=velocity_lag,
-        contact_time_s=contact_time,
+        step_s=_seconds("step", step),
+        method_order=None if order is None else _whole("order", order, 1),
+        velocity_lag_s=_seconds("velocity_lag", velocity_lag),
+        contact_time_s=_seconds("contact_time", contact_time),
     )
-    return audit_file(Path(file), None if scene is None else load_scene(scene), told)
+    return audit_file(_path("file", file), None if scene is None else load_scene(scene), told)
 
 
 def verify(path: str | Path, *, seed: int | None = None, workers: int | None = None) -> Verified:
@@ -218,32 +231,49 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
     """
     from mbds_xsim.dataset.verify import verify as run
 
-    _check_workers(workers)
+    _check(workers)
     seed = None if seed is None else _whole("seed", seed, 0)
-    return run(Path(path), seed=seed, workers=workers)
+    return run(_path("path", path), seed=seed, workers=workers)
 
 
-def _tuple(index: int | Iterable[int] | None) -> tuple[int, ...] | None:
-    return (index,) if isinstance(index, int) else None if index is None else tuple(index)
+def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
+    """Read numbers of starts."""
+    from mbds_xsim.dataset.read import parse_numbers
+
+    if isinstance(index, str):
+        return tuple(parse_numbers(index, "--index"))
+    each = index if isinstance(index, Iterable) else (index,)
+    return tuple(_whole("index", number, 0) for number in each)
 
 
-def _check_workers(workers: int | None) -> None:
+def _path(name: str, value: object) -> Path:
+    """Read a path; an empty text would be the folder one stands in."""
+    if not isinstance(value, str | Path) or value == "":
+        msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
+        raise InputError(msg)
+    return Path(value)
+
+
+def _seconds(name: str, value: object) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float | np.number):
+        msg = f"--{name}: got {value!r}, allowed is a number [s]"
+        raise InputError(msg)
+    return float(value)
+
+
+def _check(workers: int | None = None, limit: object = LIMIT, **flags: object) -> None:
+    """Refuse, of flags, also what Python would take for true, as the text "no"."""
     if workers is not None:
         _whole("workers", workers, 0)
-
-
-def _check_flags(**given: object) -> None:
-    """Refuse what Python would take for true, as the text "no"."""
-    for name, value in given.items():
-        if not isinstance(value, bool | np.bool_):
-            msg = f"--{name}: got {value!r}, allowed is True or False"
-            raise InputError(msg)
-
-
-def _check_limit(limit: object) -> None:
     if not isinstance(limit, int | float) or not limit >= 1.0:
         msg = f"--limit: got {limit!r}, allowed is 1 or more [s]"
         raise InputError(msg)
+    for name, value in flags.items():
+        if not isinstance(value, bool | np.bool_):
+            msg = f"--{name}: got {value!r}, allowed is True or False"
+            raise InputError(msg)
 
 
 def _whole(name: str, value: object, least: int, most: int | None = None) -> int:

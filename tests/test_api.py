@@ -72,7 +72,8 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ({"engines": "mujoco", "method": 4}, "no method of mujoco is called 4"),
+        ({"engines": "mujoco", "method": 4}, "no method of mujoco is called '4'"),
+        ({"engines": "mujoco", "method": ["RK4"]}, "no method of mujoco is called"),
         ({"trajectories": 0}, "--trajectories: got 0, allowed is a whole number, 1 to 10000"),
         ({"trajectories": 1.5}, "--trajectories: got 1.5"),
         ({"seed": -1}, "--seed: got -1"),
@@ -91,6 +92,8 @@ def test_a_validation_takes_method_step_noise_and_page(tmp_path: Path) -> None:
         ({"scene": "2pendulums"}, "no scene is called '2pendulums'"),
         ({"scene": 2}, "scene: got 2, allowed is a Scene, a name or the path of a file"),
         ({"page": "/dev/null/page.html"}, "page: cannot write"),
+        ({"page": ""}, "page: got '', allowed is the path of a file or folder"),
+        ({"page": 4}, "page: got 4, allowed is the path"),
     ],
 )
 def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line: str) -> None:
@@ -99,6 +102,34 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
 
     assert line in str(told.value)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "given", "options", "line"),
+    [
+        ("generate", ["2pendulum", ""], {}, "--out: got '', allowed is the path"),
+        ("generate", ["2pendulum", 5], {}, "--out: got 5"),
+        ("generate", [[], "data"], {}, "scenes: got none"),
+        ("generate", [5, "data"], {}, "scene: got 5, allowed is a Scene"),
+        ("audit", [""], {}, "file: got ''"),
+        ("audit", ["x.npz"], {"index": 1.5}, "--index: got 1.5, allowed is a whole"),
+        ("audit", ["x.npz"], {"index": ["a"]}, "--index: got 'a'"),
+        ("audit", ["x.npz"], {"seed": "a"}, "--seed: got 'a'"),
+        ("audit", ["x.npz"], {"order": 0}, "--order: got 0"),
+        ("audit", ["x.npz"], {"step": "a"}, "--step: got 'a', allowed is a number [s]"),
+        ("audit", ["x.npz"], {"noise": "no"}, "--noise: got 'no', allowed is True or"),
+        ("verify", [""], {}, "path: got ''"),
+    ],
+)
+def test_other_calls_are_refused_in_one_line_too(
+    call: str, given: list[Any], options: dict[str, Any], line: str, here: Path
+) -> None:
+    with pytest.raises(InputError) as told:
+        getattr(mbds_xsim, call)(*given, **options)
+
+    assert line in str(told.value)
+    assert "\n" not in str(told.value)
+    assert list(here.iterdir()) == []
 
 
 def test_a_time_limit_is_that_of_each_engine_s_work(

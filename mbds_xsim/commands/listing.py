@@ -72,6 +72,7 @@ def show(
         Option(
             help="With --png or --native: as this trajectory starts, not as the scene is written.",
             min=0,
+            max=10**15,
         ),
     ] = None,
     json: shared.JsonFile = None,

@@ -47,6 +47,10 @@ _WORDS: dict[str, tuple[str, list[str]]] = {
     "output without a name": ("validate 2pendulum --json ", ["--json: got an empty text"]),
     "folder without a name": ("generate 2pendulum --out=", ["--out: got an empty text"]),
     "scene without a name": ("validate ", ["an argument: got an empty text"]),
+    "start of no number that is": (
+        "show 2pendulum --native mujoco --start " + "9" * 20,
+        ["--start", "to 1000000000000000"],
+    ),
     "unknown engine to show": ("show 2pendulum --native ode", ["'ode'", "mujoco, pybullet"]),
     "unknown method": (
         "validate 2pendulum --engines mujoco --method RK5",
