@@ -18,7 +18,7 @@ from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.studies.shift.matrix import at, best_formula, matrix_of, trained_models
+from mbds_xsim.studies.shift.figures import at, best_formula, matrix_of, trained_models
 from mbds_xsim.studies.shift.present import answers, protocol
 
 _HEAD = """\

@@ -54,7 +54,7 @@ def contact(
         )
     print_blocks(present(study), console)
     if drawn:
-        from mbds_xsim.studies.contact.figures import draw_study
+        from mbds_xsim.studies.contact.present import draw_study
 
         draw_study(study, drawn)
     if markdown is not None:

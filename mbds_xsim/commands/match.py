@@ -49,8 +49,7 @@ def match(
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.match import search as study
-    from mbds_xsim.studies.match.file import matched_toml
-    from mbds_xsim.studies.match.present import present
+    from mbds_xsim.studies.match.present import matched_toml, present
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines)
@@ -89,7 +88,7 @@ def match(
 def _targets(scenes: list[str], out: Path | None) -> list[Path]:
     """Say where each scene's settings go."""
     from mbds_xsim.simulate.registry import scene_names
-    from mbds_xsim.studies.match.file import stored_path
+    from mbds_xsim.studies.match.present import stored_path
 
     if out is not None and len(scenes) > 1:
         msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"

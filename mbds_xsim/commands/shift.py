@@ -96,8 +96,7 @@ def shift(
     from mbds_xsim.report.files import link, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.shift.figures import to_png
-    from mbds_xsim.studies.shift.motion import samples_png
-    from mbds_xsim.studies.shift.present import present
+    from mbds_xsim.studies.shift.present import present, samples_png
 
     console = console_for(json)
     check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)

@@ -39,12 +39,12 @@ class Bundle:
         return self.mapped(lambda values: values.to(device), Bundle)
 
 
-class Rows(Bundle):
+class RowBundle(Bundle):
     """A bundle of which every tensor has a row for each member of a batch."""
 
     def __getitem__(self, key: Any) -> Self:
         """Take a part of all rows, as of an array."""
-        return self.mapped(lambda values: values[key], Rows)
+        return self.mapped(lambda values: values[key], RowBundle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import torch
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.learn.graph import Graph, Rows
+from mbds_xsim.learn.graph import Graph, RowBundle
 from mbds_xsim.learn.model import LearnedModel, load_model, roll
 from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.particles import ParticleMotion
@@ -187,7 +187,7 @@ def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
 
 
 @dataclass(frozen=True, eq=False)
-class Known(Rows):
+class Known(RowBundle):
     """What a model is given of motions: their first frames, and the inputs of those to come."""
 
     start: Start

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.learn.graph import Graph, Rows
+from mbds_xsim.learn.graph import Graph, RowBundle
 
 HISTORY = 6
 """Positions that a model is shown; all rollouts start behind as many, whatever a model uses."""
@@ -29,7 +29,7 @@ def names_read(*, bodies: bool) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownInputs(Rows):
+class KnownInputs(RowBundle):
     """What acts over a frame and is known: never the noise."""
 
     force: Tensor
@@ -43,7 +43,7 @@ class KnownInputs(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class Start(Rows):
+class Start(RowBundle):
     """What is known of a motion when its prediction starts."""
 
     history: Tensor
@@ -59,7 +59,7 @@ class Start(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class Sample(Rows):
+class Sample(RowBundle):
     """Starts, and what followed."""
 
     start: Start
@@ -75,7 +75,7 @@ class Sample(Rows):
 
 
 @dataclass(frozen=True, eq=False)
-class Motions(Rows):
+class Motions(RowBundle):
     """Trajectories of one part of a data set, on one device."""
 
     graph: Graph

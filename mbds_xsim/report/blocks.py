@@ -151,7 +151,7 @@ class Legend:
 
 
 @dataclass(frozen=True)
-class Figures:
+class FigureGroup:
     """Figures side by side."""
 
     figures: tuple[Figure, ...]
@@ -189,7 +189,7 @@ class Section:
     on: frozenset[Place] = EVERYWHERE
 
 
-Block: TypeAlias = Table | Text | Remarks | Figures | Legend | Motion | Section
+Block: TypeAlias = Table | Text | Remarks | FigureGroup | Legend | Motion | Section
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-// Strips over time of the chosen trajectory: height, slip, touch. Data: see contact_strips.py.
+// Strips over time of the chosen trajectory: height, slip, touch. Data: see motion.py.
 const strips = contact && document.querySelector("#contact canvas");
 const ink = contact && strips.getContext("2d");
 

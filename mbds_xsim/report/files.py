@@ -1,18 +1,22 @@
-"""The files that a study is asked for."""
+"""The files that a study is asked for; a page is one HTML file that needs nothing else."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
+from markupsafe import Markup
 
-from mbds_xsim.base.safe_text import csv_text
+from mbds_xsim.base.safe_text import csv_text, printable, sentence
 from mbds_xsim.base.write import write_whole
-from mbds_xsim.report.blocks import Report
+from mbds_xsim.report import palette, themed
+from mbds_xsim.report.blocks import Block, Figure, Motion, Report, Section
 from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.terminal import SIGNS
 
 _LEFT_OUT = {"key"}
 
@@ -26,8 +30,6 @@ def write_reports(
 ) -> None:
     """Write those that are named, each whole or not at all."""
     if html is not None:
-        from mbds_xsim.report.page import to_html
-
         write_whole(html, to_html(reports, title).encode())
     write_if(markdown, lambda: to_markdown(reports).encode())
 
@@ -74,3 +76,49 @@ def _cell(value: object) -> object:
         separator = " " if all(isinstance(item, float) for item in value) else "; "
         return separator.join(str(item) for item in value)
     return value
+
+
+def to_html(reports: Sequence[Report], title: str) -> str:
+    """Give the page; the motion of the first report that has one can be played.
+
+    Args:
+        reports: A chapter each.
+        title: Of the page.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("mbds_xsim", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_finalized,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["sentence"] = sentence
+    return environment.get_template("page.html").render(
+        light=palette.LIGHT,
+        dark=palette.DARK,
+        reports=reports,
+        title=title,
+        signs=SIGNS,
+        svg=_svg,
+        motion=next((m.data for report in reports for m in _motions(report.blocks)), None),
+    )
+
+
+def _svg(figure: Figure) -> Markup:
+    return themed.svg(figure.title, figure.draw, figure.size, figure.tips)
+
+
+def _motions(blocks: Iterable[Block]) -> Iterator[Motion]:
+    for block in blocks:
+        if isinstance(block, Motion):
+            yield block
+        elif isinstance(block, Section):
+            yield from _motions(block.blocks)
+
+
+def _finalized(value: Any) -> Any:
+    """Drop control characters; text that is HTML already stays so."""
+    return type(value)(printable(value)) if isinstance(value, str) else value

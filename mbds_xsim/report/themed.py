@@ -27,6 +27,9 @@ GREY = "#7f7f7f"
 DRAWN, PALE = "#1c2733", "#8a949e"
 """Lines of pictures of scenes and of their motions."""
 
+DOTTED: dict[str, Any] = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 2))}
+"""Line of what is asked or allowed, on every chart."""
+
 _COLOURS = 256
 _EXACT = 128  # lines, areas and text as they are; the others are of edges that fade out
 _STYLE = {
@@ -140,6 +143,31 @@ def few_colours(picture: Image) -> Image:
     found = fromarray(nearest[place].reshape(picture.height, picture.width), "P")
     found.putpalette(colours[chosen].astype(np.uint8).tobytes())
     return found
+
+
+def level(axes: Any, value: float, text: str) -> None:
+    """Draw across a chart what is asked or allowed, and say at the right what it is."""
+    axes.axhline(value, **DOTTED)
+    note(axes, text, (1.0, value), ("axes fraction", "data"), ha="right")
+
+
+def note(
+    axes: Any, text: str, spot: tuple[float, float], where: tuple[str, str], ha: str = "left"
+) -> None:
+    """Write a few words just above a spot of a chart.
+
+    Args:
+        axes: The chart.
+        text: The words.
+        spot: Place across and upwards.
+        where: What each of them is counted in, as matplotlib names it.
+        ha: Side on which the words begin.
+    """
+    axes.annotate(
+        text, spot, xycoords=where, xytext=(-3 if ha == "right" else 3, 3),
+        textcoords="offset points", ha=ha, fontsize=8, color=INK,
+        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
+    )  # fmt: skip
 
 
 def _saved(draw: Draw, size: tuple[float, float], stream: Any, **how: Any) -> None:

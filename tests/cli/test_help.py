@@ -10,8 +10,7 @@ from typing import Any, get_args
 import pytest
 
 from mbds_xsim.base.counted import counted
-from mbds_xsim.commands.help import Chapter
-from mbds_xsim.commands.shared import app
+from mbds_xsim.commands.shared import Chapter, app
 from tests.command_line import CommandLine
 
 _NAMES = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]

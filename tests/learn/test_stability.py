@@ -25,8 +25,8 @@ from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
 from mbds_xsim.learn.simulator import LearnedSimulator, signs_of, simulators_in
 from mbds_xsim.learn.trained import particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
+from mbds_xsim.report.files import to_html
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.report.page import to_html
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry

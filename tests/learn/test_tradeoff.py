@@ -18,9 +18,8 @@ from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.simulator import LearnedSimulator
 from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
-from mbds_xsim.report.files import results_json, rows_csv
+from mbds_xsim.report.files import results_json, rows_csv, to_html
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.report.page import to_html
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch
@@ -28,12 +27,11 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.tradeoff import bench as measuring
 from mbds_xsim.studies.tradeoff import learned
-from mbds_xsim.studies.tradeoff.bench import measure
+from mbds_xsim.studies.tradeoff.bench import measure, references
 from mbds_xsim.studies.tradeoff.learned import AT_ONCE, with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
 from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, read_tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
-from mbds_xsim.studies.tradeoff.truths import references
 from tests.command_line import CommandLine
 from tests.learn.models import untrained
 

@@ -17,8 +17,9 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.validate import contact_strips, figures, words
+from mbds_xsim.studies.validate import figures, words
 from mbds_xsim.studies.validate.episodes import contact_of, contacts_of
+from mbds_xsim.studies.validate.motion import tables
 
 from .conftest import Case, Fake, make_case
 from .test_page import numbers, viewer, written
@@ -189,7 +190,7 @@ def test_a_sliding_ball_rolls_when_friction_has_done_its_work(ball: Scene) -> No
 def test_the_table_holds_engines_beside_the_reference(bouncing: Case) -> None:
     names = ("reference", *(result.engine for result in bouncing.validation.engines))
     entries = [(name, palette.Style(0, dashed=False)) for name in names]
-    table = contact_strips.tables(contacts_of(bouncing.evidence), entries, range(ROWS))[1]
+    table = tables(contacts_of(bouncing.evidence), entries, range(ROWS))[1]
 
     headings = [column.heading for column in table.columns]
     rebound, ratio = headings.index("first rebound"), headings.index("restitution")

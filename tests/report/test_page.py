@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mbds_xsim.report import palette
-from mbds_xsim.report.page import to_html
+from mbds_xsim.report.files import to_html
 from mbds_xsim.report.skeleton import skeleton
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbds_xsim.studies.shift import motion as shift_motion
+from mbds_xsim.studies.shift import present as shift_motion
 
 
 @pytest.mark.parametrize(("line", "face"), [("-", "C0"), ("--", "none")])

@@ -15,7 +15,7 @@ from mbds_xsim.commands import app
 from mbds_xsim.commands.shared import command_line, deliver
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
-from mbds_xsim.report.page import to_html
+from mbds_xsim.report.files import to_html
 from mbds_xsim.studies.audit import present as audit
 from mbds_xsim.studies.match import present as match
 from mbds_xsim.studies.match.search import SCHEMA, Found, Match

@@ -18,9 +18,15 @@ from mbds_xsim.scene.sampling_terms import Turn
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.ablate.analyse import Window, least_size, row_of
+from mbds_xsim.studies.ablate.analyse import (
+    Ablation,
+    Floor,
+    WeakenedEffect,
+    Window,
+    least_size,
+    row_of,
+)
 from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
-from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
 from mbds_xsim.studies.ablate.study import ablate
 from tests.command_line import CommandLine
 
@@ -41,7 +47,7 @@ def _ablate(scene: Scene, engines: str = "mujoco,exudyn") -> Ablation:
     return ablate(scene, choice=Choice.parse(engines=engines), starts=1, workers=0)
 
 
-def _row(ablation: Ablation, effect: str, factor: float) -> Row:
+def _row(ablation: Ablation, effect: str, factor: float) -> WeakenedEffect:
     return next(row for row in ablation.rows if (row.effect, row.factor) == (effect, factor))
 
 
@@ -233,7 +239,7 @@ def test_the_smallest_model(
     assert (least.conditions, least.spheres) == (conditions, spheres)
 
 
-def _judged(change: float, frames: int, apart: float) -> Row:
+def _judged(change: float, frames: int, apart: float) -> WeakenedEffect:
     """Judge a constant change on one start of 1 s that is compared over some frames."""
     time = np.linspace(0.0, 1.0, 11)
     window = Window(

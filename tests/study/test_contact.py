@@ -14,9 +14,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.studies.contact import study
 from mbds_xsim.studies.contact.bench import FRICTION, PULL, ContactBench, ContactFigure
-from mbds_xsim.studies.contact.energy import per_bounce
 from mbds_xsim.studies.contact.friction import friction, sliding
-from mbds_xsim.studies.contact.limits import limits
+from mbds_xsim.studies.contact.impacts import limits, per_bounce
 from mbds_xsim.studies.contact.page import contact_page, words_of
 from mbds_xsim.studies.contact.present import LINES
 from tests.command_line import CommandLine

@@ -12,7 +12,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks import Finding, audit
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
-from mbds_xsim.measure.contact import contact_findings
+from mbds_xsim.measure.trial import contact_findings
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory

@@ -14,9 +14,8 @@ import msgspec
 import pytest
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.report.files import rows_csv
+from mbds_xsim.report.files import rows_csv, to_html
 from mbds_xsim.report.markdown import to_markdown
-from mbds_xsim.report.page import to_html
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.figures import LOOKS
 from mbds_xsim.studies.stability.present import present, to_png

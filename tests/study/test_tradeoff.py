@@ -23,12 +23,11 @@ from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.tradeoff import bench, sweep
-from mbds_xsim.studies.tradeoff.bench import measure
+from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
 from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
 from mbds_xsim.studies.tradeoff.sweep import curves_of
-from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT
 from tests.plugins import faulty
 
 _HANG = 2.0  # [s] until a hanging task is ended

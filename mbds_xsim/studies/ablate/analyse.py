@@ -1,10 +1,12 @@
-"""From changes of motion to verdicts: the floor they must exceed, and how large a model must be."""
+"""What `ablate` finds: from changes of motion to verdicts, and how large a model must be."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Literal
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -18,7 +20,112 @@ from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.studies.ablate.effects import Effect
-from mbds_xsim.studies.ablate.result import Floor, Row, Size, Verdict
+
+SCHEMA = "mbds-xsim/ablate/1"
+
+Verdict = Literal["needed", "not needed", "not resolvable", "not possible"]
+"""The change is above the floor, or where engines have parted clearly above their distance; below
+the floor; not to be told, as motions can be compared for less than 1 s; there is no such scene,
+start or simulation."""
+
+
+class Floor(msgspec.Struct, frozen=True):
+    """What a change must exceed: the engines' own disagreement, or the budget if that is larger."""
+
+    disagreement_1s_m: float | None
+    """Largest RMS particle distance of two engines at 1 s, low and medium starts [m]; None where
+    motions cannot be compared for so long."""
+    disagreement_m: float
+    """The same over all starts and judged frames, over max(1, growth) [m]."""
+    budget_1s_m: float
+    budget_m: float
+
+    @property
+    def at_1s(self) -> float:
+        """What a change at 1 s must exceed [m]."""
+        return max(self.disagreement_1s_m or 0.0, self.budget_1s_m)
+
+    @property
+    def overall(self) -> float:
+        """What a growth-weighted change must exceed [m]."""
+        return max(self.disagreement_m, self.budget_m)
+
+
+class WeakenedEffect(msgspec.Struct, frozen=True):
+    """One effect, dropped or halved."""
+
+    effect: str
+    factor: float
+    """0: dropped, 0.5: halved."""
+    left: str
+    """What is left without the effect."""
+    verdict: Verdict
+    sentence: str
+    change_1s_m: float | None = None
+    """RMS particle change at 1 s, worst of the low and medium starts [m]."""
+    change_1s_median_m: float | None = None
+    change_m: float | None = None
+    """Largest RMS particle change over max(1, growth), worst of the starts [m]."""
+    change_median_m: float | None = None
+    over_floor: float | None = None
+    """The larger of the two changes over its floor."""
+    over_disagreement: float | None = None
+    """The larger of the two changes over the engines' disagreement."""
+
+
+class Size(msgspec.Struct, frozen=True):
+    """The native model of one engine, and what it has more than the scene needs."""
+
+    engine: str
+    coordinates: int
+    """Velocity coordinates."""
+    constraints: int
+    contact_pairs: int
+    more_coordinates: int
+    """Beyond joint coordinates (in the plane, beyond the degrees of freedom)."""
+    more_constraints: int
+    """Beyond the independent conditions of closed loops."""
+    more_pairs: int
+    """Beyond contact spheres."""
+
+
+class Ablation(msgspec.Struct, frozen=True, kw_only=True):
+    """A scene's effects."""
+
+    schema: str = SCHEMA
+    scene: str
+    description: str
+    judge: str
+    """What simulated both scenes: the reference, or an engine with its method and step."""
+    judged_s: tuple[float, float]
+    """Shortest and longest time over which a start was compared [s]."""
+    ends: str
+    """What ends the comparison before the last frame; empty where nothing does."""
+    duration_s: float
+    length_m: float
+    floor: Floor
+    floor_engines: tuple[str, ...]
+    """Engines whose disagreement is the floor."""
+    failed: dict[str, str]
+    """Engines that failed on these starts, with the first reason; they are no part of the floor
+    unless fewer than two pass."""
+    left_out: dict[str, str]
+    """Engines that cannot do the scene, with the reason."""
+    rows: tuple[WeakenedEffect, ...]
+    degrees_of_freedom: int
+    joint_coordinates: int
+    """Fewest coordinates of a model that opens closed loops."""
+    loop_conditions: int
+    """Independent conditions that close them."""
+    contact_spheres: int
+    sizes: tuple[Size, ...]
+    trajectories: tuple[int, ...]
+    seed: int
+    versions: dict[str, str]
+    machine: str
+    command: str
+    wall_s: float
+
 
 _INSTANT = 1.0
 _APART = 0.01  # of the scene's length, as for the agreement time
@@ -128,7 +235,7 @@ _CLEARLY = 3.0
 
 def row_of(
     effect: Effect, factor: float, change: Array, window: Window, floor: Floor, lost: str
-) -> Row:
+) -> WeakenedEffect:
     """Hold a change to the floor.
 
     Args:
@@ -149,7 +256,7 @@ def row_of(
     )
     beyond = window.beyond(change)
     verdict = _verdict(excess, beyond, window)
-    return Row(
+    return WeakenedEffect(
         effect=effect.name,
         factor=factor,
         left=effect.dropped,
@@ -164,9 +271,9 @@ def row_of(
     )
 
 
-def impossible(effect: Effect, factor: float, reason: str) -> Row:
+def impossible(effect: Effect, factor: float, reason: str) -> WeakenedEffect:
     """Give the row of an effect that this scene cannot be without."""
-    return Row(effect.name, factor, effect.dropped, "not possible", reason)
+    return WeakenedEffect(effect.name, factor, effect.dropped, "not possible", reason)
 
 
 def _over(change: float, disagreement: float | None) -> float:

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from mbds_xsim.base.counted import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
-from mbds_xsim.studies.ablate import result as ablate_result
-from mbds_xsim.studies.ablate.result import Ablation, Size
+from mbds_xsim.studies.ablate.analyse import Ablation, Size, WeakenedEffect
 
 _MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
 _COLUMNS = (
@@ -60,7 +59,7 @@ def _blocks(ablation: Ablation) -> Iterator[Block]:
     yield Remarks.of([("scene", _smallest(ablation))])
 
 
-def _row(row: ablate_result.Row) -> Row:
+def _row(row: WeakenedEffect) -> Row:
     changes = (row.change_1s_m, row.change_1s_median_m, row.change_m, row.change_median_m)
     texts = (
         row.effect,

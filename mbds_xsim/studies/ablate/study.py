@@ -24,6 +24,9 @@ from mbds_xsim.simulate.adapter import ModelSize
 from mbds_xsim.simulate.choice import Choice, Contender
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
+    Ablation,
+    Floor,
+    WeakenedEffect,
     Window,
     compared,
     disagreement,
@@ -35,7 +38,6 @@ from mbds_xsim.studies.ablate.analyse import (
     window_of,
 )
 from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
-from mbds_xsim.studies.ablate.result import Ablation, Floor, Row
 from mbds_xsim.studies.validate.validation import validate_with_evidence
 
 
@@ -179,7 +181,7 @@ class Bench:
 
     def rows(
         self, variants: list[AblatedScene], workers: int | None, cache: bool, meter: ProgressSink
-    ) -> list[Row]:
+    ) -> list[WeakenedEffect]:
         """Simulate all variants and judge them."""
         able = [variant for variant in variants if not variant.reason]
         meter.begin(len(able))
@@ -197,7 +199,7 @@ class Bench:
         batch = variant.batch.truncated(max(self.window.frames - 1, 1))
         return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
 
-    def _row(self, variant: AblatedScene, answer: Trajectory | Crash | None) -> Row:
+    def _row(self, variant: AblatedScene, answer: Trajectory | Crash | None) -> WeakenedEffect:
         effect, factor = variant.effect, variant.factor
         if answer is None or isinstance(answer, Crash):
             reason = variant.reason if answer is None else answer.reason

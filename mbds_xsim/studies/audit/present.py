@@ -14,7 +14,7 @@ from mbds_xsim.report.blocks import (
     Block,
     Cell,
     Figure,
-    Figures,
+    FigureGroup,
     Remark,
     Remarks,
     Report,
@@ -53,7 +53,7 @@ def _blocks(audited: Audited) -> Iterator[Block]:
     yield table_of(_COLUMNS, map(_row, audited.findings), note=note)
     judged = [finding for finding in audited.findings if finding.budget]
     if judged:
-        yield Figures((_shares(judged),))
+        yield FigureGroup((_shares(judged),))
     yield Remarks(tuple(Remark("broken", reason, "fail") for reason in audited.reasons))
     yield Remarks.of(_left_out(audited))
 

@@ -21,10 +21,8 @@ from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.contact.bench import ContactBench, ContactFigure
-from mbds_xsim.studies.contact.energy import energy, rest
 from mbds_xsim.studies.contact.friction import friction
-from mbds_xsim.studies.contact.impacts import impacts
-from mbds_xsim.studies.contact.limits import limits
+from mbds_xsim.studies.contact.impacts import energy, impacts, limits, rest
 
 _SCENE = "balldrop"
 _REPEATS = 3

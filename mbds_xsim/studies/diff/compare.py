@@ -12,7 +12,7 @@ import msgspec
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.studies.diff.read import read_views
-from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
+from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
 
 SCHEMA = "mbds-xsim/diff/1"
 RTOL = 1e-6
@@ -263,10 +263,10 @@ def _kind(reason: str) -> str:
 
 
 def _figure_changes(
-    old: Mapping[str, Figure], new: Mapping[str, Figure], rtol: float
+    old: Mapping[str, PhysicalFigure], new: Mapping[str, PhysicalFigure], rtol: float
 ) -> Iterator[FigureChange]:
     for what in dict.fromkeys((*old, *new)):
-        one, other = old.get(what, Figure(None)), new.get(what, Figure(None))
+        one, other = old.get(what, PhysicalFigure(None)), new.get(what, PhysicalFigure(None))
         if not _same(one.value, other.value, rtol, max(one.scale, other.scale)):
             unit = other.unit if what in new else one.unit
             yield FigureChange(what, unit, one.value, other.value, _ratio(one.value, other.value))

@@ -1,4 +1,7 @@
-"""Stored results read into views, a reader for each schema."""
+"""Stored results read into views, a reader for each schema.
+
+Of a result without a reader of its own every number is a figure, named by where it stands.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,7 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.write import read_file
 from mbds_xsim.measure import result
-from mbds_xsim.studies.diff.plain import plain_view
-from mbds_xsim.studies.diff.view import FAILING, Entry, Figure, Value, View
+from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
 from mbds_xsim.studies.match import search as match
 from mbds_xsim.studies.stability import rows as stability_rows
 from mbds_xsim.studies.tradeoff import rows
@@ -111,7 +113,9 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
         reasons=tuple(dict.fromkeys((*engine.reasons, *engine.failures))),
         broken=frozenset(finding.check for finding in findings if not finding.passed),
         judged=frozenset(f.check for f in findings if f.budget is not None),
-        figures={f.check: Figure(_finite(f.figure), f.unit, f.budget or 0.0) for f in findings}
+        figures={
+            f.check: PhysicalFigure(_finite(f.figure), f.unit, f.budget or 0.0) for f in findings
+        }
         | _figures(engine, "error_max_m", "agreement_time_s", error_max_m=budget),
         timings=_fields(engine, "wall_per_simulated_s", "setup_s"),
     )
@@ -153,9 +157,9 @@ def _curve_entry(curve: rows.CurveResult, cost: float | None, budget: float) -> 
         rank=0 if kept else FAILING if done else None,
         settings={"version": curve.version, "order declared": curve.order, **curve.options},
         figures={
-            "order measured": Figure(curve.measured_order),
-            "longest step within all budgets": Figure(max(kept, default=None), "s"),
-            "smallest error": Figure(min(errors, default=None), "m", budget),
+            "order measured": PhysicalFigure(curve.measured_order),
+            "longest step within all budgets": PhysicalFigure(max(kept, default=None), "s"),
+            "smallest error": PhysicalFigure(min(errors, default=None), "m", budget),
         },
         timings={"wall time per simulated second at the budget": cost},
     )
@@ -286,11 +290,11 @@ def _fields(stored: msgspec.Struct, *names: str) -> dict[str, Any]:
     return {_LABELS.get(name, name): getattr(stored, name) for name in names}
 
 
-def _figures(stored: msgspec.Struct, *names: str, **scales: float) -> dict[str, Figure]:
+def _figures(stored: msgspec.Struct, *names: str, **scales: float) -> dict[str, PhysicalFigure]:
     """Take figures, with the units that their names end with, and budgets where they have any."""
     ends = {"m": "m", "s": "s"}
     return {
-        _LABELS.get(name, name): Figure(
+        _LABELS.get(name, name): PhysicalFigure(
             getattr(stored, name), ends.get(name.rpartition("_")[2], "1"), scales.get(name, 0.0)
         )
         for name in names
@@ -308,3 +312,81 @@ READERS: dict[str, Callable[[Any], View]] = {
     stability_rows.SCHEMA: _stability,
 }
 """Readers that know what is better and what is a budget, by `schema`; `plain_view` has the rest."""
+
+
+_ABOUT = ("scene", "scenes", "study")
+_SAMPLE = ("seed", "trajectories", "index", "budget", "limit_s", "duration_s", "length_m")
+_CIRCUMSTANCES = ("versions", "machine", "workers")
+_SPENT = re.compile(r"wall|cpu|core|setup|elapsed|rate|seconds|bytes|_mb\b")
+"""Names of figures that the machine decides."""
+_REASONS = ("reasons", "reason", "failures", "left_out")
+_JUDGED = (*_REASONS, "verdict")
+
+
+def plain_view(parts: list[Any]) -> View:
+    """See a result of any command: an entry for each record in it, named by its own words."""
+    part = parts[0] if len(parts) == 1 else {"result": parts}
+    scene = next((str(part[key]) for key in _ABOUT if part.get(key)), "all")
+    rest = {key: part[key] for key in part if key not in (*_ABOUT, "schema", "command", "note")}
+    return View(
+        scene=scene,
+        command=str(part.get("command", "")),
+        identity={},
+        sample=dict(_leaves({key: rest.pop(key) for key in _SAMPLE if key in rest})),
+        circumstances=dict(_leaves({key: rest.pop(key) for key in _CIRCUMSTANCES if key in rest})),
+        entries=dict(_entries("", rest)),
+        left_out={},
+    )
+
+
+def _entries(name: str, record: Mapping[str, Any]) -> Iterator[tuple[str, Entry]]:
+    """Make an entry of a record's own leaves, then of the records in it."""
+    inner = {key: value for key, value in record.items() if _holds_records(value)}
+    own = {key: value for key, value in record.items() if key not in inner}
+    if own:
+        yield name or "result", _entry(own)
+    for key, value in inner.items():
+        records = value.items() if isinstance(value, dict) else _labelled(value)
+        for label, one in records:
+            yield from _entries(" ".join(filter(None, (name, key, str(label)))), one)
+
+
+def _holds_records(value: Any) -> bool:
+    if not isinstance(value, dict | list) or not value:
+        return False
+    return all(isinstance(v, dict) for v in (value.values() if isinstance(value, dict) else value))
+
+
+def _labelled(records: list[dict[str, Any]]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name records by their words, where no two have the same, or else by their place."""
+    words = [
+        [v for k, v in one.items() if isinstance(v, str) and k not in _JUDGED] for one in records
+    ]
+    said = [" ".join(some) for some in words]
+    unique = len(set(said)) == len(said)
+    for place, one in enumerate(records):
+        yield said[place] if unique and said[place] else str(place), one
+
+
+def _entry(own: Mapping[str, Any]) -> Entry:
+    leaves = dict(_leaves({key: own[key] for key in own if key not in _REASONS}))
+    passed = own.get("passed", own.get("ok"))
+    failed = passed is False or own.get("verdict") == "fail"
+    numbers = {k: v for k, v in leaves.items() if isinstance(v, int | float) and v is not passed}
+    return Entry(
+        verdict=str(own.get("verdict", "" if passed is None else "pass" if passed else "fail")),
+        rank=FAILING * failed if passed is not None or "verdict" in own else None,
+        settings={k: v for k, v in leaves.items() if k not in numbers and k != "verdict"},
+        reasons=tuple(str(v) for k, v in _leaves({k: own[k] for k in own if k in _REASONS}) if v),
+        figures={k: PhysicalFigure(float(v)) for k, v in numbers.items() if not _SPENT.search(k)},
+        timings={k: float(v) for k, v in numbers.items() if _SPENT.search(k)},
+    )
+
+
+def _leaves(tree: object, name: str = "") -> Iterator[tuple[str, Value]]:
+    if isinstance(tree, dict | list):
+        pairs = tree.items() if isinstance(tree, dict) else enumerate(tree)
+        for key, value in pairs:
+            yield from _leaves(value, f"{name} {key}".lstrip())
+    elif isinstance(tree, str | int | float | bool | None):
+        yield name, tree

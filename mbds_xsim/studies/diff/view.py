@@ -12,7 +12,7 @@ FAILING = 2
 
 
 @dataclass(frozen=True)
-class Figure:
+class PhysicalFigure:
     """A figure of physics; None: there is none."""
 
     value: float | None
@@ -36,7 +36,7 @@ class Entry:
     """Checks whose budget is not kept."""
     judged: frozenset[str] | None = frozenset()
     """Checks that have a budget; None: all there are."""
-    figures: Mapping[str, Figure] = field(default_factory=dict)
+    figures: Mapping[str, PhysicalFigure] = field(default_factory=dict)
     timings: Mapping[str, float | None] = field(default_factory=dict)
     """Times [s], or factors of them."""
 

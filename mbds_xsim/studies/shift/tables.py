@@ -14,7 +14,7 @@ from mbds_xsim.learn.shift.models import TRIVIAL
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
-from mbds_xsim.studies.shift.matrix import (
+from mbds_xsim.studies.shift.figures import (
     Pick,
     at,
     best_formula,

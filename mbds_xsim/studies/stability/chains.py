@@ -20,15 +20,9 @@ from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.stability.definition import Study
 
 SCENES = Study(
-    name="scenes",
-    sentence="the paper's scenes and an overconstrained mechanism, at steps up to 50 ms",
-    quantity="scene",
-    unit="",
-    values=(
-        "ballscroll", "balldrop", "5pendulum", "6pendulum", "2ladder", "3ladder", "particlecar",
-        "simplecubli", "bricard",
-    ),
-    make=load_scene,
+    "scenes", "the paper's scenes and an overconstrained mechanism, at steps up to 50 ms", "scene",
+    "", ("ballscroll", "balldrop", "5pendulum", "6pendulum", "2ladder", "3ladder", "particlecar",
+    "simplecubli", "bricard"), load_scene,
 )  # fmt: skip
 
 
@@ -59,13 +53,9 @@ def _loaded(rung: Body, ratio: float) -> Body:
 
 
 MASS_RATIO = Study(
-    name="mass-ratio",
-    sentence="a heavy rung on two ropes of light particles, which close a loop",
-    quantity="mass of the rung over that of a neighbour",
-    unit="",
-    values=(1.0, 10.0, 100.0, 1e3, 1e4),
-    make=_loaded_ladder,
-)
+    "mass-ratio", "a heavy rung on two ropes of light particles, which close a loop",
+    "mass of the rung over that of a neighbour", "", (1.0, 10.0, 100.0, 1e3, 1e4), _loaded_ladder,
+)  # fmt: skip
 
 
 # Ever more links in a rope of one length and one mass.
@@ -100,13 +90,9 @@ def _rope(links: float) -> Scene:
 
 
 CHAIN_LENGTH = Study(
-    name="chain-length",
-    sentence="a rope of 2 m and 2 kg in ever more links on ball joints",
-    quantity="links",
-    unit="",
-    values=(1.0, 4.0, 16.0, 32.0, 64.0, 128.0),
-    make=_rope,
-)
+    "chain-length", "a rope of 2 m and 2 kg in ever more links on ball joints", "links", "",
+    (1.0, 4.0, 16.0, 32.0, 64.0, 128.0), _rope,
+)  # fmt: skip
 
 
 def _ladder(rungs: float) -> Scene:
@@ -114,13 +100,9 @@ def _ladder(rungs: float) -> Scene:
 
 
 LOOPS = Study(
-    name="loops",
-    sentence="rope ladders in the wind, one closed loop more with every rung",
-    quantity="rungs",
-    unit="",
-    values=(1.0, 2.0, 3.0, 5.0, 8.0),
-    make=_ladder,
-)
+    "loops", "rope ladders in the wind, one closed loop more with every rung", "rungs", "",
+    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder,
+)  # fmt: skip
 
 
 # Ever more links of the paper's pendulum, at one of its medium starts.
@@ -134,13 +116,9 @@ def _chain(links: float) -> Scene:
 
 
 LINKS = Study(
-    name="links",
-    sentence="the paper's pendulum, one rod of 0.5 m and 1 kg more with every link",
-    quantity="links",
-    unit="",
-    values=(1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0),
-    make=_chain,
-)
+    "links", "the paper's pendulum, one rod of 0.5 m and 1 kg more with every link", "links", "",
+    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain,
+)  # fmt: skip
 
 
 _SWING_TILT = (math.pi / 3, math.pi / 3)
@@ -154,13 +132,9 @@ def _fast_swing(speed: float) -> Scene:
 
 
 SWING = Study(
-    name="swing",
-    sentence="a double pendulum in space, up to ten times as fast as the paper's",
-    quantity="speed of each particle relative to its joint",
-    unit="m/s",
-    values=(0.0, 2.0, 5.0, 10.0, 20.0),
-    make=_fast_swing,
-)
+    "swing", "a double pendulum in space, up to ten times as fast as the paper's",
+    "speed of each particle relative to its joint", "m/s", (0.0, 2.0, 5.0, 10.0, 20.0), _fast_swing,
+)  # fmt: skip
 
 
 # Pace of the paper's sixfold pendulum: up to ten times its fastest starts.
@@ -179,13 +153,9 @@ def _paced(factor: float) -> Scene:
 
 
 PACE = Study(
-    name="pace",
-    sentence="the paper's sixfold pendulum, up to ten times as fast as its fastest starts",
-    quantity="speed over the fastest of the paper's",
-    unit="",
-    values=(0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0),
-    make=_paced,
-)
+    "pace", "the paper's sixfold pendulum, up to ten times as fast as its fastest starts",
+    "speed over the fastest of the paper's", "", (0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0), _paced,
+)  # fmt: skip
 
 
 # Stiff springs: a pendulum on a spring whose own oscillation is of no interest.
@@ -211,13 +181,9 @@ def _spring_pendulum(stiffness: float) -> Scene:
 
 
 STIFFNESS = Study(
-    name="stiffness",
-    sentence="a pendulum of 1 kg on a spring, which itself swings at √k = 10 to 1000 rad/s",
-    quantity="stiffness",
-    unit="N/m",
-    values=(1e2, 1e3, 1e4, 1e5, 1e6),
-    make=_spring_pendulum,
-)
+    "stiffness", "a pendulum of 1 kg on a spring, which itself swings at √k = 10 to 1000 rad/s",
+    "stiffness", "N/m", (1e2, 1e3, 1e4, 1e5, 1e6), _spring_pendulum,
+)  # fmt: skip
 
 
 # Spin of a body in free flight, about no axis in particular: it tumbles, without chaos.
@@ -248,10 +214,6 @@ def _spinning(rate: float) -> Scene:
 
 
 SPIN = Study(
-    name="spin",
-    sentence="a free body of three different moments of inertia that tumbles",
-    quantity="spin",
-    unit="rad/s",
-    values=(1.0, 10.0, 30.0, 100.0, 300.0, 1000.0),
-    make=_spinning,
-)
+    "spin", "a free body of three different moments of inertia that tumbles", "spin", "rad/s",
+    (1.0, 10.0, 30.0, 100.0, 300.0, 1000.0), _spinning,
+)  # fmt: skip

@@ -13,7 +13,7 @@ from mbds_xsim.report.blocks import (
     Cell,
     Column,
     Figure,
-    Figures,
+    FigureGroup,
     Key,
     Legend,
     Place,
@@ -126,7 +126,7 @@ def _maps(sweep: Survey) -> Iterator[Block]:
     ]
     yield Legend((*keys, Key("without a word of the engine", hatched=True)))
     told = tips(sweep)
-    yield Figures(tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275)
+    yield FigureGroup(tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275)
 
 
 def _map(sweep: Survey, places: tuple[int, ...], told: dict[str, str]) -> Figure:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mbds_xsim.report import palette
-from mbds_xsim.report.themed import GREY, INK, PAPER
+from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
@@ -241,30 +241,19 @@ def _levels(axes: Any, study: Tradeoff, chart: Chart) -> None:
     budget = chart.budget(study)
     values = [line.get_ydata() for line in axes.lines]
     if budget is not None and any(len(value) for value in values):
-        axes.axhline(budget, color=INK, lw=0.9, ls=(0, (1, 2)))
-        _note(axes, "budget", (1.0, budget), ("axes fraction", "data"), ha="right")
+        level(axes, budget, "budget")
     if chart.is_cost:
         left, right = axes.get_xlim()
         axes.set_xlim(left, max(right, 1.5 * _REAL_TIME))
-        axes.axvline(_REAL_TIME, color=INK, lw=0.9, ls=(0, (1, 2)))
-        _note(axes, "real time", (_REAL_TIME, 0.02), ("data", "axes fraction"), ha="right")
+        axes.axvline(_REAL_TIME, **DOTTED)
+        note(axes, "real time", (_REAL_TIME, 0.02), ("data", "axes fraction"), ha="right")
     floor = chart.scale(study) * chart.floor
     if floor > 1e-12:
         low, high = axes.get_ylim()
         if low <= floor * 1.5:
             axes.axhspan(low, floor * 1.5, color=GREY, alpha=0.15, lw=0)
-            _note(axes, "accuracy of the reference", (0.01, floor), ("axes fraction", "data"))
+            note(axes, "accuracy of the reference", (0.01, floor), ("axes fraction", "data"))
             axes.set_ylim(low, high)
-
-
-def _note(
-    axes: Any, text: str, spot: tuple[float, float], where: tuple[str, str], ha: str = "left"
-) -> None:
-    axes.annotate(
-        text, spot, xycoords=where, xytext=(-3 if ha == "right" else 3, 3),
-        textcoords="offset points", ha=ha, fontsize=8, color=INK,
-        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
-    )  # fmt: skip
 
 
 def _what(study: Tradeoff) -> str:

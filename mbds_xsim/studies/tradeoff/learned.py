@@ -24,11 +24,10 @@ from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.tradeoff.bench import StartBench
+from mbds_xsim.studies.tradeoff.bench import StartBench, Truths, references
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.explore import explore
 from mbds_xsim.studies.tradeoff.rows import Learned, Measurement, Tradeoff
-from mbds_xsim.studies.tradeoff.truths import Truths, references
 
 AT_ONCE = 64
 """Trajectories of a batch."""

@@ -14,7 +14,7 @@ from mbds_xsim.report.blocks import (
     Cell,
     Column,
     Figure,
-    Figures,
+    FigureGroup,
     Key,
     Legend,
     Mark,
@@ -114,7 +114,7 @@ def _charts(study: Tradeoff) -> Iterator[Block]:
     if changed:
         yield Section("changed options and native settings", (Legend(changed),), folded=True)
     told = tips(study)
-    yield Figures(
+    yield FigureGroup(
         tuple(_figure(study, chart, told, main=not k) for k, chart in enumerate(charts_of(study))),
         least=480,
     )

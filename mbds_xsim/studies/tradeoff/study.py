@@ -21,12 +21,17 @@ from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.tradeoff.bench import StartBench
+from mbds_xsim.studies.tradeoff.bench import (
+    LIMIT_COUNT,
+    StartBench,
+    Truths,
+    first_impact,
+    references,
+)
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
 from mbds_xsim.studies.tradeoff.explore import Found, explore
 from mbds_xsim.studies.tradeoff.rows import SCHEMA, Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.sweep import curves_of
-from mbds_xsim.studies.tradeoff.truths import LIMIT_COUNT, Truths, first_impact, references
 
 STARTS = 3
 LIMIT = 30.0

@@ -12,7 +12,7 @@ from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
 from mbds_xsim.report.palette import LIGHT, Style
-from mbds_xsim.report.themed import GREY, INK, PAPER
+from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact
@@ -63,7 +63,7 @@ def check_series(validation: Validation, evidence: Evidence, check: str) -> Figu
         for first in words.ends(validation)[:1]:
             axes.axvline(first, color=GREY, linewidth=0.9)
         for budget in sorted({f.budget for f in findings if f.budget}):
-            _level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
+            level(axes, budget, f"budget {quantity.with_unit(budget, unit)}")
         _log_axis(axes, "" if unit in ("", "1") else unit)
 
     return _figure(f"{check} over time", draw, check)
@@ -150,7 +150,7 @@ def restitution(
                 )  # fmt: skip
                 if style is not None:
                     marks.set_gid(f"curve-{place - 1}")
-        axes.axhline(e, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
+        axes.axhline(e, **DOTTED)
         band = f", the budget is {validation.budget['restitution']:g} (grey)" if judged else ""
         axes.set_title(f"dotted: the scene's {e:.4f}{band}", loc="right", fontsize=8)
         if judged:
@@ -182,7 +182,7 @@ def _error_figure(
         for place, (error, style) in enumerate(_with_styles(validation, evidence.errors)):
             if error is not None:
                 _curve(axes, time, _worst(error[rows]), style, place)
-        _level(axes, _AGREEMENT * length, "agreement: 1 % of length")
+        level(axes, _AGREEMENT * length, "agreement: 1 % of length")
         if judged_at_1s and time[-1] >= 1.0:
             axes.plot([1.0], [validation.budget["error_1s"] * length], "v", color=INK, ms=7)
         _no_solution(axes, time, _known(evidence)[rows])
@@ -256,15 +256,6 @@ def _curve(axes: Any, time: Array, values: Array, style: Style, place: int) -> N
     line.set_gid(f"curve-{place}")
 
 
-def _level(axes: Any, value: float, text: str) -> None:
-    axes.axhline(value, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
-    axes.annotate(
-        text, (1.0, value), xycoords=("axes fraction", "data"), xytext=(-3, 3),
-        textcoords="offset points", ha="right", fontsize=8, color=INK,
-        bbox={"facecolor": PAPER, "alpha": 0.75, "edgecolor": "none", "pad": 1},
-    )  # fmt: skip
-
-
 def _log_axis(axes: Any, ylabel: str) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("time [s]")
@@ -306,7 +297,7 @@ def _heat(axes: Any, names: list[str], shown: Array, colours: list[str]) -> None
 
 
 def _consistency_axes(axes: Any, results: tuple[EngineResult, ...], marker: dict[str, str]) -> None:
-    axes.axvline(1.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)))
+    axes.axvline(1.0, **DOTTED)
     axes.set_xscale("log")
     axes.set_xlabel("figure over budget, one mark a trajectory (right of 1: inconsistent)")
     axes.set_yticks(-np.arange(len(results)), [words.label(result) for result in results])

@@ -10,7 +10,7 @@ from mbds_xsim.report.blocks import (
     Block,
     Cell,
     Column,
-    Figures,
+    FigureGroup,
     Mark,
     Motion,
     Place,
@@ -25,7 +25,7 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.report.palette import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
-from mbds_xsim.studies.validate import contact_strips, figures, motion, words
+from mbds_xsim.studies.validate import figures, motion, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of
 from mbds_xsim.studies.validate.motion import styles
 
@@ -88,7 +88,7 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     yield Section("Motion", (_motion(validation, evidence, contacts),), on=_PAGE)
     delivered = figures.restitution(validation, evidence, contacts)
     if delivered is not None:
-        yield Section("Impacts", (Figures((delivered,)),), on=_PAGE)
+        yield Section("Impacts", (FigureGroup((delivered,)),), on=_PAGE)
     yield _agreement(validation, evidence)
     checks = [
         figures.check_series(validation, evidence, check)
@@ -97,7 +97,7 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
     if checks:
         told = "The worst of all trajectories at each time; 0 is ideal. Dotted: budgets."
         first = " Vertical: the earliest first impact." if any(words.ends(validation)[:1]) else ""
-        blocks = (Text(told + first), Figures(tuple(checks)))
+        blocks = (Text(told + first), FigureGroup(tuple(checks)))
         yield Section("Checks over time", blocks, on=_PAGE)
     consistency = figures.consistency(validation)
     if consistency is not None:
@@ -106,7 +106,7 @@ def _behind(validation: Validation, evidence: Evidence) -> Iterator[Section]:
             "shrinks must meet the reference within the uncertainty of that estimate; this shows "
             "errors of the model far below the accuracy budgets."
         )
-        yield Section("Consistency", (Text(told), Figures((consistency,))), on=_PAGE)
+        yield Section("Consistency", (Text(told), FigureGroup((consistency,))), on=_PAGE)
     each = zip(validation.engines, styles(validation.engines), strict=True)
     findings = tuple(_findings(r, style, first=not k) for k, (r, style) in enumerate(each))
     yield Section("Findings", findings, on=_PAGE)
@@ -123,11 +123,11 @@ def _motion(
     if not contacts:
         return Motion(data, "reference", entries)
     count = len(data["trajectories"])
-    data["contact"] = contact_strips.pack(validation, evidence, contacts, count)
+    data["contact"] = motion.pack_strips(validation, evidence, contacts, count)
     every = (("reference", _REFERENCE), *entries)
     numbers = [trajectory["index"] for trajectory in data["trajectories"]]
-    tables = contact_strips.tables(contacts, every, numbers)
-    reading = contact_strips.reading(evidence, slips=data["contact"]["slips"])
+    tables = motion.tables(contacts, every, numbers)
+    reading = motion.reading(evidence, slips=data["contact"]["slips"])
     about = words.contact_words(validation, evidence)
     return Motion(data, "reference", entries, tables, (about, reading))
 
@@ -136,7 +136,10 @@ def _agreement(validation: Validation, evidence: Evidence) -> Section:
     growth = figures.error_growth(validation, evidence)
     matrix = figures.matrix(validation)
     shown = (*growth, *([matrix] if matrix is not None else []))
-    blocks: list[Block] = [Text(words.growth_words(validation, known=bool(growth))), Figures(shown)]
+    blocks: list[Block] = [
+        Text(words.growth_words(validation, known=bool(growth))),
+        FigureGroup(shown),
+    ]
     if validation.ensembles:
         blocks += _distributions(validation)
     title = "Agreement with the reference" if growth else "Agreement"
