@@ -75,7 +75,7 @@ def test_the_engine_of_the_page_is_validated_beside_mujoco(package: Path) -> Non
     program = "from mbds_xsim.__main__ import main; main()"
 
     words = ["validate", "1pendulum", "--engines", "plain,mujoco", "--json", "v.json"]
-    words += ["--step", "0.002"]
+    words += ["--step", "0.01"]
     done = _run(package, "-c", program, *words)
 
     told = json.loads((package / "v.json").read_text())

@@ -382,14 +382,22 @@ def test_flipped_bits_are_found_or_harmless(name: str, copy: Path) -> None:
     assert len(found[_FOUND]) >= 2
 
 
+@pytest.fixture(scope="module")
+def large(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of 300 trajectories, to be copied."""
+    folder = tmp_path_factory.mktemp("large")
+    make(folder, trajectories=300)
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "at_least"),
     [(SHARD, 180), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
 )
-def test_200_flipped_bits(name: str, at_least: int, make: Make, tmp_path: Path) -> None:
+def test_200_flipped_bits(name: str, at_least: int, large: Path, tmp_path: Path) -> None:
     """Of each kind of file; in shards of a common size nearly all bytes are numbers."""
-    make(tmp_path, trajectories=300)
+    shutil.copytree(large, tmp_path, dirs_exist_ok=True)
     found = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
     assert found[_MISSED] == []
     assert len(found[_FOUND]) >= at_least
