@@ -18,7 +18,7 @@ from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
 from mbds_xsim.studies.audit import present as audit
 from mbds_xsim.studies.match import present as match
-from mbds_xsim.studies.match.search import SCHEMA, Found, Match
+from mbds_xsim.studies.match.result import SCHEMA, Found, Match
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
 

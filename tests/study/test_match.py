@@ -23,7 +23,8 @@ from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.present import matched_toml
-from mbds_xsim.studies.match.search import Found, Match, match
+from mbds_xsim.studies.match.result import Found, Match
+from mbds_xsim.studies.match.search import match
 from tests.command_line import CommandLine
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
     Floor,
+    Least,
+    Size,
     WeakenedEffect,
     Window,
     compared,
@@ -69,25 +72,13 @@ def ablate(
     Raises:
         InputError: Something that was given cannot be used, or no engine delivered anything.
     """
-    begin = time.perf_counter()
-    meter = _Phases(progress)
+    begin, meter = time.perf_counter(), _Phases(progress)
     chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
-    validation, evidence = validate_with_evidence(
-        scene,
-        choice=chosen,
-        trajectories=starts,
-        seed=seed,
-        cache=cache,
-        workers=workers,
-        progress=meter,
-    )
+    how: dict[str, Any] = {"seed": seed, "cache": cache, "workers": workers, "progress": meter}
+    validation, evidence = validate_with_evidence(scene, choice=chosen, trajectories=starts, **how)
     contenders, _ = chosen.contenders(scene)
     bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
-    variants = variants_of(scene, effects, evidence.batch, seed)
-    rows = bench.rows(variants, workers, cache, meter)
-    models = run_tasks(
-        [Task(native_size, (scene, c.engine, c.settings)) for c in contenders], workers=workers
-    )
+    rows = bench.rows(variants_of(scene, effects, evidence.batch, seed), workers, cache, meter)
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -105,11 +96,7 @@ def ablate(
         joint_coordinates=least.coordinates,
         loop_conditions=least.conditions,
         contact_spheres=least.spheres,
-        sizes=tuple(
-            compared(contender.engine, size, least)
-            for contender, size in zip(contenders, models, strict=True)
-            if isinstance(size, ModelSize)
-        ),
+        sizes=tuple(_sizes(scene, contenders, least, workers)),
         trajectories=validation.trajectories,
         seed=seed,
         versions=validation.versions,
@@ -117,6 +104,16 @@ def ablate(
         command=command,
         wall_s=time.perf_counter() - begin,
     )
+
+
+def _sizes(
+    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
+) -> Iterator[Size]:
+    """Compare the engines' own models with the smallest one; those that tell none are left out."""
+    tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
+    for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True):
+        if isinstance(size, ModelSize):
+            yield compared(contender.engine, size, least)
 
 
 class _Phases:

@@ -18,7 +18,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.write import read_file
 from mbds_xsim.measure import result
 from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
-from mbds_xsim.studies.match import search as match
+from mbds_xsim.studies.match import result as match
 from mbds_xsim.studies.stability import rows as stability_rows
 from mbds_xsim.studies.tradeoff import rows
 

@@ -14,7 +14,7 @@ from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, table_of
-from mbds_xsim.studies.match.search import Found, Match
+from mbds_xsim.studies.match.result import Found, Match
 
 _COLUMNS = (
     "engine",

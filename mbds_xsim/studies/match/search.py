@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
-
-import msgspec
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
@@ -27,9 +26,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
+from mbds_xsim.studies.match.result import SCHEMA, Found, Match
 from mbds_xsim.studies.tradeoff.sweep import curves_of
-
-SCHEMA = "mbds-xsim/match/1"
 
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0
@@ -45,55 +43,6 @@ _FAR = 2.0
 _CHUNKS = 6
 _GRACE = 60.0
 _PATIENCE = 8.0
-
-
-class Found(msgspec.Struct, frozen=True, kw_only=True):
-    """What the search found for one engine."""
-
-    engine: str
-    version: str
-    method: str
-    steps_per_frame: int
-    step_s: float
-    options: dict[str, float | int | bool | str]
-    meets_budget: bool
-    """On the held-out trajectories; else these settings are the best it does."""
-    reasons: tuple[str, ...]
-    """What fails, where the budget is not met."""
-    held_out: int
-    """Trajectories that were not searched with."""
-    wall_per_simulated_s: float
-    cpu_per_simulated_s: float
-    error_1s_m: float | None
-    error_weighted_m: float | None
-    constraint_gap_m: float | None
-    energy_balance: float | None
-    used_method: str
-    """Of the settings in use until now."""
-    used_steps_per_frame: int
-    cost_ratio: float | None
-    """Processor time over that of the settings in use, on the trajectories of the search; None
-    where those failed or these were not tried there."""
-    trials: int
-
-
-class Match(msgspec.Struct, frozen=True, kw_only=True):
-    """Matched settings of a scene."""
-
-    schema: str
-    scene: str
-    command: str
-    seed: int
-    held_out_seed: int
-    trajectories: int
-    """Starts of each interval that were searched with."""
-    held_out: int
-    """Starts of each interval that were held out."""
-    machine: str
-    engines: tuple[Found, ...]
-    left_out: dict[str, str]
-    fingerprint: str = ""
-    """Stands for the scene's physics and starts; empty in results of earlier versions."""
 
 
 @dataclass
@@ -204,29 +153,13 @@ def match(
     Raises:
         InputError: Something that was given cannot be used.
     """
-    curves, left_out = curves_of(scene, choice.engines)
-    left_out |= choice.faulty
-    curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
-    curves = [c for c in curves if registry.load_adapter(c.engine).methods[c.method].own]
-    if not curves:
-        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
-        raise InputError(msg)
-
-    def prepared(count: int, its_seed: int) -> _Field:
-        batch = draw_batch(
-            scene, range(distinct_starts(scene, len(INTERVALS) * count)), seed=its_seed
-        )
-        reference = run_references(scene, batch, cache=cache, workers=workers)
-        return _Field(scene, batch, reference, workers, limit, meter)
-
-    ground = prepared(trajectories, seed)
-    candidates = [_Candidate(curve) for curve in curves]
+    curves, left_out = _curves(scene, choice, options=options)
+    field_of = partial(_field, scene, cache=cache, workers=workers, limit=limit, meter=meter)
+    ground = field_of(trajectories, seed)
     used = _used(ground, {curve.engine for curve in curves})
-    candidates += [_in_use(scene, name, *tried) for name, tried in used.items()]
-    _search(ground, candidates)
-    _rate_alike(candidates)
-    proof = prepared(held_out, seed + 1)
-    engines = list(dict.fromkeys(curve.engine for curve in curves))
+    candidates = _searched(ground, curves, used)
+    proof = field_of(held_out, seed + 1)
+    engines = dict.fromkeys(curve.engine for curve in curves)
     return Match(
         schema=SCHEMA,
         scene=scene.name,
@@ -236,13 +169,35 @@ def match(
         trajectories=trajectories,
         held_out=held_out,
         machine=machine(),
-        engines=tuple(
-            _settle(ground, proof, [c for c in candidates if c.curve.engine == name], used[name])
-            for name in engines
-        ),
+        engines=tuple(_settle(ground, proof, candidates, used, name) for name in engines),
         left_out=left_out,
         fingerprint=fingerprint(scene),
     )
+
+
+def _field(
+    scene: Scene, count: int, seed: int, *, cache: bool, workers: int | None, limit: float,
+    meter: Meter,
+) -> _Field:  # fmt: skip
+    """Draw starts, and solve what they are held against."""
+    starts = range(distinct_starts(scene, len(INTERVALS) * count))
+    batch = draw_batch(scene, starts, seed=seed)
+    reference = run_references(scene, batch, cache=cache, workers=workers)
+    return _Field(scene, batch, reference, workers, limit, meter)
+
+
+def _curves(
+    scene: Scene, choice: Choice, *, options: bool
+) -> tuple[list[EngineMethod], dict[str, str]]:
+    """List the engines' own methods, with other options if asked for, and what is left out."""
+    curves, left_out = curves_of(scene, choice.engines)
+    left_out |= choice.faulty
+    curves = [c for c in curves if c.variation != NATIVE and (options or not c.variation)]
+    curves = [c for c in curves if registry.load_adapter(c.engine).methods[c.method].own]
+    if not curves:
+        msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
+        raise InputError(msg)
+    return curves, left_out
 
 
 def _used(ground: _Field, engines: set[str]) -> dict[str, tuple[Settings, Trial]]:
@@ -287,6 +242,17 @@ def _rate_alike(candidates: Sequence[_Candidate]) -> None:
                 used.least = other.cost_at(count)
 
 
+def _searched(
+    ground: _Field, curves: Sequence[EngineMethod], used: Mapping[str, tuple[Settings, Trial]]
+) -> list[_Candidate]:
+    """Search on all curves; the settings in use compete."""
+    candidates = [_Candidate(curve) for curve in curves]
+    candidates += [_in_use(ground.scene, name, *tried) for name, tried in used.items()]
+    _search(ground, candidates)
+    _rate_alike(candidates)
+    return candidates
+
+
 def _search(ground: _Field, candidates: list[_Candidate]) -> None:
     """Advance all searches together, a trial each at a time."""
     while True:
@@ -322,10 +288,12 @@ def _left(ground: _Field, asked: list[tuple[_Candidate, int]]) -> float:
 def _settle(
     ground: _Field,
     proof: _Field,
-    candidates: list[_Candidate],
-    used: tuple[Settings, Trial],
+    every: list[_Candidate],
+    tried: Mapping[str, tuple[Settings, Trial]],
+    engine: str,
 ) -> Found:
     """Verify the cheapest; after a failure the next shorter step, or a method cheaper by now."""
+    candidates, used = [c for c in every if c.curve.engine == engine], tried[engine]
     queue = [(c.rank, place) for place, c in enumerate(candidates) if c.cost < math.inf]
     heapq.heapify(queue)
     while queue:

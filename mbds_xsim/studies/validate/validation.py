@@ -65,15 +65,6 @@ def validate_with_evidence(
         rows.append(judge(scene, batch, outcome, reference, native=readback))
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
-    evidence = Evidence(
-        scene=scene,
-        batch=batch,
-        trajectories=tuple(row.trajectory for row in rows),
-        reference=reference.trajectory,
-        growth=reference.growth,
-        errors=tuple(row.error for row in rows),
-        series=tuple(row.series for row in rows),
-    )
     failed = any(result.verdict == "fail" for result in results)
     warned = any(result.verdict == "warn" for result in results)
     validation = Validation(
@@ -98,7 +89,21 @@ def validate_with_evidence(
         ensembles=_ensembles(scene, batch, rows, reference),
         fingerprint=fingerprint(scene),
     )
-    return validation, evidence
+    return validation, _evidence(scene, batch, rows, reference)
+
+
+def _evidence(
+    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
+) -> Evidence:
+    return Evidence(
+        scene=scene,
+        batch=batch,
+        trajectories=tuple(row.trajectory for row in rows),
+        reference=reference.trajectory,
+        growth=reference.growth,
+        errors=tuple(row.error for row in rows),
+        series=tuple(row.series for row in rows),
+    )
 
 
 def _vote(
