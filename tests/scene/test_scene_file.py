@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_scene, scene_names
 
 Table = dict[str, Any]
-Edit = Callable[[Table], object]
 
 _FINITE = st.floats(-1e6, 1e6)
 _POSITIVE = st.floats(1e-6, 1e6)
