@@ -32,7 +32,7 @@ def try_step(derivative: Derivative, y: Array, rate: Array, step: Array) -> tupl
     Returns:
         The new states, and the derivatives at all stages and at the end, shape (stage, batch, …).
     """
-    method = _coefficients()
+    method = coefficients()
     count = method.n_stages
     stages = np.empty((count + 1, *y.shape))
     flat = stages.reshape(count + 1, -1)
@@ -47,7 +47,7 @@ def try_step(derivative: Derivative, y: Array, rate: Array, step: Array) -> tupl
 
 def error_ratio(stages: Array, step: Array, allowed: Array) -> Array:
     """Estimated error of a step over what is allowed, shape (batch,): above 1 is too much."""
-    batch, method = stages.shape[1], _coefficients()
+    batch, method = stages.shape[1], coefficients()
     flat = stages.reshape(len(stages), -1)
     fifth, third = (
         np.sum(((weights @ flat).reshape(allowed.shape) / allowed).reshape(batch, -1) ** 2, axis=1)
@@ -66,7 +66,7 @@ def next_step(step: Array, ratio: Array) -> Array:
 
 
 @functools.cache
-def _coefficients() -> Any:
+def coefficients() -> Any:
     """Give the class that holds them; it is imported with the first step, as that takes long."""
     from scipy.integrate import DOP853
 

@@ -66,7 +66,7 @@ class Dynamics:
         self._closes = bool(mechanism.loops or mechanism.distances)
         self.near = 0.0
         if self._closes:
-            states = typical_states(self, self.pack(_pose(mechanism)))
+            states = typical_states(self, self.pack(pose_of(mechanism)))
             usual = self._multipliers.choose(self._rows(self._motion(states))[2])
             self.near = min(POOR, _FEWER * usual)
 
@@ -293,7 +293,7 @@ def accelerations(
     return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
 
 
-def _pose(mechanism: Mechanism) -> BodyStates:
+def pose_of(mechanism: Mechanism) -> BodyStates:
     """Give the start at rest, or the reference pose where none can be found."""
     still = np.zeros((1, mechanism.body_count, 3))
     turn = np.broadcast_to(rotation.IDENTITY, (1, mechanism.body_count, 4))

@@ -20,7 +20,7 @@ Progress = Callable[[int, int], None]
 
 _SIZE = 1e-8  # RMS displacement of the start [m], and RMS change of its velocities [m/s]
 _SEED = 20240607
-_PAIRS_TOGETHER = 8
+_PAIRS_TOGETHER = 32
 
 
 def sensitivity(

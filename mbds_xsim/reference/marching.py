@@ -21,8 +21,8 @@ from mbds_xsim.scene.state import Failure
 
 Progress = Callable[[int, int], None]
 
-_FIRST_STEP = 0.1  # of a frame
-_SMALLEST_STEP = 1e-9  # of a frame
+FIRST_STEP = 0.1  # of a frame
+SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
 _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
@@ -117,7 +117,7 @@ class _March:
         self.y = start
         self.at = np.zeros(batch, dtype=np.intp)
         self.left = np.full(batch, frame)
-        self.step = np.full(batch, _FIRST_STEP * frame)
+        self.step = np.full(batch, FIRST_STEP * frame)
         self.tries = np.zeros(batch, dtype=np.intp)
         self.singular = np.zeros(batch, dtype=np.intp)
         self.rate = np.empty_like(start)
@@ -165,7 +165,7 @@ class _March:
         self.step = next_step(h, ratio)
         self._end_at_impact(impact)
         self.tries += 1
-        smallest = _SMALLEST_STEP * self.frame
+        smallest = SMALLEST_STEP * self.frame
         self._end(self.step < smallest, self._stuck(f"a step below {smallest:.1e} s is needed"))
         why = f"{MOST_STEPS} steps do not reach the end of a frame"
         self._end_together(self.tries > MOST_STEPS, self._stuck(why))

@@ -22,7 +22,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 
 Progress = Callable[[int, int], None]
 
-_TOGETHER = 16  # trajectories; more do not get cheaper
+_TOGETHER = 64  # trajectories; more do not get cheaper
 _SUNK = 1e-9  # what rounding may do to a start on the ground [m]
 _TIGHTEST, _LOOSEST = 1e-14, 1e-3
 
@@ -37,11 +37,13 @@ def solve(
 ) -> Trajectory:
     """Integrate every trajectory of a batch to high accuracy.
 
-    Rigid bodies in maximal coordinates, joints kept by constraints at acceleration level and a
-    projection at every frame. Free bodies with one contact sphere around their centre of mass
-    are followed through flight, impacts, sliding and rolling, exactly (`bouncing`). Any other
-    contact has no unique solution: there a trajectory ends, with a `FirstImpact` in place of a
-    failure, when a contact sphere first reaches the ground; its later frames are NaN.
+    Rigid bodies in coordinates of their spanning tree, loops kept closed by constraints at
+    acceleration level and a projection at every frame, by compiled kernels (`compiled`); scenes
+    with contact or stiff dampers in maximal coordinates (`marching`). Free bodies with one contact
+    sphere around their centre of mass are followed through flight, impacts, sliding and rolling,
+    exactly (`bouncing`). Any other contact has no unique solution: there a trajectory ends, with a
+    `FirstImpact` in place of a failure, when a contact sphere first reaches the ground; its later
+    frames are NaN.
 
     Args:
         scene: What to simulate.
@@ -109,9 +111,16 @@ def integrate(
     if scene.contacts and mechanism.has_only_balls:
         return march_balls(mechanism, start, inputs, progress=progress)
     dynamics, frame = dynamics_of(mechanism), scene.clock.frame
-    method = march_stiff if is_stiff(dynamics, start, inputs, frame) else march
-    return method(
-        dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress
+    stiff = is_stiff(dynamics, start, inputs, frame)
+    if stiff or scene.contacts:
+        method = march_stiff if stiff else march
+        return method(
+            dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress
+        )
+    from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
+
+    return march_compiled(
+        mechanism, start, inputs, rtol=rtol, companions=companions, progress=progress
     )
 
 

@@ -15,7 +15,8 @@ from mbds_xsim.simulate.adapter import Adapter
 from tests.command_line import CommandLine
 
 _ENGINES = {"mujoco", "pybullet", "dartpy", "exudyn"}
-_HEAVY = _ENGINES | {"torch", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}
+_TOOLS = {"torch", "numba", "matplotlib", "scipy", "h5py", "numpy", "jinja2", "rich.table"}
+_HEAVY = _ENGINES | _TOOLS
 
 
 @pytest.mark.parametrize("module", ["mbds_xsim", "mbds_xsim.__main__"])

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.reference import cache, sensitivity, solve
-from mbds_xsim.reference.marching import Marched, march
+from mbds_xsim.reference.compiled import march_compiled
+from mbds_xsim.reference.marching import Marched
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
@@ -33,11 +34,11 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     sizes: list[int] = []
 
     def counted(*args: Any, **options: Any) -> Marched:
-        result = march(*args, **options)
+        result = march_compiled(*args, **options)
         sizes.append(len(result.states))
         return result
 
-    monkeypatch.setattr("mbds_xsim.reference.solution.march", counted)
+    monkeypatch.setattr("mbds_xsim.reference.compiled.march_compiled", counted)
     return sizes
 
 

@@ -1,0 +1,99 @@
+"""What acts on bodies, and what they resist with: where the recursions of `tree_kernel` start."""
+
+from __future__ import annotations
+
+from mbds_xsim.reference.lanes import (
+    add,
+    add_to3,
+    apply,
+    apply_even,
+    compiled,
+    cross,
+    dot,
+    load,
+    load3,
+    load9,
+    number3,
+    root,
+    spread,
+    store3,
+    store6,
+    store9,
+    sub,
+    times,
+)
+from mbds_xsim.reference.tree import Tree
+from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Work, X, zero
+
+
+@compiled
+def still(t: Tree, work: Work):
+    """Let nothing act."""
+    for i in range(len(t.kind) + 1):
+        store3(work.link, i * PLACES + F, zero())
+        store3(work.link, i * PLACES + N, zero())
+
+
+@compiled
+def act(t: Tree, work: Work):
+    """Let springs and torques act on the bodies."""
+    a = work.link
+    still(t, work)
+    for k in range(len(t.spring)):
+        p, c = t.spring_ends[0, k] * PLACES, t.spring_ends[1, k] * PLACES
+        first = apply(load9(a, p + R), number3(t.spring_points[0], k))
+        second = apply(load9(a, c + R), number3(t.spring_points[1], k))
+        line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
+        rate = sub(
+            add(load3(a, c + V), cross(load3(a, c + W), second)),
+            add(load3(a, p + V), cross(load3(a, p + W), first)),
+        )
+        length = root(dot(line, line))
+        tension = t.spring[k, 1] * (length - t.spring[k, 0])
+        tension = tension + t.spring[k, 2] * (dot(line, rate) / length)
+        pull = times(tension / length, line)
+        back = times(-1.0, pull)
+        add_to3(a, p + F, pull)
+        add_to3(a, c + F, back)
+        add_to3(a, p + N, cross(first, pull))
+        add_to3(a, c + N, cross(second, back))
+    for k in range(len(t.hinge_axis)):
+        p, c = t.hinge_ends[0, k] * PLACES, t.hinge_ends[1, k] * PLACES
+        axis = apply(load9(a, p + R), number3(t.hinge_axis, k))
+        twist = times(load(work.torque, k), axis)
+        add_to3(a, c + N, twist)
+        add_to3(a, p + N, times(-1.0, twist))
+
+
+@compiled
+def weigh(t: Tree, work: Work):
+    """Start each body's articulated inertia with its own, and its bias with its loads."""
+    a = work.link
+    for i in range(len(t.kind)):
+        b = i * PLACES
+        turn, spin, mass = load9(a, b + R), load3(a, b + W), t.mass[i]
+        c = (t.moment[i, 0], t.moment[i, 1], t.moment[i, 2])
+        x, y, z = (
+            (turn[0], turn[1], turn[2]),
+            (turn[3], turn[4], turn[5]),
+            (turn[6], turn[7], turn[8]),
+        )
+        cx = (c[0] * x[0], c[1] * x[1], c[2] * x[2])
+        cy = (c[0] * y[0], c[1] * y[1], c[2] * y[2])
+        inertia = (
+            dot(cx, x), dot(cy, y), c[0] * z[0] * z[0] + c[1] * z[1] * z[1] + c[2] * z[2] * z[2],
+            dot(cx, y), dot(cx, z), dot(cy, z),
+        )  # fmt: skip
+        m, o = spread(mass), spread(0.0)
+        store6(a, b + M, (m, m, m, o, o, o))
+        store9(a, b + H, (o, o, o, o, o, o, o, o, o))
+        store6(a, b + J, inertia)
+        force, moment = load3(work.load, 6 * i), load3(work.load, 6 * i + 3)
+        force = (
+            force[0] + mass * t.gravity[0],
+            force[1] + mass * t.gravity[1],
+            force[2] + mass * t.gravity[2],
+        )
+        store3(a, b + F, times(-1.0, add(force, load3(a, b + F))))
+        bias = sub(cross(spin, apply_even(inertia, spin)), add(moment, load3(a, b + N)))
+        store3(a, b + N, bias)

@@ -1,0 +1,284 @@
+"""DOP853 over eight trajectories at once, each with its own steps, frames and inputs.
+
+A lane whose trajectory has come to its end gets the next one. Steps, error estimate and restarts
+at frames are those of `marching` and `dop853`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from mbds_xsim.base.arrays import Array, Index, Mask
+from mbds_xsim.reference.closure_kernel import accelerate, project
+from mbds_xsim.reference.lanes import (
+    LANES,
+    compiled,
+    larger,
+    load,
+    positive,
+    size,
+    spread,
+    store,
+)
+from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
+from mbds_xsim.reference.tree_kernel import PLACES, V, W, Work, X
+
+REACHED, STUCK, SINGULAR = 0, 1, 2
+"""What became of a trajectory."""
+
+_STAGES = 12
+_SAFETY, _SHRINK, _GROW = 0.9, 0.2, 6.0
+
+
+class Method(NamedTuple):
+    """Coefficients of the method and what it has to keep to."""
+
+    weights: Array
+    """Of the stages before, shape (13, 12): the last row makes the step."""
+    errors: Array
+    """Of the stages in the estimates of order 5 and 3, shape (2, 12)."""
+    rtol: float
+    first: float
+    smallest: float
+    most: int
+    companions: int
+    near: float
+    follows: float
+
+
+class Lane(NamedTuple):
+    """What is under way in each lane."""
+
+    row: Index
+    """Trajectory, or −1."""
+    at: Index
+    left: Array
+    step: Array
+    tries: Index
+    due: Mask
+    """Whether a frame begins."""
+    h: Array
+    ratio: Array
+    """Error over what is allowed, then the two sums that make it, shape (3, 8)."""
+    worst: Array
+    """Over the stages of a step: as `Work.share`."""
+    y: Array
+    new: Array
+    stages: Array
+
+
+class Task(NamedTuple):
+    """Trajectories to find."""
+
+    start: Array
+    """Shape (trajectory, number)."""
+    force: Array
+    torque: Array
+    frame: float
+    states: Array
+    """Filled in: shape (trajectory, frame + 1, body + world, 13)."""
+    status: Index
+
+
+@compiled
+def march(t: Tree, work: Work, method: Method, lane: Lane, task: Task):
+    """Find all trajectories of a task; there is one at least, of one frame at least."""
+    following = 0
+    for k in range(LANES):
+        lane.row[k] = -1
+    while True:
+        following = _begin(method, lane, task, following)
+        if _any(lane.due):
+            _start_frames(t, work, lane, task)
+        under_way = False
+        for k in range(LANES):
+            under_way = under_way or lane.row[k] >= 0
+            if lane.row[k] < 0:
+                lane.h[0, k] = 0.0
+            else:
+                lane.h[0, k] = lane.left[k] / math.ceil(lane.left[k] / lane.step[k])
+        if not under_way:
+            return
+        _try_step(t, work, method, lane)
+        _measure(t, method, lane)
+        _accept(t, method, lane, task)
+        _start_frames(t, work, lane, task)
+
+
+@compiled
+def _any(flags):
+    found = False
+    for k in range(LANES):
+        found = found or flags[k]
+    return found
+
+
+@compiled
+def _begin(method, lane, task, following):
+    """Give lanes that are at their end the trajectories that follow."""
+    companions, count = method.companions, len(task.start)
+    for first in range(0, LANES, companions):
+        if lane.row[first] < 0 or lane.at[first] == task.force.shape[1]:
+            for k in range(first, first + companions):
+                lane.row[k] = -1
+                if following < count or lane.h[0, k] < 0.0:
+                    row = min(following, count - 1)
+                    for j in range(task.start.shape[1]):
+                        lane.y[j, k] = task.start[row, j]
+                if following < count:
+                    lane.row[k], lane.due[k] = following, True
+                    following += 1
+                lane.at[k], lane.tries[k] = 0, 0
+                lane.left[k], lane.step[k] = task.frame, method.first
+    return following
+
+
+@compiled
+def _start_frames(t, work, lane, task):
+    """Put states that are due onto the closures, give them their loads, and record them.
+
+    The rates of all states are evaluated.
+    """
+    if _any(lane.due):
+        for j in range(t.size):
+            store(lane.new, j, load(lane.y, j))
+        project(t, work, lane.new)
+        for k in range(LANES):
+            if lane.due[k]:
+                for j in range(t.size):
+                    lane.y[j, k] = lane.new[j, k]
+                if lane.at[k] < task.force.shape[1]:
+                    _load(t, work, lane, task, k)
+    accelerate(t, work, lane.y, lane.stages, 0)
+    store(lane.worst, 0, load(work.share, 0))
+    store(lane.worst, 1, load(work.share, 1))
+    for k in range(LANES):
+        if lane.due[k]:
+            _record(t, work, lane, k, task.states[lane.row[k], lane.at[k]])
+            lane.due[k] = False
+
+
+@compiled
+def _load(t, work, lane, task, k):
+    row, at = lane.row[k], lane.at[k]
+    for i in range(len(t.kind)):
+        for j in range(3):
+            work.load[6 * i + j, k] = task.force[row, at, t.body[i], j]
+    for j in range(len(t.hinge_axis)):
+        work.torque[j, k] = task.torque[row, at, j]
+
+
+@compiled
+def _record(t, work, lane, k, out):
+    """Write the states of all bodies, shape (body + world, 13)."""
+    y, a, world = lane.y, work.link, len(t.kind)
+    for j in range(13):
+        out[world, j] = 1.0 if j == 3 else 0.0
+    for i in range(world):
+        kind, at, body = t.kind[i], t.at[i], t.body[i]
+        for j in range(3):
+            out[body, j] = a[i * PLACES + X + j, k]
+            out[body, 7 + j] = a[i * PLACES + V + j, k]
+            out[body, 10 + j] = a[i * PLACES + W + j, k]
+        if kind in (BALL, FREE):
+            first = at + 3 if kind == FREE else at
+            for j in range(4):
+                out[body, 3 + j] = y[first + j, k]
+            continue
+        parent = world if t.parent[i] == world else t.body[t.parent[i]]
+        turn = (out[parent, 3], out[parent, 4], out[parent, 5], out[parent, 6])
+        if kind == HINGE:
+            c, s = y[at, k], y[at + 1, k]
+            turn = _turned(turn, (c, s * t.axis[i, 0], s * t.axis[i, 1], s * t.axis[i, 2]))
+        turn = _turned(turn, (t.still[i, 0], t.still[i, 1], t.still[i, 2], t.still[i, 3]))
+        out[body, 3], out[body, 4], out[body, 5], out[body, 6] = turn
+
+
+@compiled
+def _turned(p, q):
+    return (
+        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+    )
+
+
+@compiled
+def _try_step(t, work, method, lane):
+    """Fill in the stages and the new states of a step."""
+    h, count = load(lane.h, 0), t.size
+    for stage in range(1, _STAGES + 1):
+        for j in range(count):
+            total = spread(0.0)
+            for s in range(stage):
+                weight = method.weights[stage, s]
+                if weight != 0.0:
+                    total = total + weight * load(lane.stages, s * count + j)
+            store(lane.new, j, load(lane.y, j) + h * total)
+        if stage < _STAGES:
+            accelerate(t, work, lane.new, lane.stages, stage * count)
+            share, off = load(work.share, 0), load(work.share, 1)
+            least = load(lane.worst, 0)
+            store(lane.worst, 0, positive(least - share, share, least))
+            store(lane.worst, 1, larger(load(lane.worst, 1), off))
+
+
+@compiled
+def _measure(t, method, lane):
+    """Sum up the two error estimates."""
+    fifth, third = spread(0.0), spread(0.0)
+    for j in range(t.size):
+        a, b = spread(0.0), spread(0.0)
+        for s in range(_STAGES):
+            rate = load(lane.stages, s * t.size + j)
+            a = a + method.errors[0, s] * rate
+            b = b + method.errors[1, s] * rate
+        allowed = method.rtol * (1.0 + larger(size(load(lane.y, j)), size(load(lane.new, j))))
+        a, b = a / allowed, b / allowed
+        fifth, third = fifth + a * a, third + b * b
+    store(lane.ratio, 1, fifth)
+    store(lane.ratio, 2, third)
+
+
+@compiled
+def _accept(t, method, lane, task):
+    """Take the steps whose error is small enough, and choose the next ones."""
+    companions = method.companions
+    for first in range(0, LANES, companions):
+        if lane.row[first] < 0:
+            continue
+        ratio, sick = 0.0, False
+        for k in range(first, first + companions):
+            fifth = lane.ratio[1, k]
+            combined = math.sqrt((fifth + 0.01 * lane.ratio[2, k]) * t.size)
+            one = lane.h[0, k] * fifth / combined if combined > 0.0 else 0.0 * fifth
+            sick = sick or not one < math.inf
+            ratio = max(ratio, one)
+        factor = _SHRINK
+        if not sick:
+            factor = _GROW if ratio == 0.0 else _SAFETY * ratio**-0.125
+            factor = min(max(factor, _SHRINK), _GROW)
+        status = REACHED
+        for k in range(first, first + companions):
+            lane.tries[k] += 1
+            lane.step[k] = factor * lane.h[0, k]
+            if lane.tries[k] > method.most:
+                status = STUCK
+            if not sick and ratio <= 1.0:
+                if lane.worst[0, k] < method.near or lane.worst[1, k] > method.follows:
+                    status = SINGULAR
+                for j in range(t.size):
+                    lane.y[j, k] = lane.new[j, k]
+                if lane.h[0, k] >= lane.left[k]:
+                    lane.at[k] += 1
+                    lane.left[k], lane.tries[k], lane.due[k] = task.frame, 0, True
+                else:
+                    lane.left[k] -= lane.h[0, k]
+            elif lane.step[k] < method.smallest:
+                status = STUCK
+        if status != REACHED:
+            for k in range(first, first + companions):
+                task.status[lane.row[k]] = status
+                lane.row[k], lane.due[k] = -1, False

@@ -1,0 +1,252 @@
+"""Constant arrays of a mechanism for the compiled kernels, link by link, and its coordinates."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.scene.constraints import layout_of
+from mbds_xsim.scene.joint_space import to_links
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
+
+FIXED, HINGE, SLIDER, BALL, FREE = range(5)
+_KINDS = {"fixed": FIXED, "hinge": HINGE, "slider": SLIDER, "ball": BALL}
+_PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
+
+POINT, ALONG, NORMAL, DISTANCE = range(4)
+
+
+_Rows = tuple[Index, Index, Array, Array, Array]
+
+
+class Tree(NamedTuple):
+    """The mechanism's links, in the order of `Mechanism.links`, with the world behind them."""
+
+    kind: Index
+    parent: Index
+    body: Index
+    """Scene's index of each link's body."""
+    at: Index
+    """Where a link's places stand in a state."""
+    speed_at: Index
+    """Where its speeds stand, and where the last one's end, shape (link + 1,)."""
+    place_count: int
+    size: int
+    """Numbers of a state."""
+    in_parent: Array
+    """Arms of the joint in the principal frames, shape (link, 3)."""
+    in_child: Array
+    axis: Array
+    """In the parent's frame."""
+    fixed: Array
+    """A joint at 0 turns the child's frame to the parent's by this matrix, shape (link, 9);"""
+    odd: Array
+    """a hinge adds this times its sine,"""
+    even: Array
+    """and this times 1 − cosine."""
+    still: Array
+    """`fixed` as a quaternion, shape (link, 4)."""
+    mass: Array
+    moment: Array
+    """Principal moments, shape (link, 3)."""
+    yielding: Array
+    """Inverse masses and mean inverse moments, 0 for the world, shape (link + 1, 2)."""
+    gravity: Array
+    hinge_ends: Index
+    """Links of the parents and children that torques act on, shape (2, hinge)."""
+    hinge_axis: Array
+    """In the parents' frames, shape (hinge, 3)."""
+    spring_ends: Index
+    spring_points: Array
+    """In the frames of the two ends, shape (2, spring, 3)."""
+    spring: Array
+    """Rest length, stiffness and damping, shape (spring, 3)."""
+    row_kind: Index
+    row_ends: Index
+    row_points: Array
+    """Of each row a vector fixed in the first link and one in the second, shape (2, row, 3)."""
+    row_way: Array
+    """Direction of the row: in W, in the first link, or none, shape (row, 3)."""
+    row_length: Array
+    loaded: int
+    """Rows that carry loads; those behind them follow from them."""
+    path_start: Index
+    """Where each row's path begins in `path`, shape (row + 1,)."""
+    path: Index
+    """Links between the roots and a row's ends, from the outermost one inwards."""
+
+
+@functools.lru_cache(maxsize=64)
+def tree_of(mechanism: Mechanism) -> Tree:
+    """Lay out a mechanism, with its closure rows in the scene's order (once each)."""
+    top, links = dynamics_of(mechanism).topology, mechanism.links
+    world = len(links)
+    body = np.array([link.body for link in links])
+    link_of = np.append(np.argsort(body), world)  # −1 finds the world
+    kind = np.array([FREE if link.joint is None else _KINDS[link.joint.kind] for link in links])
+    parent_body = np.array([link.parent for link in links])
+    inwards = rotation.conjugate(top.principal)
+    places, speeds = np.array(_PLACES)[kind], np.array(_SPEEDS)[kind]
+    matrices = [_joint_matrices(link.joint) for link in links]
+    left, right = rotation.matrix(inwards[parent_body]), rotation.matrix(top.principal[body])
+    fixed, odd, even = (
+        (left @ np.array([m[k] for m in matrices]) @ right).reshape(-1, 9) for k in range(3)
+    )
+    still = rotation.multiply(inwards[parent_body], top.principal[body])
+
+    def joint_vectors(key: str, frame: Array) -> Array:
+        vectors = [np.zeros(3) if x.joint is None else getattr(x.joint, key) for x in links]
+        return rotation.rotate(frame, np.array(vectors))
+
+    yielding = np.mean(1.0 / top.inertia_root[body] ** 2, axis=1)
+    row_kind, row_ends, row_points, row_way, row_length = _rows(mechanism, inwards, link_of)
+    hinges, springs = mechanism.hinges, mechanism.springs
+    bare = Tree(
+        kind=kind,
+        parent=link_of[parent_body],
+        body=body,
+        at=np.cumsum(places) - places,
+        speed_at=places.sum() + np.cumsum([0, *speeds]),
+        place_count=int(places.sum()),
+        size=int(places.sum() + speeds.sum()),
+        in_parent=joint_vectors("in_parent", inwards[parent_body]),
+        in_child=joint_vectors("in_child", inwards[body]),
+        axis=joint_vectors("axis", inwards[parent_body]),
+        fixed=fixed,
+        odd=odd,
+        even=even,
+        still=still,
+        mass=mechanism.mass[body],
+        moment=top.inertia_root[body] ** 2,
+        yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
+        gravity=top.gravity,
+        hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
+        hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
+        spring_ends=_ends([spring.bodies for spring in springs], link_of),
+        spring_points=np.stack(
+            [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
+        ),
+        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
+        row_kind=row_kind,
+        row_ends=row_ends,
+        row_points=row_points,
+        row_way=row_way,
+        row_length=row_length,
+        loaded=0,
+        path_start=np.zeros(1, dtype=np.int64),
+        path=np.zeros(0, dtype=np.int64),
+    )
+    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind))
+
+
+def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
+    """Put closure rows into an order of which the first carry loads."""
+    ends = tree.row_ends[:, order]
+    paths = [_path(tree, *pair) for pair in ends.T.tolist()]
+    return tree._replace(
+        row_kind=tree.row_kind[order],
+        row_ends=np.ascontiguousarray(ends),
+        row_points=np.ascontiguousarray(tree.row_points[:, order]),
+        row_way=tree.row_way[order],
+        row_length=tree.row_length[order],
+        loaded=loaded,
+        path_start=np.cumsum([0, *map(len, paths)]),
+        path=np.array([link for path in paths for link in path], dtype=np.int64),
+    )
+
+
+def to_tree(mechanism: Mechanism, states: Array) -> Array:
+    """Coordinates of states (batch, body + world, 13) of the reference, shape (batch, number)."""
+    tree = tree_of(mechanism)
+    links = to_links(mechanism, dynamics_of(mechanism).unpack(states))
+    y = np.zeros((len(states), tree.size))
+    for k, (kind, body) in enumerate(zip(tree.kind, tree.body, strict=True)):
+        at, fast = tree.at[k], tree.speed_at[k]
+        if kind == FREE:
+            y[:, at : at + 7], y[:, fast : fast + 6] = states[:, body, :7], states[:, body, 7:]
+        elif kind == BALL:
+            y[:, at : at + 4], y[:, fast : fast + 3] = states[:, body, 3:7], states[:, body, 10:]
+        elif kind == HINGE:
+            half = 0.5 * links.coordinate[:, k]
+            y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]
+        elif kind == SLIDER:
+            y[:, at], y[:, fast] = links.coordinate[:, k], links.rate[:, k]
+    return y
+
+
+def _joint_matrices(joint: PlacedJoint | None) -> tuple[Array, Array, Array]:
+    """Constant part, sine's and (1 − cosine)'s of the turn of a joint in native frames."""
+    if joint is None or joint.kind != "hinge":
+        return np.eye(3), np.zeros((3, 3)), np.zeros((3, 3))
+    x, y, z = joint.axis
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3), across, across @ across
+
+
+def _ends(pairs: list[tuple[int, int]], link_of: Index) -> Index:
+    return np.ascontiguousarray(link_of[np.array(pairs, dtype=np.int64).reshape(-1, 2).T])
+
+
+def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
+    """Turn vectors from native into principal frames."""
+    body = np.array([body for body, _ in vectors], dtype=np.int64)
+    given = np.array([vector for _, vector in vectors], dtype=float).reshape(-1, 3)
+    return rotation.rotate(inwards[body], given)
+
+
+def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
+    """Rows of the joints and links that close loops, as of `mbds_xsim.scene.constraints`."""
+    layout, joints = layout_of(mechanism), len(mechanism.joints)
+    spans = layout.span_body.shape[1]
+    turned = rotation.rotate(inwards[layout.vector_body], layout.vector)
+    points = np.stack([turned[:spans], turned[spans : 2 * spans]])
+    count = [
+        3 * layout.points.stop,
+        layout.along.stop - layout.along.start,
+        layout.normal.stop - layout.normal.start,
+        layout.distances.stop - layout.distances.start,
+    ]
+    kind = np.repeat([POINT, ALONG, NORMAL, DISTANCE], count)
+    none = np.zeros((count[2], 3))
+    arms = np.concatenate(
+        [
+            np.repeat(points[:, layout.points], 3, axis=1),
+            points[:, layout.along],
+            np.stack([none, turned[layout.lever]]),
+            points[:, layout.distances],
+        ],
+        axis=1,
+    )
+    way = np.concatenate(
+        [
+            np.tile(np.eye(3), (layout.points.stop, 1)),
+            turned[layout.along_normal],
+            turned[layout.normal],
+            np.zeros((count[3], 3)),
+        ]
+    )
+    closing = {joint.index for joint in mechanism.loops}
+    kept = np.array([o >= joints or o in closing for o in layout.owner.tolist()], dtype=bool)
+    length = np.concatenate([np.zeros(sum(count[:3])), layout.length])
+    return (
+        kind[kept],
+        np.ascontiguousarray(link_of[layout.row_body[:, kept]]),
+        np.ascontiguousarray(arms[:, kept]),
+        way[kept],
+        length[kept],
+    )
+
+
+def _path(tree: Tree, first: int, second: int) -> list[int]:
+    """Links from two up to the roots, each once; children have the larger numbers."""
+    found = set()
+    for link in (first, second):
+        while link < len(tree.kind):
+            found.add(link)
+            link = int(tree.parent[link])
+    return sorted(found, reverse=True)

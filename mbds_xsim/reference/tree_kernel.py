@@ -1,0 +1,382 @@
+"""Articulated bodies on a spanning tree: O(n) recursions, eight states at once.
+
+Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 7, with all vectors in W and every
+body's twist that of its centre of mass. Ball joints and free bodies have the absolute orientation
+and angular velocity of their body as coordinates, so that they pass on a force and no moment.
+A hinge's angle is kept as cosine and sine of its half, which need no functions and no range.
+
+A body's articulated inertia (M, H, J) gives the force F = M a + H α + f and the moment
+N = Hᵀ a + J α + n that accelerations a and α need. At a joint, off by r from the centre, it is
+H' = H + M [r]×, J' = J + Hᵀ [r]× − [r]× H'.
+
+Links are in the order of `Mechanism.links`; the last one is the world. What is known of each is
+kept in one array of lanes, at the places below.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference.lanes import (
+    add,
+    add_to3,
+    apply,
+    apply_even,
+    apply_turned,
+    compiled,
+    cross,
+    cross_matrix,
+    crossed_even,
+    dot,
+    even_product,
+    inverse_even,
+    load,
+    load3,
+    load6,
+    load9,
+    number3,
+    product,
+    rotation_of,
+    spread,
+    store,
+    store3,
+    store6,
+    store9,
+    sub,
+    times,
+    transposed,
+)
+from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
+
+# Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and
+# from the parent's to the joint; accelerations that the velocities bring.
+X, R, W, V, AXIS, ARM, REACH, BEND, TWIST = 0, 3, 12, 15, 18, 21, 24, 27, 30
+# Loads in W, later the bias; inertia.
+F, N, M, H, J = 33, 36, 39, 45, 54
+# Of ball joints and free bodies: H', inverse of J', and J'⁻¹ H'ᵀ; of free ones the inverse of
+# what is then left of M. Of hinges and sliders: what their acceleration needs, and 1/D.
+HJ, JI, G, MI = 60, 69, 75, 84
+UF, UN, DI = 60, 63, 66
+A, ALPHA = 90, 93
+PLACES = 96
+
+
+class Work(NamedTuple):
+    """Arrays of lanes that kernels write into, each of shape (number, 8)."""
+
+    link: Array
+    """`PLACES` of each link and of the world."""
+    own: Array
+    """Of each speed: the part of its acceleration that is not the parent's."""
+    load: Array
+    """Held forces and moments in W, six of each link and of the world."""
+    torque: Array
+    """Held torques about hinges."""
+    rows: Array
+    """Jacobians of closure rows (12), biases and residuals (2)."""
+    responses: Array
+    """Of each row and speed: generalised load, and the same through the inertia."""
+    matrix: Array
+    """A = J M⁻¹ Jᵀ and its factor."""
+    multipliers: Array
+    share: Array
+    """Least independent part of a row, and largest contradiction of rows that follow (2)."""
+
+
+@compiled
+def move(t: Tree, work: Work, y):
+    """Place all bodies, and find their velocities and what these do to accelerations."""
+    a = work.link
+    for i in range(len(t.kind)):
+        p, b, kind = t.parent[i] * PLACES, i * PLACES, t.kind[i]
+        at, fast = t.at[i], t.speed_at[i]
+        turn, spin = load9(a, p + R), load3(a, p + W)
+        if kind == FREE:
+            _turn_freely(a, b, y, at + 3, fast + 3)
+            store3(a, b + X, load3(y, at))
+            store3(a, b + V, load3(y, fast))
+            continue
+        reach, slide, bend = apply(turn, number3(t.in_parent, i)), zero(), zero()
+        own = spin
+        if kind == BALL:
+            own = _turn_freely(a, b, y, at, fast)
+        else:
+            axis = apply(turn, number3(t.axis, i))
+            store3(a, b + AXIS, axis)
+            if kind == HINGE:
+                rate = times(load(y, fast), axis)
+                own = add(spin, rate)
+                store3(a, b + TWIST, cross(spin, rate))
+                store9(a, b + R, product(turn, _hinged(t, i, load(y, at), load(y, at + 1))))
+            else:
+                store9(a, b + R, product(turn, _constant(t.fixed, i)))
+            if kind == SLIDER:
+                reach = add(reach, times(load(y, at), axis))
+                slide = times(load(y, fast), axis)
+                bend = times(2.0, cross(spin, slide))
+            store3(a, b + W, own)
+        arm = apply(load9(a, b + R), number3(t.in_child, i))
+        swing, roll = cross(spin, reach), cross(own, arm)
+        store3(a, b + ARM, arm)
+        store3(a, b + REACH, reach)
+        store3(a, b + X, sub(add(load3(a, p + X), reach), arm))
+        store3(a, b + V, add(sub(add(load3(a, p + V), swing), roll), slide))
+        store3(a, b + BEND, add(bend, sub(cross(spin, swing), cross(own, roll))))
+
+
+@compiled
+def gather(t: Tree, work: Work):
+    """Hand inertias and biases down to the roots, after `move` and `load_kernel.weigh`."""
+    for k in range(len(t.kind)):
+        i = len(t.kind) - 1 - k
+        kind, b, p = t.kind[i], i * PLACES, t.parent[i] * PLACES
+        if kind in (BALL, FREE):
+            _gather_ball(work, b, p, t.speed_at[i], kind)
+        else:
+            _gather_axis(work, b, p, t.speed_at[i], kind)
+
+
+@compiled
+def _at_joint(a, b):
+    """Give H', J', f' and n' of a link at its joint."""
+    m, h, arm = load6(a, b + M), load9(a, b + H), load3(a, b + ARM)
+    bend = load3(a, b + BEND)
+    part = crossed_even(m, arm)
+    hj = (
+        h[0] + part[0], h[1] + part[1], h[2] + part[2], h[3] + part[3], h[4] + part[4],
+        h[5] + part[5], h[6] + part[6], h[7] + part[7], h[8] + part[8],
+    )  # fmt: skip
+    # Rows v of Hᵀ become v × r.
+    p, q = cross((h[0], h[3], h[6]), arm), cross((h[1], h[4], h[7]), arm)
+    s = cross((h[2], h[5], h[8]), arm)
+    xh = cross_matrix(arm, hj)
+    j = load6(a, b + J)
+    jj = (
+        j[0] + p[0] - xh[0], j[1] + q[1] - xh[4], j[2] + s[2] - xh[8],
+        j[3] + p[1] - xh[1], j[4] + p[2] - xh[2], j[5] + q[2] - xh[5],
+    )  # fmt: skip
+    f = add(load3(a, b + F), apply_even(m, bend))
+    n = sub(add(load3(a, b + N), apply_turned(h, bend)), cross(arm, f))
+    return hj, jj, f, n
+
+
+@compiled
+def _gather_ball(work, b, p, fast, kind):
+    a = work.link
+    if kind == FREE:
+        hj, jj, f, n = load9(a, b + H), load6(a, b + J), load3(a, b + F), load3(a, b + N)
+        fast += 3
+    else:
+        hj, jj, f, n = _at_joint(a, b)
+    inverse = inverse_even(jj)
+    g = even_product(inverse, transposed(hj))
+    store9(a, b + HJ, hj)
+    store6(a, b + JI, inverse)
+    store9(a, b + G, g)
+    own = apply_even(inverse, n)
+    store3(work.own, fast, own)
+    m = load6(a, b + M)
+    m = (
+        m[0] - hj[0] * g[0] - hj[1] * g[3] - hj[2] * g[6],
+        m[1] - hj[3] * g[1] - hj[4] * g[4] - hj[5] * g[7],
+        m[2] - hj[6] * g[2] - hj[7] * g[5] - hj[8] * g[8],
+        m[3] - hj[0] * g[1] - hj[1] * g[4] - hj[2] * g[7],
+        m[4] - hj[0] * g[2] - hj[1] * g[5] - hj[2] * g[8],
+        m[5] - hj[3] * g[2] - hj[4] * g[5] - hj[5] * g[8],
+    )
+    f = sub(f, apply(hj, own))
+    if kind == FREE:
+        left = inverse_even(m)
+        store6(a, b + MI, left)
+        store3(work.own, fast - 3, apply_even(left, f))
+        return
+    reach = load3(a, b + REACH)
+    mine = crossed_even(m, reach)
+    turned = cross_matrix(reach, mine)
+    _give(a, p, m, times9(-1.0, mine), times9(-1.0, turned), f, cross(reach, f))
+
+
+@compiled
+def _gather_axis(work, b, p, fast, kind):
+    a = work.link
+    hj, jj, f, n = _at_joint(a, b)
+    m, axis, twist = load6(a, b + M), load3(a, b + AXIS), load3(a, b + TWIST)
+    if kind == HINGE:
+        f, n = add(f, apply(hj, twist)), add(n, apply_even(jj, twist))
+        uf, un = apply(hj, axis), apply_even(jj, axis)
+        inverse = 1.0 / dot(axis, un)
+        own = -inverse * dot(axis, n)
+    elif kind == SLIDER:
+        uf, un = apply_even(m, axis), apply_turned(hj, axis)
+        inverse = 1.0 / dot(axis, uf)
+        own = -inverse * dot(axis, f)
+    else:
+        uf, un, inverse, own = zero(), zero(), spread(0.0), spread(0.0)
+    if kind != FIXED:
+        store3(a, b + UF, uf)
+        store3(a, b + UN, un)
+        store(a, b + DI, inverse)
+        store(work.own, fast, own)
+    kf, kn = times(inverse, uf), times(inverse, un)
+    m = (
+        m[0] - kf[0] * uf[0], m[1] - kf[1] * uf[1], m[2] - kf[2] * uf[2],
+        m[3] - kf[0] * uf[1], m[4] - kf[0] * uf[2], m[5] - kf[1] * uf[2],
+    )  # fmt: skip
+    h = (
+        hj[0] - kf[0] * un[0], hj[1] - kf[0] * un[1], hj[2] - kf[0] * un[2],
+        hj[3] - kf[1] * un[0], hj[4] - kf[1] * un[1], hj[5] - kf[1] * un[2],
+        hj[6] - kf[2] * un[0], hj[7] - kf[2] * un[1], hj[8] - kf[2] * un[2],
+    )  # fmt: skip
+    j = (
+        jj[0] - kn[0] * un[0], jj[1] - kn[1] * un[1], jj[2] - kn[2] * un[2],
+        jj[3] - kn[0] * un[1], jj[4] - kn[0] * un[2], jj[5] - kn[1] * un[2],
+    )  # fmt: skip
+    f, n, reach = add(f, times(own, uf)), add(n, times(own, un)), load3(a, b + REACH)
+    mine = crossed_even(m, reach)
+    out = (
+        h[0] - mine[0], h[1] - mine[1], h[2] - mine[2], h[3] - mine[3], h[4] - mine[4],
+        h[5] - mine[5], h[6] - mine[6], h[7] - mine[7], h[8] - mine[8],
+    )  # fmt: skip
+    # J + Y H − Hᵀ Y − Y M Y, of which the first two terms and the last are J + Y (H − M Y).
+    turned = cross_matrix(reach, out)
+    c0, c1 = cross((h[0], h[3], h[6]), reach), cross((h[1], h[4], h[7]), reach)
+    c2 = cross((h[2], h[5], h[8]), reach)
+    whole = (
+        j[0] + turned[0] - c0[0], j[3] + turned[1] - c0[1], j[4] + turned[2] - c0[2],
+        j[3], j[1] + turned[4] - c1[1], j[5] + turned[5] - c1[2],
+        j[4], j[5], j[2] + turned[8] - c2[2],
+    )  # fmt: skip
+    _give(a, p, m, out, whole, f, add(n, cross(reach, f)))
+
+
+@compiled
+def _give(a, p, m, h, j, f, n):
+    """Add inertia and bias to those of the parent; of `j` the upper half is read."""
+    add_to3(a, p + M, (m[0], m[1], m[2]))
+    add_to3(a, p + M + 3, (m[3], m[4], m[5]))
+    add_to3(a, p + H, (h[0], h[1], h[2]))
+    add_to3(a, p + H + 3, (h[3], h[4], h[5]))
+    add_to3(a, p + H + 6, (h[6], h[7], h[8]))
+    add_to3(a, p + J, (j[0], j[4], j[8]))
+    add_to3(a, p + J + 3, (j[1], j[2], j[5]))
+    add_to3(a, p + F, f)
+    add_to3(a, p + N, n)
+
+
+@compiled
+def spread_out(t: Tree, work: Work, with_bias):
+    """Find the accelerations of all bodies from the roots outwards.
+
+    Without bias they are the twists, or displacements, that the own parts alone bring.
+    """
+    a = work.link
+    for i in range(len(t.kind)):
+        p, b, kind, fast = t.parent[i] * PLACES, i * PLACES, t.kind[i], t.speed_at[i]
+        if kind == FREE:
+            linear = times(-1.0, load3(work.own, fast))
+            turning = apply(load9(a, b + G), linear)
+            store3(a, b + A, linear)
+            store3(a, b + ALPHA, times(-1.0, add(turning, load3(work.own, fast + 3))))
+            continue
+        beside = load3(a, p + ALPHA)
+        linear = add(load3(a, p + A), cross(beside, load3(a, b + REACH)))
+        if kind == BALL:
+            turning = apply(load9(a, b + G), linear)
+            turning = times(-1.0, add(turning, load3(work.own, fast)))
+        else:
+            turning = beside
+            if kind != FIXED:
+                bound = dot(load3(a, b + UF), linear) + dot(load3(a, b + UN), beside)
+                free = load(work.own, fast) - load(a, b + DI) * bound
+                # The speed's own acceleration, for `rates`.
+                store(a, b + MI, free)
+                moved = times(free, load3(a, b + AXIS))
+                if kind == HINGE:
+                    turning = add(turning, moved)
+                else:
+                    linear = add(linear, moved)
+        if with_bias:
+            linear = add(linear, load3(a, b + BEND))
+            if kind == HINGE:
+                turning = add(turning, load3(a, b + TWIST))
+        store3(a, b + ALPHA, turning)
+        store3(a, b + A, add(linear, cross(load3(a, b + ARM), turning)))
+
+
+@compiled
+def rates(t: Tree, work: Work, y, rate, first):
+    """Write the time derivative of a state from the accelerations of the bodies."""
+    a = work.link
+    for i in range(len(t.kind)):
+        b, kind, at, fast = i * PLACES, t.kind[i], t.at[i], t.speed_at[i]
+        if kind == HINGE:
+            half = 0.5 * load(y, fast)
+            store(rate, first + at, -half * load(y, at + 1))
+            store(rate, first + at + 1, half * load(y, at))
+            store(rate, first + fast, load(a, b + MI))
+        elif kind == SLIDER:
+            store(rate, first + at, load(y, fast))
+            store(rate, first + fast, load(a, b + MI))
+        elif kind == FREE:
+            store3(rate, first + at, load3(y, fast))
+            store3(rate, first + fast, load3(a, b + A))
+            _turning_rate(y, at + 3, fast + 3, rate, first)
+            store3(rate, first + fast + 3, load3(a, b + ALPHA))
+        elif kind == BALL:
+            _turning_rate(y, at, fast, rate, first)
+            store3(rate, first + fast, load3(a, b + ALPHA))
+
+
+@compiled
+def _turning_rate(y, at, fast, rate, first):
+    w, v, spin = load(y, at), load3(y, at + 1), times(0.5, load3(y, fast))
+    store(rate, first + at, -dot(spin, v))
+    store3(rate, first + at + 1, add(times(w, spin), cross(spin, v)))
+
+
+@compiled
+def _turn_freely(a, b, y, at, fast):
+    store9(a, b + R, rotation_of(load(y, at), load(y, at + 1), load(y, at + 2), load(y, at + 3)))
+    spin = load3(y, fast)
+    store3(a, b + W, spin)
+    return spin
+
+
+@compiled
+def _hinged(t, i, c, s):
+    """Give the matrix from a hinge's child to its parent."""
+    f = 2.0 / (c * c + s * s)
+    # sin φ and 1 − cos φ.
+    k, m = f * c * s, f * s * s
+    return (
+        t.fixed[i, 0] + k * t.odd[i, 0] + m * t.even[i, 0],
+        t.fixed[i, 1] + k * t.odd[i, 1] + m * t.even[i, 1],
+        t.fixed[i, 2] + k * t.odd[i, 2] + m * t.even[i, 2],
+        t.fixed[i, 3] + k * t.odd[i, 3] + m * t.even[i, 3],
+        t.fixed[i, 4] + k * t.odd[i, 4] + m * t.even[i, 4],
+        t.fixed[i, 5] + k * t.odd[i, 5] + m * t.even[i, 5],
+        t.fixed[i, 6] + k * t.odd[i, 6] + m * t.even[i, 6],
+        t.fixed[i, 7] + k * t.odd[i, 7] + m * t.even[i, 7],
+        t.fixed[i, 8] + k * t.odd[i, 8] + m * t.even[i, 8],
+    )
+
+
+@compiled
+def _constant(m, i):
+    return (m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5], m[i, 6], m[i, 7], m[i, 8])
+
+
+@compiled
+def zero():
+    """Give the vector of zeros."""
+    o = spread(0.0)
+    return o, o, o
+
+
+@compiled
+def times9(f, m):
+    """Multiply a matrix by a number."""
+    return (
+        f * m[0], f * m[1], f * m[2], f * m[3], f * m[4], f * m[5], f * m[6], f * m[7], f * m[8],
+    )  # fmt: skip

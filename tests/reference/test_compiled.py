@@ -1,0 +1,138 @@
+"""The compiled reference, against the equations in maximal coordinates and laws of its own."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference import compiled, marching
+from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.solution import start_states
+from mbds_xsim.scene.joint_space import to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene, SpringDamper
+from mbds_xsim.simulate.registry import load_scene
+from tests.random_scenes import Kind, random_links, random_tree
+
+KINDS = st.lists(
+    st.sampled_from(["fixed", "hinge", "slider", "ball", "free"]), min_size=1, max_size=6
+)
+
+
+def with_springs(rng: np.random.Generator, scene: Scene) -> Scene:
+    """Add a soft spring with a damper between two bodies, and one to the world."""
+    names = [body.name for body in scene.bodies]
+    ends = [("world", names[0]), ("world" if len(names) == 1 else names[0], names[-1])]
+    springs = tuple(
+        SpringDamper(
+            f"spring{k}",
+            pair,
+            (_point(rng), _point(rng)),
+            stiffness=3.0,
+            damping=0.2,
+            rest_length=0.7,
+        )
+        for k, pair in enumerate(ends)
+    )
+    return msgspec.structs.replace(scene, springs=springs)
+
+
+def _point(rng: np.random.Generator) -> tuple[float, float, float]:
+    x, y, z = rng.uniform(-2.0, 2.0, 3).tolist()
+    return x, y, z
+
+
+def random_case(seed: int, kinds: list[Kind], links: int) -> tuple[Mechanism, Array, Array, Array]:
+    """Make a scene, states of it that keep its joints together, forces and torques."""
+    rng = np.random.default_rng(seed)
+    scene = with_springs(rng, random_tree(rng, kinds, links=links))
+    mechanism = Mechanism.of(scene)
+    dynamics = dynamics_of(mechanism)
+    states = dynamics.pack(to_bodies(mechanism, random_links(rng, mechanism, (3,))))
+    for _ in range(30 if links else 1):
+        states = dynamics.project(states)
+    force = rng.standard_normal((3, mechanism.body_count, 3))
+    return mechanism, states, force, rng.standard_normal((3, len(mechanism.hinges)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), KINDS)
+def test_trees_have_the_accelerations_that_newton_and_euler_give(
+    seed: int, kinds: list[Kind]
+) -> None:
+    mechanism, states, force, torque = random_case(seed, kinds, 0)
+    expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
+    found = compiled.body_accelerations(mechanism, states, force, torque)
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.sampled_from(["hinge", "ball", "free"]), min_size=3, max_size=5),
+)
+def test_loops_have_the_accelerations_that_newton_and_euler_give(
+    seed: int, kinds: list[Kind]
+) -> None:
+    mechanism, states, force, torque = random_case(seed, kinds, 1)
+    dynamics = dynamics_of(mechanism)
+    rate, share = dynamics.rate(states, force, torque)
+    closed = np.abs(dynamics.residual(states)).max(axis=1) < 1e-12
+    # Newton's method may close a hinge with its axis turned round, which no motion leads to.
+    bodies = dynamics.unpack(states)
+    again = to_bodies(mechanism, to_links(mechanism, bodies))
+    joined = np.abs(again.position - bodies.position).max(axis=(1, 2)) < 1e-9
+    fit = closed & joined & (share > 1e-2)
+    assume(fit.any())
+    expected = rate[fit, :-1, 7:]
+    found = compiled.body_accelerations(mechanism, states[fit], force[fit], torque[fit])
+    assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(rate).max()))
+
+
+def both(
+    name: str, steps: int, *, index: list[int], rtol: float = 1e-11
+) -> tuple[Marched, Marched]:
+    """March a scene with kernels and without."""
+    scene = load_scene(name)
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, index).truncated(steps)
+    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
+    slow = marching.march(dynamics_of(mechanism), start, inputs, scene.clock.frame, rtol=1e-11)
+    return compiled.march_compiled(mechanism, start, inputs, rtol=rtol), slow
+
+
+@pytest.mark.parametrize(
+    "name", ["5pendulum", "6pendulum", "workbench", "andrews", "bricard", "2ladder"]
+)
+def test_scenes_move_as_in_maximal_coordinates(name: str) -> None:
+    fast, slow = both(name, 25, index=[0, 1, 3])
+    assert fast.failures == slow.failures
+    assert np.abs(fast.states[..., :3] - slow.states[..., :3]).max() < 1e-9
+    # Quaternions too: each goes on continuously from the start's.
+    assert np.abs(fast.states[..., 3:7] - slow.states[..., 3:7]).max() < 1e-8
+
+
+def test_a_trajectory_does_not_depend_on_those_beside_it() -> None:
+    scene = load_scene("workbench")
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(11)).truncated(7)
+    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
+    together = compiled.march_compiled(mechanism, start, inputs, rtol=1e-9)
+    row = slice(9, 10)
+    alone = Inputs(inputs.force[row], inputs.torque[row])
+    one = compiled.march_compiled(mechanism, start[row], alone, rtol=1e-9)
+    assert np.array_equal(together.states[row], one.states)
+
+
+def test_errors_fall_with_the_tolerance_as_an_order_of_eight_has_it() -> None:
+    slow = both("6pendulum", 20, index=[1])[1]
+    off = []
+    for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
+        fast = both("6pendulum", 20, index=[1], rtol=rtol)[0]
+        off.append(float(np.abs(fast.states[..., :3] - slow.states[..., :3]).max()))
+    assert off[0] > 30 * off[2] > 900 * off[3]
+    assert off[3] < 1e-9
