@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
+import pickle
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 from unittest import mock
 
+from mbds_xsim.base.write import write_whole
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, reference_of
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.result import ReferenceResult
@@ -20,7 +24,7 @@ from mbds_xsim.simulate.adapter import Adapter, Profile, Readback, Run, Settings
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, checked, simulate
 
-__all__ = ["Change", "Fault", "Faulty", "planted"]
+__all__ = ["Change", "Fault", "Faulty", "planted", "share"]
 
 
 def _same_model(scene: Scene) -> Scene:
@@ -106,6 +110,15 @@ _SOLVED: dict[_Key, ReferenceOutcome] = {}
 _AUDITED: dict[_Key, ReferenceResult] = {}
 
 
+def share(folder: Path) -> None:
+    """Let all workers of a run of tests simulate what is sound only once."""
+    global _SHARED
+    _SHARED = folder
+
+
+_SHARED: Path | None = None
+
+
 def _drawn(scene: Scene, batch: Batch) -> _Key:
     """Tell what is simulated from all else; the starts follow from the scene and their numbers."""
     return scene, batch.index.tobytes(), batch.force.tobytes()
@@ -116,7 +129,13 @@ def _simulated(
 ) -> Simulation:
     key = (change, engine, repr(settings), *_drawn(scene, batch))
     if key not in _DONE:
-        _DONE[key] = _carried_out(change, scene, batch, engine, settings)
+        path = _SHARED and _SHARED / hashlib.sha256(repr(key).encode()).hexdigest()
+        if change is None and path and path.exists():
+            _DONE[key] = pickle.loads(path.read_bytes())
+        else:
+            _DONE[key] = _carried_out(change, scene, batch, engine, settings)
+            if change is None and path:
+                write_whole(path, pickle.dumps(_DONE[key]))
     return _DONE[key]
 
 

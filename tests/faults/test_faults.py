@@ -12,7 +12,7 @@ from mbds_xsim.simulate import registry
 
 from .bench import ENGINES, checked, told
 from .faults import FAULTS
-from .planting import Fault
+from .planting import Fault, share
 from .scenes import SCENES
 
 pytestmark = pytest.mark.slow
@@ -42,8 +42,11 @@ def _all_engines_and_references_of_this_run(
     missing = set(ENGINES) - set(registry.installed_engines())
     if missing and not os.environ.get("MBDS_XSIM_MUST_RUN"):
         pytest.skip(f"not installed: {', '.join(sorted(missing))}")
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "sound"
+    share(folder / "simulations")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("references")))
+        patch.setenv("MBDS_XSIM_CACHE", str(folder))
         yield
 
 
