@@ -96,7 +96,7 @@ def audit_file(path: Path, scene: Scene | None, origin: Provenance) -> Audited:
         file=str(path),
         scene=foreign.scene.name,
         verdict="fail" if reasons else "pass",
-        trajectories=foreign.piece.total,
+        trajectories=foreign.total,
         steps=foreign.steps,
         frame_s=foreign.scene.clock.frame,
         given=tuple(foreign.arrays),
@@ -164,7 +164,7 @@ class _Case:
 
     def rounding(self, *names: str) -> float:
         """By how much numbers of some arrays may be rounded, those that are there."""
-        return max(self.foreign.piece.rounding.get(name, 0.0) for name in names)
+        return max(self.foreign.rounding.get(name, 0.0) for name in names)
 
     def findings(self) -> list[Finding]:
         """Run every check that the file allows."""
@@ -294,12 +294,12 @@ class _Case:
 
     def _errors(self) -> list[Finding]:
         """Hold some of the trajectories against the reference, by their points."""
-        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.piece.first)))
+        rows = list(range(min(len(self.batch), _MOST_COMPARED - self.foreign.first)))
         if not rows:
             return []
         scene, batch = self.foreign.scene, self.batch[rows]
         solved = reference_of(scene, batch, cache=True)
-        if self.foreign.piece.total > _MOST_COMPARED:
+        if self.foreign.total > _MOST_COMPARED:
             self.taken.append(
                 f"reference: compared with the first {_MOST_COMPARED} trajectories only"
             )
@@ -335,7 +335,7 @@ def _positional(scene: Scene) -> list[str]:
 
 def _completed(origin: Provenance, foreign: Foreign) -> Provenance:
     """Add what the file says where the user says nothing; of numbers those of its trajectories."""
-    first, total = foreign.piece.first, foreign.piece.total
+    first, total = foreign.first, foreign.total
     said = {key: value for key, value in vars(origin).items() if value is not None}
     if origin.index is not None:
         if len(origin.index) != total:
@@ -355,7 +355,7 @@ def _start_taken(first: _Case, last: _Case) -> str:
         return "start: frame 0 of the file"
     origin, ends = first.origin, (int(first.batch.index[0]), int(last.batch.index[-1]))
     noise = "with" if origin.noise is not False else "without"
-    numbers = f"{ends[0]}" if first.foreign.piece.total == 1 else f"{ends[0]} … {ends[1]}"
+    numbers = f"{ends[0]}" if first.foreign.total == 1 else f"{ends[0]} … {ends[1]}"
     return f"start and inputs: those of seed {origin.seed}, index {numbers}, {noise} noise"
 
 

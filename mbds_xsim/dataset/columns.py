@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.safe_text import on_a_line
-from mbds_xsim.dataset.layout import FIELDS
+from mbds_xsim.dataset.layout import FIELDS, attribute
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene
 
@@ -92,13 +92,13 @@ def _is_given(group: Group, got: set[str], source: str) -> bool:
 
 def read_csv(
     path: Path, scene: Scene | None
-) -> tuple[dict[str, NDArray[Any]], dict[str, float], dict[str, str]]:
+) -> tuple[dict[str, NDArray[Any]], dict[str, str], dict[str, float]]:
     """Read rows of columns, and before them facts, as `# seed: 0`.
 
     A row of inputs acts from its frame to the next: that of the last frame means nothing.
 
     Returns:
-        Arrays, by how much the numbers of each may be rounded, and facts.
+        Arrays, facts, and by how much the numbers of each array may be rounded.
 
     Raises:
         InputError: A column is not known, time is missing, or an array is there in part.
@@ -124,8 +124,8 @@ def read_csv(
         arrays[group.name] = values.reshape(len(frames), *group.columns.shape)
         rounding[group.name] = max(off for _, off in read)
     if "index" in facts:
-        arrays["index"] = np.array([facts["index"]])
-    return arrays, rounding, facts
+        arrays["index"] = np.array([attribute("index", facts, f"{path}: ", strict=False)])
+    return arrays, facts, rounding
 
 
 def _column(rows: list[list[str]], place: int, name: str, path: Path) -> tuple[Array, float]:

@@ -10,8 +10,8 @@ import math
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any
@@ -67,22 +67,8 @@ class Provenance:
                 bounds.finite(key, value)
 
 
-FACTS = tuple(field.name for field in fields(Provenance) if field.name != "index")
+FACTS = tuple(each.name for each in fields(Provenance) if each.name != "index")
 """What a file may say beside its numbers."""
-
-
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """Some trajectories as they were read, before they are held against the scene."""
-
-    arrays: dict[str, NDArray[Any]]
-    rounding: dict[str, float]
-    """By how much the numbers of each array may be rounded, in their own unit."""
-    facts: dict[str, Any]
-    first: int = 0
-    """Place in the file of the first of these trajectories."""
-    total: int = 1
-    """Trajectories of the file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +80,16 @@ class Foreign:
     """As it was given."""
     scene: Scene
     """With the clock of the file."""
-    piece: Piece
     arrays: dict[str, Array]
     """Those of `time`, `position`, `velocity`, `body/…`, `input/…` that are there."""
+    rounding: dict[str, float]
+    """By how much the numbers of each array may be rounded, in their own unit."""
     said: dict[str, Any]
     """Those fields of a `Provenance` that the file tells."""
+    first: int
+    """Place in the file of the first of these trajectories."""
+    total: int
+    """Trajectories of the file."""
 
     @property
     def count(self) -> int:
@@ -111,6 +102,18 @@ class Foreign:
         return len(self.arrays[TIME]) - 1
 
 
+@dataclass(frozen=True)
+class _Opened:
+    """A file that is read: every format gives the same."""
+
+    arrays: Mapping[str, Any]
+    """They give their shape and type, rows by slices without a gap, and all of them by `[()]`."""
+    facts: Mapping[str, Any]
+    """What else the file says."""
+    rounding: dict[str, float] = field(default_factory=dict)
+    """Of arrays whose type does not tell by how much their numbers may be rounded."""
+
+
 def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     """Read a file of trajectories, some at a time.
 
@@ -121,38 +124,37 @@ def read_foreign(path: Path, scene: Scene | None) -> Iterator[Foreign]:
     Raises:
         InputError: It cannot be read, or is no trajectory of the scene.
     """
-    if path.suffix not in (".csv", ".npz", ".h5", ".hdf5"):
+    if path.suffix not in _FORMATS:
         msg = f"{path}: got a file {path.suffix or 'without ending'}, allowed is .npz, .csv, .h5"
         raise InputError(msg)
     refuse_other(path)
     try:
-        for piece in _pieces_of(path, scene):
-            yield _checked(piece, scene or _own_scene(piece, path), str(path))
+        with _FORMATS[path.suffix](path, scene) as opened:
+            yield from _trajectories(opened, scene, path)
     except _DAMAGE as error:
         msg = f"{path} cannot be read as {path.suffix[1:]} ({error}); it is something else"
         raise InputError(msg) from error
 
 
-def _pieces_of(path: Path, scene: Scene | None) -> Iterator[Piece]:
-    if path.suffix == ".csv":
-        yield Piece(*read_csv(path, scene))
-    elif path.suffix == ".npz":
-        yield from _read_npz(path)
-    else:
-        yield from _read_hdf5(path)
+@contextmanager
+def _open_csv(path: Path, scene: Scene | None) -> Iterator[_Opened]:
+    """Give the columns of one trajectory as arrays."""
+    yield _Opened(*read_csv(path, scene))
 
 
-def _read_hdf5(path: Path) -> Iterator[Piece]:
-    """Read arrays by their paths and attributes as facts; of other datasets only the names."""
+@contextmanager
+def _open_hdf5(path: Path, _: Scene | None) -> Iterator[_Opened]:
+    """Give arrays by their paths and attributes as facts."""
     with open_hdf5(path) as file:
-        sources = datasets_in(file)
-        for name in _RANKS.keys() & sources.keys():
-            check_sources(sources[name])
-        yield from _read_rows(sources, plain(file.attrs), path)
+        arrays = datasets_in(file)
+        for name in _RANKS.keys() & arrays.keys():
+            check_sources(arrays[name])
+        yield _Opened(arrays, plain(file.attrs))
 
 
-def _read_npz(path: Path) -> Iterator[Piece]:
-    """Read arrays by their names; what has no axes is a fact."""
+@contextmanager
+def _open_npz(path: Path, _: Scene | None) -> Iterator[_Opened]:
+    """Give arrays by their names; what has no axes is a fact."""
     with ExitStack() as stack:
         archive = stack.enter_context(zipfile.ZipFile(path))
         refuse_bomb(path, sum(member.file_size for member in archive.infolist()))
@@ -161,28 +163,15 @@ def _read_npz(path: Path) -> Iterator[Piece]:
             for name in archive.namelist()
         }
         facts = {name: one[()].item() for name, one in members.items() if not one.shape}
-        yield from _read_rows({k: one for k, one in members.items() if one.shape}, facts, path)
+        yield _Opened({name: one for name, one in members.items() if one.shape}, facts)
 
 
-def _read_rows(sources: Mapping[str, Any], facts: dict[str, Any], path: Path) -> Iterator[Piece]:
-    """Read some trajectories at a time; what belongs to no motion is passed over.
+_FORMATS = {".csv": _open_csv, ".npz": _open_npz, ".h5": _open_hdf5, ".hdf5": _open_hdf5}
 
-    Args:
-        sources: Arrays in a file that give their shape, rows by slices without a gap, and all of
-            them by `[()]`.
-        facts: What else the file says.
-        path: The file.
-    """
-    strange = [name for name in sources if name not in FIELDS]
-    if strange or TIME not in sources:
-        got = f"an array {strange[0]!r}" if strange else "no array 'time'"
-        msg = f"{path}: got {got}, allowed are {', '.join((TIME, *MOTION))}"
-        raise InputError(msg)
-    sources = {name: one for name, one in sources.items() if name in (TIME, *_RANKS)}
-    for name, one in sources.items():
-        if one.dtype.kind not in "fiu":
-            msg = f"{path}: {name}: got values of the type {one.dtype}, allowed are numbers"
-            raise InputError(msg)
+
+def _trajectories(opened: _Opened, given: Scene | None, path: Path) -> Iterator[Foreign]:
+    """Read some trajectories at a time; what belongs to no motion is passed over."""
+    sources = _sources(opened.arrays, path)
     many = {name for name, one in sources.items() if len(one.shape) == _RANKS.get(name)}
     if many == {"index"}:
         many = set()  # one trajectory, whose arrays have no such axis
@@ -193,11 +182,28 @@ def _read_rows(sources: Mapping[str, Any], facts: dict[str, Any], path: Path) ->
     each = max((math.prod(sources[name].shape[1:3]) for name in many), default=1)
     size = max(1, _AT_ONCE // max(1, each))
     shared = {name: np.asarray(one[()]) for name, one in sources.items() if name not in many}
+    scene = given or _own_scene(opened.facts, path)
     for first in range(0, total, size):
-        rows = {name: np.asarray(sources[name][first : first + size]) for name in many}
-        arrays = shared | rows
-        rounding = {name: rounding_of(array) for name, array in arrays.items()}
-        yield Piece(arrays, rounding, facts, first, total)
+        arrays = shared | {name: np.asarray(sources[name][first : first + size]) for name in many}
+        rounding = {name: rounding_of(array) for name, array in arrays.items()} | opened.rounding
+        own, checked = _checked(arrays, scene, first, str(path))
+        said = _said(arrays, opened.facts, f"{path}: ")
+        yield Foreign(str(path), scene, own, checked, rounding, said, first, total)
+
+
+def _sources(arrays: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """Give what belongs to motions, or refuse a file with other arrays or values."""
+    strange = [name for name in arrays if name not in FIELDS]
+    if strange or TIME not in arrays:
+        got = f"an array {strange[0]!r}" if strange else "no array 'time'"
+        msg = f"{path}: got {got}, allowed are {', '.join((TIME, *MOTION))}"
+        raise InputError(msg)
+    sources = {name: one for name, one in arrays.items() if name in (TIME, *_RANKS)}
+    for name, one in sources.items():
+        if one.dtype.kind not in "fiu":
+            msg = f"{path}: {name}: got values of the type {one.dtype}, allowed are numbers"
+            raise InputError(msg)
+    return sources
 
 
 def _same_count(counts: dict[str, int], source: Path | str) -> int:
@@ -252,33 +258,37 @@ class _Stream:
         return np.frombuffer(content, self.dtype).reshape(shape)
 
 
-def _own_scene(piece: Piece, path: Path) -> Scene:
-    if "scene" not in piece.facts:
+def _own_scene(facts: Mapping[str, Any], path: Path) -> Scene:
+    if "scene" not in facts:
         msg = f"{path}: the file does not tell its scene; give it with --scene"
         raise InputError(msg)
-    return scene_of(piece.facts["scene"], path, "give it with --scene")
+    return scene_of(facts["scene"], path, "give it with --scene")
 
 
-def _checked(piece: Piece, scene: Scene, source: str) -> Foreign:
-    """Hold times, shapes and numbers against the scene."""
-    if not {"position", "body/position"} & piece.arrays.keys():
+def _said(arrays: Mapping[str, Any], facts: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Give what the file tells of how it was made, and the numbers of these trajectories."""
+    said = {key: attribute(key, facts, where, strict=False) for key in FACTS if key in facts}
+    if "index" in arrays:
+        numbers = [{"index": each} for each in arrays["index"].ravel().tolist()]
+        said["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
+    return said
+
+
+def _checked(
+    arrays: Mapping[str, NDArray[Any]], scene: Scene, first: int, source: str
+) -> tuple[Scene, dict[str, Array]]:
+    """Hold times, shapes and numbers against the scene; give it with their clock, and them."""
+    if not {"position", "body/position"} & arrays.keys():
         msg = f"{source}: got no positions, allowed are position (of particles) or body/position"
         raise InputError(msg)
     for one, other in (("position", "orientation"), ("velocity", "angular_velocity")):
-        if (f"body/{one}" in piece.arrays) != (f"body/{other}" in piece.arrays):
+        if (f"body/{one}" in arrays) != (f"body/{other}" in arrays):
             msg = f"{source}: body/{one} and body/{other} belong together; one is missing"
             raise InputError(msg)
-    clock = _clock(np.asarray(piece.arrays[TIME], dtype=np.float64), scene, source)
-    arrays = {TIME: clock.frame * np.arange(clock.steps + 1, dtype=np.float64)}
-    arrays |= _shaped(piece, scene, clock, source)
-    where = f"{source}: "
-    told = (key for key in FACTS if key in piece.facts)
-    said = {key: attribute(key, piece.facts, where, strict=False) for key in told}
-    if "index" in piece.arrays:
-        numbers = [{"index": each} for each in piece.arrays["index"].ravel().tolist()]
-        said["index"] = tuple(attribute("index", n, where, strict=False) for n in numbers)
-    own = msgspec.structs.replace(scene, clock=clock)
-    return Foreign(source, scene, own, piece, arrays, said)
+    clock = _clock(np.asarray(arrays[TIME], dtype=np.float64), scene, source)
+    time = clock.frame * np.arange(clock.steps + 1, dtype=np.float64)
+    shaped = _shaped(arrays, scene, clock, first, source)
+    return msgspec.structs.replace(scene, clock=clock), {TIME: time, **shaped}
 
 
 def _clock(time: Array, scene: Scene, source: str) -> Clock:
@@ -300,13 +310,15 @@ def _clock(time: Array, scene: Scene, source: str) -> Clock:
     return Clock(frame=frame if same else usual, steps=len(steps))
 
 
-def _shaped(piece: Piece, scene: Scene, clock: Clock, source: str) -> dict[str, Array]:
+def _shaped(
+    arrays: Mapping[str, NDArray[Any]], scene: Scene, clock: Clock, first: int, source: str
+) -> dict[str, Array]:
     """Give the arrays a first axis of trajectories and hold their shapes against the scene."""
     shaped: dict[str, Array] = {}
     for group in groups(scene):
-        if group.name not in piece.arrays:
+        if group.name not in arrays:
             continue
-        values = np.asarray(piece.arrays[group.name], dtype=np.float64)
+        values = np.asarray(arrays[group.name], dtype=np.float64)
         per_step = FIELDS[group.name].per_step
         wanted = (clock.steps + (not per_step), *group.columns.shape)
         values = values[None] if values.ndim == len(wanted) else values
@@ -322,7 +334,7 @@ def _shaped(piece: Piece, scene: Scene, clock: Clock, source: str) -> dict[str, 
             row, frame = bad[0][:2]
             msg = (
                 f"{source}: {group.name}: got {values[tuple(bad[0])]} in trajectory "
-                f"{piece.first + row}, frame {frame}; allowed are finite numbers: cut the "
+                f"{first + row}, frame {frame}; allowed are finite numbers: cut the "
                 "trajectory off before"
             )
             raise InputError(msg)
