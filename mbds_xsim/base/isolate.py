@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from mbds_xsim.base.process import Spent, held_back, memory_bytes
 
@@ -85,6 +85,19 @@ _begun: Path | None = None
 def core_count() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Carrier(Protocol):
+    """What carries tasks out: `run_tasks`, or a cluster."""
+
+    def __call__(
+        self,
+        tasks: Sequence[Task],
+        *,
+        workers: int | None = None,
+        finished: Callable[[int, Any], None] | None = None,
+    ) -> list[Any]:
+        """Give one answer a task, or a `Crash`; in the order of the tasks."""
 
 
 def run_tasks(

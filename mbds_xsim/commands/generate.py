@@ -51,11 +51,10 @@ def generate(
     json: shared.JsonFile = None,
 ) -> None:
     """Make data sets: simulate, check every trajectory, publish what passes."""
-    from mbds_xsim.base.isolate import run_tasks
+    from mbds_xsim.base.isolate import Carrier, run_tasks
     from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
-    from mbds_xsim.dataset.work import Carrier
     from mbds_xsim.report.bar import GeneratingBar
     from mbds_xsim.simulate.choice import Choice
 

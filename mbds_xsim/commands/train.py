@@ -27,7 +27,7 @@ from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mbds_xsim.dataset.work import Carrier
+    from mbds_xsim.base.isolate import Carrier
     from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost, TrainingRequest
     from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
@@ -230,8 +230,7 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
         if path not in there:
             console.print(f"{path}: not there, and not drawn", highlight=False)
     from mbds_xsim.base.write import write_whole
-    from mbds_xsim.learn.curves import read_curve
-    from mbds_xsim.learn.training_curves import to_png
+    from mbds_xsim.learn.curves import read_curve, to_png
 
     write_whole(png, to_png([read_curve(path) for path in there]))
 

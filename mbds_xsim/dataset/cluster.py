@@ -11,11 +11,10 @@ import platform
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
@@ -30,7 +29,7 @@ _AWAITED = ("pending", "lost")
 _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5py")
 
 
-class Cluster:
+class Cluster(AbstractContextManager["Cluster"]):
     """A `Carrier`; use it in a `with` block.
 
     Args:
@@ -66,15 +65,7 @@ class Cluster:
         except Exception as error:
             raise self._lost(error) from error
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._client.close()
 
     def __call__(

@@ -1,8 +1,13 @@
-"""Learning curves as files: one of JSON beside a model, and what TensorBoard reads."""
+"""Learning curves: a file of JSON beside a model, what TensorBoard reads, and a picture.
+
+In the picture an engine has the colour that it has everywhere; dashes tell apart what else its name
+stands for: all but it, or its starts of one interval.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -12,6 +17,15 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.report.palette import LIGHT, engine_style
+from mbds_xsim.report.themed import INK, png
+from mbds_xsim.simulate import registry
+
+Look = tuple[str, str | tuple[int, tuple[int, ...]]]
+_PANEL = (4.2, 3.0)  # [in]
+_ABREAST = 4
+_DASHES = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
+_MARK = {"level": ".", "steps": "|", "diverged": "x", "": "4"}
 
 
 class LearningCurve(msgspec.Struct, frozen=True):
@@ -83,3 +97,91 @@ def log_whole(curve: Path, folder: Path) -> None:
 
 def _writer() -> Any:
     return optional("torch.utils.tensorboard", "--tensorboard", "learn").SummaryWriter
+
+
+def to_png(curves: Sequence[LearningCurve]) -> bytes:
+    """Draw validation errors over steps: a panel a model and data, a line a seed.
+
+    A mark at the end says why it ended there.
+    """
+    panels: dict[str, list[LearningCurve]] = {}
+    for curve in curves:
+        if not any(math.isfinite(point.error) for point in curve.points):
+            continue
+        panels.setdefault(curve.run.rpartition("/")[0], []).append(curve)
+    styles = looks(sorted({_training(curve) for curve in curves}))
+    columns = max(1, min(_ABREAST, len(panels)))
+    rows = max(1, math.ceil(len(panels) / columns))
+
+    def draw(figure: Any) -> None:
+        grid = figure.subplots(rows, columns, squeeze=False).flat
+        for axes, (name, members) in zip(grid, panels.items(), strict=False):
+            _panel(axes, name, members, styles)
+        for axes in list(grid)[len(panels) :]:
+            axes.remove()
+        _legend(figure, styles)
+
+    return png(draw, (_PANEL[0] * columns, _PANEL[1] * rows + 0.5))
+
+
+def _panel(
+    axes: Any, name: str, curves: Sequence[LearningCurve], styles: Mapping[str, Look]
+) -> None:
+    axes.set_title(name, fontsize=10, loc="left", color=INK)
+    axes.set_xlabel("steps")
+    axes.set_ylabel("validation error [m²]")
+    axes.set_yscale("log")
+    for curve in curves:
+        colour, dash = styles[_training(curve)]
+        steps = [point.step for point in curve.points]
+        errors = [point.error for point in curve.points]
+        axes.plot(steps, errors, color=colour, linestyle=dash, linewidth=1.1)
+        finite = [k for k, error in enumerate(errors) if math.isfinite(error)]
+        if finite:
+            last = finite[-1]
+            mark = _MARK[curve.ended]
+            axes.plot(steps[last], errors[last], color=colour, marker=mark, markersize=5)
+
+
+def _legend(figure: Any, styles: Mapping[str, Look]) -> None:
+    from matplotlib.lines import Line2D
+
+    entries = [
+        Line2D([], [], color=colour, linestyle=dash, label=training)
+        for training, (colour, dash) in styles.items()
+    ]
+    words = {"level": "level", "steps": "all steps taken", "diverged": "diverged"}
+    entries += [
+        Line2D([], [], color=INK, linestyle="", marker=_MARK[way], label=text)
+        for way, text in words.items()
+    ]
+    figure.legend(
+        handles=entries, loc="outside lower center", ncols=min(6, len(entries)), frameon=False
+    )
+
+
+def looks(trainings: Sequence[str]) -> dict[str, Look]:
+    """Colour and dashes of each training: an engine alone has a full line, its own colour.
+
+    Trainings that name no engine are black.
+    """
+    members: dict[str, list[str]] = {}
+    for training in trainings:
+        named = [engine for engine in registry.engine_names() if engine in training.split("-")]
+        first = named[0] if named else ""
+        others = members.setdefault(first, [first] if named else [])
+        others += [] if training in others else [training]
+    return {
+        training: (
+            LIGHT[engine_style(first).colour] if first else INK,
+            _DASHES[others.index(training) % len(_DASHES)],
+        )
+        for first, others in members.items()
+        for training in others
+        if training in trainings
+    }
+
+
+def _training(curve: LearningCurve) -> str:
+    """As in `mujoco` of `6pendulum/native/gns/mujoco-s0`."""
+    return curve.run.rpartition("/")[2].rpartition("-s")[0]

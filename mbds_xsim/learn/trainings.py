@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.base.isolate import Crash, Task
+from mbds_xsim.base.isolate import Carrier, Crash, Task
+from mbds_xsim.dataset.generate import repeating
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.dataset.work import Carrier, repeating
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import shares_of

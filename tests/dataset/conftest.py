@@ -75,6 +75,14 @@ def whole(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="session")
+def few(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight trajectories, not to be changed."""
+    out = tmp_path_factory.mktemp("few")
+    make(out, trajectories=8)
+    return out
+
+
 def contents(folder: Path) -> dict[str, str]:
     """Checksums of all data files and of what describes them, by name."""
     return {

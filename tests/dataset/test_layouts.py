@@ -27,13 +27,6 @@ SHARD = "1pendulum/mujoco-matched/0000000000.h5"
 NAMES = ("position", "velocity", "body/orientation", "input/force", "check/figure")
 
 
-@pytest.fixture(scope="module")
-def few(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("few")
-    make(out, trajectories=8)
-    return out
-
-
 @pytest.fixture
 def copy(few: Path, tmp_path: Path) -> Path:
     """A copy whose shard lies under another name, for its repacked self."""

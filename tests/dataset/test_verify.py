@@ -44,14 +44,6 @@ def _verify(path: Path) -> Verified:
     return verify(path, workers=0, progress=Quiet())
 
 
-@pytest.fixture(scope="module")
-def few(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight trajectories, not to be changed."""
-    out = tmp_path_factory.mktemp("few")
-    make(out, trajectories=8)
-    return out
-
-
 @pytest.fixture
 def copy(few: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(few, tmp_path / "copy"))

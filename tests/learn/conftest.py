@@ -1,6 +1,6 @@
 """Small motions that are made of formulas, and data sets of few trajectories."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -52,6 +52,14 @@ def analytic() -> Analytic:
         )
 
     return make
+
+
+@pytest.fixture(scope="module")
+def apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what a module's tests cache apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
 
 
 @pytest.fixture(scope="session")

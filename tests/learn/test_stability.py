@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -43,14 +43,7 @@ from tests.learn.models import untrained
 
 Array = np.ndarray
 CLOCK = Clock(0.02, 50)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep cells and references apart."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("apart")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -36,14 +35,7 @@ from tests.command_line import CommandLine
 from tests.learn.models import untrained
 
 FRAMES = 60
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep rows and references apart."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("apart")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """The look of learning curves."""
 
-from mbds_xsim.learn.training_curves import looks
+from mbds_xsim.learn.curves import looks
 
 
 def test_an_engine_looks_the_same_whichever_others_there_are() -> None:

@@ -10,9 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from mbds_xsim.learn.curves import LearningCurve
+from mbds_xsim.learn.curves import LearningCurve, to_png
 from mbds_xsim.learn.train import CurvePoint
-from mbds_xsim.learn.training_curves import to_png
 from mbds_xsim.studies.tradeoff.figures import charts_of
 from mbds_xsim.studies.tradeoff.rows import Point
 from mbds_xsim.studies.validate.figures import consistency, plotted_checks, restitution

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mbds_xsim.learn.training_curves import looks
+from mbds_xsim.learn.curves import looks
 from mbds_xsim.report import palette
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability.figures import LOOKS
