@@ -25,7 +25,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import begin
 
 
-class _Starter:
+class _ForkServer:
     def __init__(self) -> None:
         self._out = os.dup(1)
         os.dup2(2, 1)  # what an import prints is not for whoever gives the orders
@@ -133,7 +133,7 @@ def _end_with_starter() -> None:
 def _main(words: list[str]) -> None:
     if words[:1] == ["--task"]:
         _carry_out(Path(words[1]).absolute())
-    starter = _Starter()
+    starter = _ForkServer()
     for module in words:
         with contextlib.suppress(Exception):  # a task that needs it will say what is wrong
             importlib.import_module(module)
