@@ -70,8 +70,7 @@ def validate(
         noise: Whether random forces act.
         inputs: Whether drawn inputs act: wind, drives.
         cache: Whether stored reference solutions may be used.
-        workers: Processes at a time; all cores when left out, none but this one for 0, which
-            knows no limit.
+        workers: Processes at a time; all cores when left out, for 0 this one alone, without limit.
         limit: Longest that one piece of an engine's work may take [s].
         page: Write a self-contained page into this file.
 
