@@ -31,9 +31,8 @@ def inspect(
     json: shared.JsonFile = None,
 ) -> None:
     """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
-    from mbds_xsim.dataset.paths import draw_paths
     from mbds_xsim.dataset.read import load_dataset
-    from mbds_xsim.dataset.summary import summaries
+    from mbds_xsim.dataset.summary import draw_paths, summaries
 
     shared.check_targets(json=json, png=png)
     found = summaries(path)

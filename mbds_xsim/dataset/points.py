@@ -45,6 +45,12 @@ class Points:
             return position, velocity
         return position[..., self.axes], velocity[..., self.axes]
 
+    def lifted(self, values: NDArray[Any], rest: Array | float = 0.0) -> Array:
+        """Give three components; those that the scene does not move in are at rest."""
+        whole = np.broadcast_to(rest, (*values.shape[:-1], 3)).copy()
+        whole[..., self.axes] = values
+        return whole
+
     def graph(self) -> dict[str, NDArray[Any]]:
         """Nodes and edges; static nodes are numbered after the points."""
         scene = self.mechanism.scene
@@ -112,8 +118,8 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
     """
     points = Points.of(scene)
     mechanism = points.mechanism
-    place = _lifted(points, position, mechanism.com[points.body] + points.offset)
-    speed = None if velocity is None else _lifted(points, velocity, np.zeros((len(points.body), 3)))
+    place = points.lifted(position, mechanism.com[points.body] + points.offset)
+    speed = None if velocity is None else points.lifted(velocity)
     fixed = np.zeros((0, 3)) if scene.dimension == 3 else np.array([[0.0, 1.0, 0.0]])
     fits = [_fit(_known(points, body), fixed, place, speed) for body in range(len(scene.bodies))]
     *arrays, determined = zip(*fits, strict=True)
@@ -128,13 +134,6 @@ def recover(scene: Scene, position: Array, velocity: Array | None) -> Recovered:
             body.name for body, sure in zip(scene.bodies, determined, strict=True) if not sure
         ),
     )
-
-
-def _lifted(points: Points, values: Array, rest: Array) -> Array:
-    """Give three components; those that the scene does not move in are at rest."""
-    whole = np.broadcast_to(rest, (*values.shape[:-1], 3)).copy()
-    whole[..., points.axes] = values
-    return whole
 
 
 _Known = tuple[Array, Index, Array]

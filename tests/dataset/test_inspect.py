@@ -14,9 +14,8 @@ from rich.console import Console
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.inspect import summary_blocks
-from mbds_xsim.dataset.paths import draw_paths
 from mbds_xsim.dataset.read import load_dataset
-from mbds_xsim.dataset.summary import summaries
+from mbds_xsim.dataset.summary import draw_paths, summaries
 from mbds_xsim.report.palette import INTERVALS
 from mbds_xsim.report.terminal import print_blocks
 from mbds_xsim.simulate.registry import load_scene
