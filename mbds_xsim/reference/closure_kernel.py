@@ -32,7 +32,19 @@ from mbds_xsim.reference.lanes import (
     times,
 )
 from mbds_xsim.reference.load_kernel import act, still, weigh
-from mbds_xsim.reference.tree import ALONG, BALL, DISTANCE, FIXED, FREE, HINGE, NORMAL, POINT, Tree
+from mbds_xsim.reference.tree import (
+    ALONG,
+    BALL,
+    BOTH,
+    DISTANCE,
+    FIXED,
+    FREE,
+    HINGE,
+    NORMAL,
+    POINT,
+    SECOND,
+    Tree,
+)
 from mbds_xsim.reference.tree_kernel import (
     ALPHA,
     ARM,
@@ -46,8 +58,6 @@ from mbds_xsim.reference.tree_kernel import (
     UF,
     UN,
     A,
-    F,
-    N,
     R,
     V,
     W,
@@ -187,42 +197,44 @@ def _along(t, work, k, linear, angular):
 @compiled
 def _respond(t, work):
     """Hand each loaded row's unit load down to the roots."""
-    a, rows, speeds = work.link, work.rows, t.size - t.place_count
+    rows, loads, speeds = work.rows, work.loads, t.size - t.place_count
     for k in range(t.loaded):
-        for q in range(t.path_start[k], t.path_start[k + 1]):
-            store3(a, t.path[q] * PLACES + F, zero())
-            store3(a, t.path[q] * PLACES + N, zero())
         for end in range(2):
-            b = t.row_ends[end, k] * PLACES
-            add_to3(a, b + F, times(-1.0, load3(rows, ROW * k + 6 * end)))
-            add_to3(a, b + N, times(-1.0, load3(rows, ROW * k + 6 * end + 3)))
-        for q in range(t.path_start[k], t.path_start[k + 1]):
-            i = t.path[q]
-            at = 2 * (k * speeds + t.speed_at[i] - t.place_count)
-            _respond_at(work, i * PLACES, t.parent[i] * PLACES, t.kind[i], at)
+            for half in range(2):
+                at = 6 * end + 3 * half
+                store3(loads, 12 * k + at, times(-1.0, load3(rows, ROW * k + at)))
+    # Links outside, so that what is known of one is read once for all rows.
+    for back in range(len(t.kind)):
+        i = len(t.kind) - 1 - back
+        for q in range(t.on_start[i], t.on_start[i + 1]):
+            k, end = t.on_row[q], t.on_end[q]
+            at = 12 * k + (6 if end == SECOND else 0)
+            f, n = load3(loads, at), load3(loads, at + 3)
+            if end == BOTH:
+                f, n = add(f, load3(loads, at + 6)), add(n, load3(loads, at + 9))
+            out = 2 * (k * speeds + t.speed_at[i] - t.place_count)
+            f, n = _respond_at(work, i * PLACES, t.kind[i], out, f, n)
+            store3(loads, at, f)
+            store3(loads, at + 3, n)
 
 
 @compiled
-def _respond_at(work, b, p, kind, at):
+def _respond_at(work, b, kind, at, f, n):
     """Take a load through one link; w and z stand at `at`, speed by speed."""
     a, out = work.link, work.responses
-    f = load3(a, b + F)
     if kind == FREE:
-        n = load3(a, b + N)
         z = apply_even(load6(a, b + JI), n)
         f = sub(f, apply(load9(a, b + HJ), z))
         _keep(out, at + 6, n, z)
         _keep(out, at, f, apply_even(load6(a, b + MI), f))
-        return
-    n = sub(load3(a, b + N), cross(load3(a, b + ARM), f))
+        return f, n
+    n = sub(n, cross(load3(a, b + ARM), f))
     reach = load3(a, b + REACH)
     if kind == BALL:
         z = apply_even(load6(a, b + JI), n)
         _keep(out, at, n, z)
         f = sub(f, apply(load9(a, b + HJ), z))
-        add_to3(a, p + F, f)
-        add_to3(a, p + N, cross(reach, f))
-        return
+        return f, cross(reach, f)
     if kind != FIXED:
         w = -dot(load3(a, b + AXIS), n if kind == HINGE else f)
         z = load(a, b + DI) * w
@@ -230,8 +242,7 @@ def _respond_at(work, b, p, kind, at):
         store(out, at + 1, z)
         f = add(f, times(z, load3(a, b + UF)))
         n = add(n, times(z, load3(a, b + UN)))
-    add_to3(a, p + F, f)
-    add_to3(a, p + N, add(n, cross(reach, f)))
+    return f, add(n, cross(reach, f))
 
 
 @compiled
@@ -249,25 +260,14 @@ def _factor(t, work):
     """Make A and its Cholesky factor, with the inverse pivots on the diagonal."""
     count, m, out = t.loaded, work.matrix, work.responses
     speeds = t.size - t.place_count
-    least = spread(1.0)
+    least, pair = spread(1.0), 0
     for k in range(count):
         for j in range(k + 1):
             total = spread(0.0)
-            q, r = t.path_start[k], t.path_start[j]
-            while q < t.path_start[k + 1] and r < t.path_start[j + 1]:
-                i = t.path[q]
-                if i == t.path[r]:
-                    at = t.speed_at[i] - t.place_count
-                    end = t.speed_at[i + 1] - t.place_count
-                    for s in range(at, end):
-                        w = load(out, 2 * (k * speeds + s))
-                        total = total + w * load(out, 2 * (j * speeds + s) + 1)
-                    q += 1
-                    r += 1
-                elif i > t.path[r]:
-                    q += 1
-                else:
-                    r += 1
+            for q in range(t.shared_start[pair], t.shared_start[pair + 1]):
+                w = load(out, 2 * (k * speeds + t.shared[q]))
+                total = total + w * load(out, 2 * (j * speeds + t.shared[q]) + 1)
+            pair += 1
             store(m, k * count + j, total)
     for k in range(count):
         for j in range(k + 1):

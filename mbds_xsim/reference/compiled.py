@@ -158,6 +158,7 @@ def _work(tree: Tree) -> Work:
         load=lanes(6 * links),
         torque=lanes(len(tree.hinge_axis)),
         rows=lanes(ROW * rows),
+        loads=lanes(12 * loaded),
         responses=lanes(2 * loaded * speeds),
         matrix=lanes(loaded * loaded),
         multipliers=lanes(loaded),

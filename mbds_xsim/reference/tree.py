@@ -19,6 +19,7 @@ _KINDS = {"fixed": FIXED, "hinge": HINGE, "slider": SLIDER, "ball": BALL}
 _PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
 
 POINT, ALONG, NORMAL, DISTANCE = range(4)
+FIRST, SECOND, BOTH = range(3)
 
 
 _Rows = tuple[Index, Index, Array, Array, Array]
@@ -79,6 +80,15 @@ class Tree(NamedTuple):
     """Where each row's path begins in `path`, shape (row + 1,)."""
     path: Index
     """Links between the roots and a row's ends, from the outermost one inwards."""
+    on_start: Index
+    """Where the loaded rows of each link's path begin in the two below, shape (link + 1,)."""
+    on_row: Index
+    on_end: Index
+    """Whose load comes through there: `FIRST`, `SECOND`, or `BOTH` where they meet."""
+    shared_start: Index
+    """Where in `shared` each pair of loaded rows begins, in the order of A's lower half by rows."""
+    shared: Index
+    """Speeds of the links on both rows' paths, from 0."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -140,6 +150,11 @@ def tree_of(mechanism: Mechanism) -> Tree:
         loaded=0,
         path_start=np.zeros(1, dtype=np.int64),
         path=np.zeros(0, dtype=np.int64),
+        on_start=np.zeros(1, dtype=np.int64),
+        on_row=np.zeros(0, dtype=np.int64),
+        on_end=np.zeros(0, dtype=np.int64),
+        shared_start=np.zeros(1, dtype=np.int64),
+        shared=np.zeros(0, dtype=np.int64),
     )
     return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind))
 
@@ -148,6 +163,9 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
     """Put closure rows into an order of which the first carry loads."""
     ends = tree.row_ends[:, order]
     paths = [_path(tree, *pair) for pair in ends.T.tolist()]
+    pairs = [(a, b) for k, a in enumerate(paths[:loaded]) for b in paths[: k + 1]]
+    shared = [_speeds(tree, sorted({*a}.intersection(b))) for a, b in pairs]
+    on = [_on(tree, link, ends[:, :loaded], paths) for link in range(len(tree.kind))]
     return tree._replace(
         row_kind=tree.row_kind[order],
         row_ends=np.ascontiguousarray(ends),
@@ -157,6 +175,11 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
         loaded=loaded,
         path_start=np.cumsum([0, *map(len, paths)]),
         path=np.array([link for path in paths for link in path], dtype=np.int64),
+        on_start=np.cumsum([0, *map(len, on)]),
+        on_row=np.array([row for pairs in on for row, _ in pairs], dtype=np.int64),
+        on_end=np.array([end for pairs in on for _, end in pairs], dtype=np.int64),
+        shared_start=np.cumsum([0, *map(len, shared)]),
+        shared=np.array([speed for speeds in shared for speed in speeds], dtype=np.int64),
     )
 
 
@@ -250,3 +273,24 @@ def _path(tree: Tree, first: int, second: int) -> list[int]:
             found.add(link)
             link = int(tree.parent[link])
     return sorted(found, reverse=True)
+
+
+def _on(tree: Tree, link: int, ends: Index, paths: list[list[int]]) -> list[tuple[int, int]]:
+    """Rows whose path leads through a link, and the end that their load comes from.
+
+    From where the two meet on it is the first.
+    """
+    found = []
+    for row, (first, second) in enumerate(ends.T.tolist()):
+        if link in paths[row]:
+            above = {*_path(tree, first, first)}, {*_path(tree, second, second)}
+            reached = [link in path for path in above]
+            meet = max(above[0] & above[1], default=-1)
+            kind = FIRST if reached[0] else SECOND
+            found.append((row, BOTH if link == meet else kind))
+    return found
+
+
+def _speeds(tree: Tree, links: list[int]) -> list[int]:
+    begin, end = tree.speed_at[:-1] - tree.place_count, tree.speed_at[1:] - tree.place_count
+    return [speed for link in links for speed in range(int(begin[link]), int(end[link]))]

@@ -75,6 +75,8 @@ class Work(NamedTuple):
     """Held torques about hinges."""
     rows: Array
     """Jacobians of closure rows (12), biases and residuals (2)."""
+    loads: Array
+    """Of each row: force and moment on the way down from its first end, and its second (12)."""
     responses: Array
     """Of each row and speed: generalised load, and the same through the inertia."""
     matrix: Array

@@ -1,0 +1,104 @@
+"""Trajectories a second at equal error: python -m benchmarks.frontier [SCENE …].
+
+The reference at several tolerances, and MuJoCo's RK4 at several steps, on the same medium starts,
+in turns. The error is the RMS distance of the particles, over all starts and frames, to the
+reference at a tolerance of 1e-13. Rates at an error are interpolated between those measured; times
+are the processor's, of one thread, medians over the turns, and hold all that is done a trajectory.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from benchmarks.harness import Array, print_made, print_table, processor_s
+from mbds_xsim.reference import solve
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Trajectory
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.choice import settings_for
+
+_STARTS, _TURNS, _LONGEST_S = 24, 3, 20.0
+_TRUTH = 1e-13
+_TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+_COUNTS = (1, 2, 4, 8, 16, 32, 64)
+_ERRORS = (1e-4, 1e-6, 1e-8)
+
+Points = list[tuple[float, float]]
+"""Error [m] and trajectories a second."""
+
+
+def main(names: list[str]) -> None:
+    print_table(
+        "scene|what|>at 1e-4 m|>at 1e-6 m|>at 1e-8 m|measured: error [m] at trajectories a second",
+        (row for name in names for row in _rows(registry.load_scene(name))),
+    )
+    print_made(f"MuJoCo {registry.load_adapter('mujoco').version()}")
+
+
+def _rows(scene: Scene) -> Iterator[list[str]]:
+    wide = draw_batch(scene, range(3 * _STARTS))
+    medium = [row for row in range(len(wide)) if wide.interval(row) == "medium"]
+    batch = wide[medium[:_STARTS]]
+    truth = solve(scene, batch, rtol=_TRUTH, cache=False)
+    adapter = registry.load_adapter("mujoco")
+    options = settings_for(scene, adapter, "matched").options
+    engine = {count: Settings("RK4", scene.clock.frame / count, options) for count in _COUNTS}
+
+    def reference(rtol: float) -> Trajectory:
+        return solve(scene, batch, rtol=rtol, cache=False)
+
+    def rolled(count: int) -> Trajectory:
+        with adapter.open(scene, engine[count]) as run:
+            return run.rollout(batch)
+
+    work: dict[str, list[Callable[[], Trajectory]]] = {
+        "reference": [partial(reference, rtol) for rtol in _TOLERANCES],
+        "mujoco RK4": [partial(rolled, count) for count in _COUNTS],
+    }
+    measured = [
+        [[_measured(scene, make, truth) for make in makes] for makes in work.values()]
+        for _ in range(_TURNS)
+    ]
+    for what, *turns in zip(work, *measured, strict=True):
+        errors, seconds = np.median(np.array(turns), axis=0).T
+        points = list(zip(errors.tolist(), (len(batch) / seconds).tolist(), strict=True))
+        told = ", ".join(f"{error:.1e} at {rate:.3g}" for error, rate in points)
+        yield [scene.name, what, *(_rate_at(points, error) for error in _ERRORS), told]
+
+
+def _measured(
+    scene: Scene, make: Callable[[], Trajectory], truth: Trajectory
+) -> tuple[float, float]:
+    """Give the error [m] and the processor's time of a batch [s]."""
+    made: list[Trajectory] = []
+    seconds = processor_s(lambda: made.append(make()))
+    return _error(scene, made[0], truth), seconds
+
+
+def _error(scene: Scene, motion: Trajectory, truth: Trajectory) -> float:
+    off = _particles(scene, motion) - _particles(scene, truth)
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
+
+
+def _particles(scene: Scene, motion: Trajectory) -> Array:
+    return Mechanism.of(scene).particle_positions(motion.position, motion.orientation)
+
+
+def _rate_at(points: Points, error: float) -> str:
+    """Interpolate the rate at an error, both as logarithms."""
+    points = sorted(point for point in points if np.isfinite(point[0]))
+    if not points or not points[0][0] <= error <= points[-1][0]:
+        return "–"
+    errors, rates = np.log(np.array(points)).T
+    return f"{np.exp(np.interp(np.log(error), errors, rates)):.3g}"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or ["6pendulum", "3ladder"])
