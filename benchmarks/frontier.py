@@ -1,7 +1,7 @@
 """Trajectories a second at equal error: python -m benchmarks.frontier [SCENE …].
 
 The reference at several tolerances, and MuJoCo's RK4 at several steps, on the same medium starts,
-in turns. The error is the RMS distance of the particles, over all starts and frames, to the
+in turns. The error is the RMS distance of the markers, over all starts and frames, to the
 reference at a tolerance of 1e-13. Rates at an error are interpolated between those measured; times
 are the processor's, of one thread, medians over the turns, and hold all that is done a trajectory.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.harness import Array, print_made, print_table, processor_s
 from mbds_xsim.reference import solve
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism, marker_positions
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
@@ -83,12 +83,14 @@ def _measured(
 
 
 def _error(scene: Scene, motion: Trajectory, truth: Trajectory) -> float:
-    off = _particles(scene, motion) - _particles(scene, truth)
+    off = _markers(scene, motion) - _markers(scene, truth)
     return float(np.sqrt(np.mean(np.sum(off**2, axis=-1))))
 
 
-def _particles(scene: Scene, motion: Trajectory) -> Array:
-    return Mechanism.of(scene).particle_positions(motion.position, motion.orientation)
+def _markers(scene: Scene, motion: Trajectory) -> Array:
+    mechanism = Mechanism.of(scene)
+    native = mechanism.native_rotation(motion.orientation)
+    return marker_positions(mechanism, motion.position, native)
 
 
 def _rate_at(points: Points, error: float) -> str:

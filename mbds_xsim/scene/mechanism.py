@@ -157,6 +157,8 @@ class Mechanism:
 
     def body_orientation(self, native: Array) -> Array:
         """Rotations of the native frames (…, body, 4) to published orientations."""
+        if (self.reference_orientation == rotation.IDENTITY).all():
+            return native.copy()
         return rotation.multiply(native, self.reference_orientation)
 
     def particle_positions(self, position: Array, orientation: Array) -> Array:
