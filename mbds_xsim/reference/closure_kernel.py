@@ -41,7 +41,6 @@ from mbds_xsim.reference.tree import (
     FREE,
     HINGE,
     NORMAL,
-    POINT,
     SECOND,
     Tree,
 )
@@ -138,12 +137,7 @@ def _rows(t, work):
         bend = sub(cross(other, roll), cross(spin, swing))
         speed = sub(add(load3(a, c + V), roll), add(load3(a, p + V), swing))
         way = number3(t.row_way, k)
-        if kind == POINT:
-            o = spread(0.0)
-            n = (o + way[0], o + way[1], o + way[2])
-            store(rows, ROW * k + 12, dot(n, bend))
-            store(rows, ROW * k + 13, dot(n, line))
-        elif kind == DISTANCE:
+        if kind == DISTANCE:
             length = root(dot(line, line))
             n = times(1.0 / length, line)
             along = dot(n, speed)

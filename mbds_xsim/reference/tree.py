@@ -18,7 +18,7 @@ FIXED, HINGE, SLIDER, BALL, FREE = range(5)
 _KINDS = {"fixed": FIXED, "hinge": HINGE, "slider": SLIDER, "ball": BALL}
 _PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
 
-POINT, ALONG, NORMAL, DISTANCE = range(4)
+ALONG, NORMAL, DISTANCE = range(3)
 FIRST, SECOND, BOTH = range(3)
 
 
@@ -72,7 +72,7 @@ class Tree(NamedTuple):
     row_points: Array
     """Of each row a vector fixed in the first link and one in the second, shape (2, row, 3)."""
     row_way: Array
-    """Direction of the row: in W, in the first link, or none, shape (row, 3)."""
+    """Direction of the row, fixed in the first link, or none, shape (row, 3)."""
     row_length: Array
     loaded: int
     """Rows that carry loads; those behind them follow from them."""
@@ -223,7 +223,11 @@ def _turned(inwards: Array, vectors: list[tuple[int, Array]]) -> Array:
 
 
 def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
-    """Rows of the joints and links that close loops, as of `mbds_xsim.scene.constraints`."""
+    """Rows of the joints and links that close loops, as of `mbds_xsim.scene.constraints`.
+
+    Those that hold points together stand along axes of the first body and not of W: which of them
+    are independent does not change with the way a mechanism has turned.
+    """
     layout, joints = layout_of(mechanism), len(mechanism.joints)
     spans = layout.span_body.shape[1]
     turned = rotation.rotate(inwards[layout.vector_body], layout.vector)
@@ -234,7 +238,7 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
         layout.normal.stop - layout.normal.start,
         layout.distances.stop - layout.distances.start,
     ]
-    kind = np.repeat([POINT, ALONG, NORMAL, DISTANCE], count)
+    kind = np.repeat([ALONG, ALONG, NORMAL, DISTANCE], count)
     none = np.zeros((count[2], 3))
     arms = np.concatenate(
         [

@@ -136,3 +136,14 @@ def test_errors_fall_with_the_tolerance_as_an_order_of_eight_has_it() -> None:
         off.append(float(np.abs(fast.states[..., :3] - slow.states[..., :3]).max()))
     assert off[0] > 30 * off[2] > 900 * off[3]
     assert off[3] < 1e-9
+
+
+def test_a_loop_that_turns_as_a_whole_keeps_its_independent_rows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = load_scene("workbench")
+    mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(12))
+    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
+    monkeypatch.delattr(marching, "march")
+    whole = compiled.march_compiled(mechanism, start, inputs, rtol=1e-9)
+    assert np.isfinite(whole.states).all()
