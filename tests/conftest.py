@@ -23,6 +23,12 @@ from tests.farm import Farm
 _WITHOUT = quick._without
 
 
+def pytest_configure() -> None:
+    """Undo that a shell has what it starts in the background ignore SIGINT: tests send it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--engines", help="comma-separated; all known ones when left out")
 
