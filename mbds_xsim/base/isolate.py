@@ -175,7 +175,7 @@ class _Starter:
     """The process that starts those of the tasks, and what it says of them."""
 
     def __init__(self, tasks: Sequence[Task], folder: Path) -> None:
-        modules = {task.function.__module__ for task in tasks}
+        modules = {str(getattr(task.function, "__module__", "")) for task in tasks}
         own = sorted(name for name in modules if name.startswith("mbds_xsim."))
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         self.folder, self.log = folder, folder / "starter.log"

@@ -18,7 +18,9 @@ from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.silence import Silent
 from mbds_xsim.reference.cache import key_of, load
+from mbds_xsim.reference.kernels import compile_once
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import Settings
@@ -202,6 +204,8 @@ def run_references(
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
     """
+    if not scene.contacts:
+        compile_once(Silent().notice, workers=workers)
     parts = [
         Task(reference_of, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
     ]

@@ -8,11 +8,8 @@ are tuples of three, symmetric matrices of six (xx, yy, zz, xy, xz, yz), others 
 from __future__ import annotations
 
 import functools
-import hashlib
 import operator
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from llvmlite import ir
@@ -21,6 +18,8 @@ from numba.core import cgutils, config
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
+
+from mbds_xsim.reference.kernels import kernel_folder
 
 LANES = 8
 
@@ -160,24 +159,11 @@ root = _function("sqrt", 1)
 size = _function("fabs", 1)
 larger = _function("maxnum", 2)
 
-_SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "closure_kernel", "march_kernel")
-
-
-def _folder() -> Path:
-    """Where machine code is kept: numba looks at one file's time, and not at what it calls."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
-    root = (Path(base) if base else Path.home() / ".cache") / "mbds-xsim" / "kernels"
-    return root / hashlib.sha256(text).hexdigest()[:16]
-
-
-FOLDER = _folder()
-
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a kernel, with no counting of references, as it makes no arrays."""
     before = config.CACHE_DIR
-    config.CACHE_DIR = before or str(FOLDER)
+    config.CACHE_DIR = before or str(kernel_folder())
     make = functools.partial(
         njit, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False
     )

@@ -16,6 +16,7 @@ from mbds_xsim.measure.convergence import refine
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
+from mbds_xsim.reference.kernels import compile_once
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
@@ -51,6 +52,8 @@ def validate_with_evidence(
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
     begin, progress = time.perf_counter(), progress or Silent()
+    if not scene.contacts:
+        compile_once(progress.notice, workers=workers)
     choice = searched(scene, choice, cache=cache, workers=workers, progress=progress)
     contenders, left_out = choice.contenders(scene)
     count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)

@@ -1,0 +1,56 @@
+"""The reference's machine code: compiled once for a machine, before several processes need it."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
+
+_SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "closure_kernel", "march_kernel")
+_READY = "ready"
+
+
+@functools.cache
+def kernel_folder() -> Path:
+    """Where machine code is kept: numba looks at one file's time, and not at what it calls."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+    root = (Path(base) if base else Path.home() / ".cache") / "mbds-xsim" / "kernels"
+    return root / hashlib.sha256(text).hexdigest()[:16]
+
+
+def compile_once(notice: Callable[[str], None], *, workers: int | None) -> None:
+    """Compile what the reference of a scene without contact needs, unless it is there.
+
+    Args:
+        notice: Told, before it begins, that this takes a while.
+        workers: 0 where it is to be done in this process.
+    """
+    if (kernel_folder() / _READY).exists():
+        return
+    notice("the reference is compiled for this machine, once: some 30 s of one core")
+    (answer,) = run_tasks([Task(_compile, ())], workers=workers and 1)
+    if isinstance(answer, Crash):  # the work itself will meet it, and say where
+        notice(f"the reference could not be compiled: {answer.reason}")
+
+
+def _compile() -> None:
+    from mbds_xsim.reference.solution import solve
+    from mbds_xsim.scene.sampling import draw_batch
+
+    scene = Scene(
+        name="bob",
+        length=1.0,
+        clock=Clock(steps=1),
+        bodies=(Body("bob", position=(0.5, 0.0, 0.0), inertia=Inertia(1.0, (0.1, 0.1, 0.1))),),
+        distance_links=(DistanceLink("rod", ("world", "bob"), ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0))),),
+    )
+    solve(scene, draw_batch(scene, range(1)), cache=False)
+    folder = kernel_folder()
+    if folder.is_dir():
+        (folder / _READY).touch()
