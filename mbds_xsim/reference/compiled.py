@@ -1,4 +1,4 @@
-"""March a batch with compiled kernels: what `marching` does, some hundred times faster.
+"""March a batch with compiled kernels: what `marching` does, much faster (`benchmarks.frontier`).
 
 Every trajectory that they cannot finish (at singular poses, or where steps become too small) is
 marched again by `marching`, which knows a way on or says why there is none.
