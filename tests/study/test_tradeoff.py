@@ -198,19 +198,35 @@ def test_contact_from_the_start_holds_each_method_to_its_own_limit() -> None:
     assert _study(short, "pybullet").measured == 0
 
 
+_ROW = Measurement(
+    key="", scene="particlecar", engine="pybullet", version="1", method="semi-implicit-euler",
+    variation="", options={}, steps_per_frame=1, step_s=0.02, trajectory=1, seed=0,
+    machine="", limit_s=1.0, kind="done", wall_s=(1.0,), cpu_s=(1.0,),
+)  # fmt: skip
+
+
 @pytest.mark.parametrize("own_limit", [True, False])
 def test_without_a_limit_of_its_own_nothing_is_near_it(own_limit: bool) -> None:
     car = registry.load_scene("particlecar")
     curve = EngineMethod("pybullet", "semi-implicit-euler", given={})
-    row = Measurement(
-        key="", scene=car.name, engine=curve.engine, version="1", method=curve.method,
-        variation="", options={}, steps_per_frame=1, step_s=0.02, trajectory=1, seed=0,
-        machine="", limit_s=1.0, kind="done", wall_s=(1.0,), cpu_s=(1.0,),
-    )  # fmt: skip
+
+    (result,) = curve_results(car, [curve], [[[_ROW]]], own_limit=own_limit)
+
+    assert result.points[0].broken == ((OWN_LIMIT,) if own_limit else ())
+
+
+@pytest.mark.parametrize("own_limit", [True, False])
+def test_a_run_is_not_compared_with_itself(own_limit: bool) -> None:
+    """Fifty contact substeps at 1 ms are the same steps as five at 0.1 ms, the limit's own."""
+    car = registry.load_scene("particlecar")
+    curve = EngineMethod("exudyn", "trapezoidal", variation="contact_substeps = 50", given={})
+    row = msgspec.structs.replace(_ROW, error_m=0.0, error_weighted_m=0.0)
 
     (result,) = curve_results(car, [curve], [[[row]]], own_limit=own_limit)
 
-    assert result.points[0].broken == ((OWN_LIMIT,) if own_limit else ())
+    (point,) = result.points
+    assert (point.error_m is None, point.on_front) == (own_limit, not own_limit)
+    assert not point.broken
 
 
 def test_a_line_that_was_cut_off_is_passed_over(scene: Scene) -> None:

@@ -35,18 +35,27 @@ def curve_results(
         own_limit: Whether errors are distances to a method's own limit. To be near it says nothing
             of the truth; to be far from it is to be wrong, so that it has the error's budget.
     """
-    allowed = scene.budget.error_1s * scene.length if own_limit else math.inf
     listed = [
-        _curve_result(scene, curve, [_converged(point_of(rows), allowed) for rows in points])
+        _curve_result(
+            scene,
+            curve,
+            [_against_limit(scene, p) if own_limit else p for p in map(point_of, points)],
+        )
         for curve, points in zip(curves, found, strict=True)
     ]
     return _with_front(listed, _FLOOR * scene.length)
 
 
-def _converged(point: Point, allowed: float) -> Point:
-    """Where the limit itself could not be simulated, nothing is near it."""
+def _against_limit(scene: Scene, point: Point) -> Point:
+    """Judge a distance to a method's own limit.
+
+    Where the limit itself could not be simulated, nothing is near it. A distance of exactly 0 is
+    none: other settings came to the same steps, so that the run was compared with itself.
+    """
+    if point.error_m == 0.0:
+        return msgspec.structs.replace(point, error_m=None, error_weighted_m=None)
     known = math.inf if point.error_m is None else point.error_m
-    if point.kind != "done" or known <= allowed:
+    if point.kind != "done" or known <= scene.budget.error_1s * scene.length:
         return point
     return msgspec.structs.replace(point, broken=(*point.broken, OWN_LIMIT))
 
