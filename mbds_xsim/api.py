@@ -13,6 +13,7 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.write import path_of
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
@@ -106,7 +107,7 @@ def validate(
 def _writable(page: object) -> Path:
     from mbds_xsim.base.write import check_writable
 
-    path = _path("page", page)
+    path = path_of("page", page)
     check_writable(path, "page")
     return path
 
@@ -165,7 +166,7 @@ def generate(
         scenes=loaded,
         choice=Choice.parse(engines=words_of(engines) or None, profiles=settings, limit=limit),
         trajectories=trajectories,
-        out=_path("--out", out),
+        out=path_of("--out", out),
         seed=seed,
         noise=noise,
     )
@@ -214,7 +215,7 @@ def audit(
         velocity_lag_s=_seconds("velocity_lag", velocity_lag),
         contact_time_s=_seconds("contact_time", contact_time),
     )
-    return audit_file(_path("file", file), None if scene is None else load_scene(scene), told)
+    return audit_file(path_of("file", file), None if scene is None else load_scene(scene), told)
 
 
 def verify(path: str | Path, *, seed: int | None = None, workers: int | None = None) -> Verified:
@@ -232,7 +233,7 @@ def verify(path: str | Path, *, seed: int | None = None, workers: int | None = N
 
     _check(workers)
     seed = None if seed is None else _whole("seed", seed, 0)
-    return run(_path("path", path), seed=seed, workers=workers)
+    return run(path_of("path", path), seed=seed, workers=workers)
 
 
 def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
@@ -243,14 +244,6 @@ def _numbers(index: str | int | Iterable[int]) -> tuple[int, ...]:
         return tuple(parse_numbers(index, "--index"))
     each = index if isinstance(index, Iterable) else (index,)
     return tuple(_whole("index", number, 0) for number in each)
-
-
-def _path(name: str, value: object) -> Path:
-    """Read a path; an empty text would be the folder one stands in."""
-    if not isinstance(value, str | Path) or value == "":
-        msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
-        raise InputError(msg)
-    return Path(value)
 
 
 def _seconds(name: str, value: object) -> float | None:

@@ -119,6 +119,9 @@ def test_what_cannot_be_used_is_told_in_one_line(arguments: dict[str, Any], line
         ("audit", ["x.npz"], {"step": "a"}, "--step: got 'a', allowed is a number [s]"),
         ("audit", ["x.npz"], {"noise": "no"}, "--noise: got 'no', allowed is True or"),
         ("verify", [""], {}, "path: got ''"),
+        ("load_dataset", [3], {}, "path: got 3, allowed is the path"),
+        ("load_pairs", [["a.h5", "b.h5"]], {}, "paths: got ['a.h5', 'b.h5'], allowed is the path"),
+        ("save_scene", [load_scene("2pendulum"), None], {}, "path: got None"),
     ],
 )
 def test_other_calls_are_refused_in_one_line_too(

@@ -12,6 +12,18 @@ from pathlib import Path
 from mbds_xsim.base.errors import InputError
 
 
+def path_of(name: str, value: object) -> Path:
+    """Read a path; an empty text would be the folder one stands in.
+
+    Raises:
+        InputError: It is none.
+    """
+    if not isinstance(value, str | Path) or value == "":
+        msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
+        raise InputError(msg)
+    return Path(value)
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write under a temporary name in the same folder, then rename; make the folder if needed.
 

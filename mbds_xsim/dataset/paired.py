@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import path_of
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
 from mbds_xsim.dataset.series import PairedSeries, Series
@@ -101,7 +102,7 @@ def load_pairs(*paths: str | Path, split: str | None = None) -> PairedData:
         InputError: There are no two data sets, or they do not belong together: another scene,
             seed, length or start, or no trajectory that all have.
     """
-    found = [load_dataset(file) for path in paths for file in joined_files(Path(path))]
+    found = [load_dataset(file) for path in paths for file in joined_files(path_of("paths", path))]
     where = ", ".join(map(str, paths))
     files = {one.variant: one for one in found}
     if len(found) < 2 or len(files) < len(found):

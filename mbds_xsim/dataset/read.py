@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, UnknownName
 from mbds_xsim.base.frame import optional
+from mbds_xsim.base.write import path_of
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,
     attributes_of,
@@ -45,7 +46,7 @@ def load_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: It is no data file, of a newer layout, damaged, or its shards are not beside it.
     """
-    path = Path(path)
+    path = path_of("path", path)
     attributes = attributes_of(path)
     kind = attributes["kind"]
     if kind not in ("shard", "rejected", "joined"):

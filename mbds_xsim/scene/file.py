@@ -21,7 +21,7 @@ from msgspec import inspect
 
 from mbds_xsim.base import bounds
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.base.write import read_file
+from mbds_xsim.base.write import path_of, read_file, write_whole
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene
@@ -69,9 +69,13 @@ def write_scene(scene: Scene, *, defaults: bool = False) -> str:
     return _compact(tomli_w.dumps(_explicit(scene) if defaults else msgspec.to_builtins(scene)))
 
 
-def save_scene(scene: Scene, path: Path) -> None:
-    """Write a scene file."""
-    path.write_text(write_scene(scene), encoding="utf-8", newline="\n")
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene file, whole or not at all.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    write_whole(path_of("path", path), write_scene(scene).encode())
 
 
 def _check_starts(scene: Scene) -> None:

@@ -186,7 +186,7 @@ class ContactContract:
         assert np.nanmax(np.abs(motion.position - exact.position)) < (5e-4 if first_order else 5e-7)
         back = rotation.conjugate(exact.orientation)
         turn = rotation.to_vector(rotation.multiply(back, motion.orientation))
-        assert np.nanmax(np.linalg.norm(turn, axis=-1)) < (1e-3 if first_order else 1e-6)
+        assert np.nanmax(np.linalg.norm(turn, axis=-1)) < (1e-3 if first_order else 5e-6)
         for row, landing in enumerate(exact.failures):
             assert landing is not None
             spins = _spins(scene, motion, row)[: landing.frame]
