@@ -27,7 +27,7 @@ from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.measure.identity import machine
+from mbds_xsim.measure.store import machine
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene

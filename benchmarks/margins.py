@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_head, print_table
-from mbds_xsim.base.counted import apart
+from mbds_xsim.base.text import apart
 from mbds_xsim.measure.result import FindingResult, Validation, from_plain
 from mbds_xsim.report import quantity
 

@@ -77,7 +77,7 @@ def _drop_output() -> None:
 
 
 def _complain(text: str, code: int) -> int:
-    from mbds_xsim.base.safe_text import on_a_line
+    from mbds_xsim.base.text import on_a_line
 
     print(f"mbds-xsim: {on_a_line(text)}", file=sys.stderr)
     return code

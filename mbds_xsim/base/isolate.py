@@ -298,3 +298,22 @@ class _Process:
 def _tail(log: Path) -> str:
     tail = log.read_text(errors="replace").strip()[-_TAIL:] if log.exists() else ""
     return tail.splitlines()[-1] if tail else "without a word"
+
+
+class Silent:
+    """Progress sink that discards everything."""
+
+    def begin(self, total: int, done: int = 0) -> None:
+        """Discard how much there is."""
+
+    def advance(self, what: object, rejected: int = 0) -> None:
+        """Discard what is done."""
+
+    def doing(self, what: str) -> None:
+        """Discard what is under way."""
+
+    def notice(self, line: str) -> None:
+        """Discard what was to be read."""
+
+    def forecast(self, left_s: float) -> None:
+        """Discard how long it will take."""

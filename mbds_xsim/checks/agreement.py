@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism, marker_positions
 from mbds_xsim.scene.scene import Scene

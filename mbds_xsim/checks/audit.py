@@ -6,17 +6,16 @@ import numpy as np
 
 from mbds_xsim.checks.balance import balance, balance_drift, cones
 from mbds_xsim.checks.coefficients import coefficients
+from mbds_xsim.checks.conservation import energy_balance, momentum
 from mbds_xsim.checks.displacement import displacement
 from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
-from mbds_xsim.checks.energy import energy_balance
 from mbds_xsim.checks.finding import Check, Finding, Record
 from mbds_xsim.checks.friction import friction, rolling, wheels
-from mbds_xsim.checks.impacts import restitution
+from mbds_xsim.checks.ground import restitution
 from mbds_xsim.checks.integrity import finite, planarity, precision, start
 from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
-from mbds_xsim.checks.momentum import momentum
 from mbds_xsim.checks.passivity import (
     contact_gap,
     energy_rise,

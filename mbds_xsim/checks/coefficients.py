@@ -19,17 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
-from mbds_xsim.checks.energy import (
+from mbds_xsim.checks.conservation import (
     damper_loss,
     energy_of,
+    flights_of,
+    gain_of,
     hinge_rates,
     hinge_turns,
     input_work,
 )
+from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.joints import pair_distance, pair_rate
-from mbds_xsim.checks.momentum import flights_of, gain_of
 
 SURE = 3e-3
 """Share that methods and solvers may leave."""

@@ -23,7 +23,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.checks.agreement import CHAOS, markers_of
-from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.finding import Finding, Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

@@ -20,13 +20,15 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.checks.finding import Figures, Record, check
-from mbds_xsim.checks.ground import lowest, pushed, pushes_of
-from mbds_xsim.checks.impacts import (
+from mbds_xsim.checks.ground import (
     Impacts,
     at_impacts,
     fast_impacts_of,
     followed,
+    lowest,
     one_sphere,
+    pushed,
+    pushes_of,
     told_restitution,
 )
 from mbds_xsim.scene.joint_space import BodyStates

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.base.counted import apart
+from mbds_xsim.base.text import apart
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism

@@ -13,10 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.checks.energy import energy_of, input_work
+from mbds_xsim.checks.conservation import energy_of, input_work
 from mbds_xsim.checks.finding import Figures, Record, check
-from mbds_xsim.checks.ground import Push, balls_of, pushes_of
-from mbds_xsim.checks.impacts import Impacts, impacts_of
+from mbds_xsim.checks.ground import Impacts, Push, balls_of, impacts_of, pushes_of
 
 _SLOW = 1e-3  # of the speed √(g · length)
 _NEAR = 1e-3  # of the scene's length

@@ -28,7 +28,7 @@ def export(
     json: shared.JsonFile = None,
 ) -> None:
     """Write data sets in a form that any program reads, and say what it does not carry."""
-    from mbds_xsim.base.counted import counted
+    from mbds_xsim.base.text import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Exit, Option
 
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remarks, Text, table_of
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Exit, Option
 
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of

@@ -318,7 +318,7 @@ def write_json(text: bytes, path: Path | None) -> None:
     if path is None:
         return
     if str(path) == "-":
-        from mbds_xsim.base.safe_text import in_json
+        from mbds_xsim.base.text import in_json
 
         print(in_json(text.decode()))
         return

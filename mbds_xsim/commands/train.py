@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import counted
 from mbds_xsim.commands.shared import (
     Device,
     DeviceWorkers,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from mbds_xsim.base.safe_text import in_markdown, sentence
+from mbds_xsim.base.text import in_markdown, sentence
 from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.hdf5 import open_hdf5
 from mbds_xsim.dataset.join import causes

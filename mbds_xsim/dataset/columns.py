@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.safe_text import on_a_line
+from mbds_xsim.base.text import on_a_line
 from mbds_xsim.dataset.layout import FIELDS, attribute
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.scene.scene import Scene

@@ -22,8 +22,16 @@ from mbds_xsim.checks.coefficients import BalanceEvidence, evidence_of, shared_f
 from mbds_xsim.checks.consistency import LEAST_SPAN
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.dataset.layout import INTEGRITY, sampled
-from mbds_xsim.measure.campaign import RTOL, Outcome, ReferenceOutcome, other_steps, reference_of
-from mbds_xsim.measure.convergence import convergence, further_step, smooth
+from mbds_xsim.measure.campaign import (
+    RTOL,
+    Outcome,
+    ReferenceOutcome,
+    convergence,
+    further_step,
+    other_steps,
+    reference_of,
+    smooth,
+)
 from mbds_xsim.measure.judge import error_findings, failed_lines
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

@@ -18,8 +18,7 @@ from typing import Any, Protocol
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import Carrier, Crash, Task, core_count, run_tasks
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Carrier, Crash, Silent, Task, core_count, run_tasks
 from mbds_xsim.dataset.card import write_card
 from mbds_xsim.dataset.files import locked, tidied
 from mbds_xsim.dataset.join import VariantCount, join

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.text import in_figure
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.join import cause_of, causes
 from mbds_xsim.dataset.layout import ATTRIBUTES, SPLITS, rejected_folder

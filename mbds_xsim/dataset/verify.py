@@ -17,8 +17,7 @@ import numpy as np
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
-from mbds_xsim.base.isolate import LIMIT, Crash, Task, run_tasks
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import LIMIT, Crash, Silent, Task, run_tasks
 from mbds_xsim.dataset.card import CARD, CROISSANT, descriptions, missing_lines
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,

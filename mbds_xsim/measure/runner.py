@@ -32,8 +32,7 @@ from typing import Any, Generic, Protocol
 
 import msgspec
 
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.measure.store import R, Store
 
 Arguments = tuple[Any, ...]

@@ -7,16 +7,24 @@ that was cut off or changed, or that another version wrote, is passed over.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
-from collections.abc import Iterator
+import platform
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Generic, TypeVar
 
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.reference.cache import directory
+from mbds_xsim.base.text import counted
+from mbds_xsim.base.versions import CHECKS
+from mbds_xsim.reference.cache import directory, key_of
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.simulator import Simulator
 
 
 class Keyed(msgspec.Struct, frozen=True, kw_only=True):
@@ -74,3 +82,42 @@ def _read(path: Path, kind: type[R]) -> Iterator[R]:
 
 def _sum(text: bytes) -> bytes:
     return hashlib.sha256(text).hexdigest()[:16].encode()
+
+
+def row_key(scene: Scene, start: Batch, simulator: Simulator, count: int) -> str:
+    """Name a row by its content.
+
+    It covers the physics, the start and its inputs, the budgets, the simulator at a number of
+    steps a frame, the versions of all that runs and judges it, and the machine.
+    """
+    what = [
+        key_of("tradeoff", scene, start, 0, 0.0),
+        scene.budget,
+        *simulator.decisive(scene, count),
+        CHECKS,
+        registry.package_version("numpy"),
+        machine(),
+    ]
+    return hashlib.sha256(msgspec.json.encode(what, enc_hook=float)).hexdigest()
+
+
+def versions_of(packages: Mapping[str, str]) -> dict[str, str]:
+    """List the versions behind a result: of this toolkit, and of the packages that ran."""
+    own = {name: registry.package_version(name) for name in ("mbds-xsim", "numpy", "scipy")}
+    return own | {"python": platform.python_version()} | dict(packages)
+
+
+@functools.cache
+def machine() -> str:
+    """Processor, cores and system."""
+    cores = counted(os.cpu_count(), "core")
+    return f"{_processor()}, {cores}, {platform.system()} {platform.machine()}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown processor"

@@ -21,7 +21,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from mbds_xsim.base.safe_text import on_a_line
+from mbds_xsim.base.text import on_a_line
 
 _EVERY = 60.0  # off a terminal [s]
 _SPEED_OVER = 600.0  # work comes in bursts; rate and time left look back over so long [s]

@@ -16,8 +16,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.counted import counted
-from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.report import themed
 from mbds_xsim.report.palette import PARTS

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 from markupsafe import Markup
 
-from mbds_xsim.base.safe_text import csv_text, printable, sentence
+from mbds_xsim.base.text import csv_text, printable, sentence
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.report import palette, themed
 from mbds_xsim.report.blocks import Block, Figure, Motion, Report, Section

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from mbds_xsim.base.safe_text import as_code, in_markdown, sentence
+from mbds_xsim.base.text import as_code, in_markdown, sentence
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Report, Section, Table, Text
 from mbds_xsim.report.terminal import SIGNS
 

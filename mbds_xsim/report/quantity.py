@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.base.counted import apart
+from mbds_xsim.base.text import apart
 
 NONE = "–"
 """Shown where there is no figure."""

@@ -12,7 +12,7 @@ from rich.segment import Segment
 from rich.table import Table as Grid
 from rich.text import Text as Words
 
-from mbds_xsim.base.safe_text import printable
+from mbds_xsim.base.text import printable
 from mbds_xsim.report.blocks import (
     Block,
     Cell,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim import reference
-from mbds_xsim.checks.energy import energy_of
+from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.checks.cones import Cones, unexplained
+from mbds_xsim.checks.balance import Cones, unexplained
 
 _EDGES = 361
 

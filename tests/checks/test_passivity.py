@@ -20,8 +20,7 @@ from mbds_xsim.checks.eccentric import (
     eccentric_restitution,
     impact_coefficients,
 )
-from mbds_xsim.checks.ground import pushes_of
-from mbds_xsim.checks.impacts import impacts_of
+from mbds_xsim.checks.ground import impacts_of, pushes_of
 from mbds_xsim.checks.passivity import contact_gap, energy_rise, passivity
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import Throw

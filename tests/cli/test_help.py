@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import pytest
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.commands.shared import Chapter, app
 from tests.command_line import CommandLine
 

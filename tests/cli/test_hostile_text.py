@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbds_xsim.base.safe_text import as_code, csv_text, in_markdown, sentence
+from mbds_xsim.base.text import as_code, csv_text, in_markdown, sentence
 from mbds_xsim.base.write import read_file
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.report.files import to_html

@@ -20,8 +20,7 @@ from hypothesis import strategies as st
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Task
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Crash, Silent, Task
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.measure.campaign import Running
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import Batch, Failure, Trajectory

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
 from mbds_xsim.measure.trial import Trial

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.base.safe_text import csv_text
+from mbds_xsim.base.text import csv_text
 from mbds_xsim.learn.particles import EXPLODED, LOST, RolloutFigures, measure
 from mbds_xsim.learn.shift.domains import REFERENCE, Domain, Paired, ReferenceFrames
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, ErrorFloor, values

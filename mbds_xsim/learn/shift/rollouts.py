@@ -23,8 +23,7 @@ import numpy as np
 import torch
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.base.versions import MODELS
 from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.points import Points

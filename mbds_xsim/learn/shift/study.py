@@ -48,7 +48,7 @@ from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, ModelFa
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
-from mbds_xsim.measure.identity import machine
+from mbds_xsim.measure.store import machine
 from mbds_xsim.simulate.registry import package_version
 
 _AT = 10

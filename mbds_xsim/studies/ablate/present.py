@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
 from mbds_xsim.studies.ablate.analyse import Ablation, Size, WeakenedEffect

@@ -11,8 +11,7 @@ import numpy as np
 
 from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import ProgressSink, Watch
 from mbds_xsim.measure.quick import searched

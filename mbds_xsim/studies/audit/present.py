@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report import quantity

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from mbds_xsim.base.safe_text import in_markdown
+from mbds_xsim.base.text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.markdown import table_text

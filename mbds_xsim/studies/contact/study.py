@@ -10,8 +10,8 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.text import counted
 from mbds_xsim.measure.campaign import ProgressSink
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry

@@ -10,8 +10,8 @@ from typing import Any
 
 import tomli_w
 
-from mbds_xsim.base.counted import counted
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column, Remarks, Report, table_of
 from mbds_xsim.studies.match.result import Found, Match

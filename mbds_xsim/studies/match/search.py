@@ -13,9 +13,9 @@ from typing import Any
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.runner import Meter
+from mbds_xsim.measure.store import machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch

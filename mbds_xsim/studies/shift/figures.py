@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.curves import looks
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.models import TRIVIAL

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.base.safe_text import in_figure
+from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.study import SampleRollout, Samples

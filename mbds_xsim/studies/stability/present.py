@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity, themed
 from mbds_xsim.report.blocks import (
     Block,

@@ -24,7 +24,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
-from mbds_xsim.checks.energy import damper_loss, energy_of, input_work
+from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.joints import angle_gap, gap
 from mbds_xsim.checks.passivity import passivity, penetration

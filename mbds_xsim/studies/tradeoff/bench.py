@@ -16,10 +16,9 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.campaign import run_references
-from mbds_xsim.measure.identity import machine, row_key
 from mbds_xsim.measure.judge import error_findings
 from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
-from mbds_xsim.measure.store import Store
+from mbds_xsim.measure.store import Store, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.learn.simulator import LearnedSimulator
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
-from mbds_xsim.measure.identity import machine
 from mbds_xsim.measure.runner import Meter
+from mbds_xsim.measure.store import machine
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene

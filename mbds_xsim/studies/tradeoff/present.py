@@ -6,8 +6,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from mbds_xsim.base.counted import counted
-from mbds_xsim.base.safe_text import in_figure, sentence
+from mbds_xsim.base.text import counted, in_figure, sentence
 from mbds_xsim.report import quantity, themed
 from mbds_xsim.report.blocks import (
     Block,

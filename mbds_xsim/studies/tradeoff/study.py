@@ -9,10 +9,9 @@ import msgspec
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.isolate import core_count
-from mbds_xsim.base.silence import Silent
-from mbds_xsim.measure.identity import machine, versions_of
+from mbds_xsim.base.isolate import Silent, core_count
 from mbds_xsim.measure.runner import Meter
+from mbds_xsim.measure.store import machine, versions_of
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.simulate.simulator import NATIVE

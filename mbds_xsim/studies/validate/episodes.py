@@ -12,8 +12,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.ground import Push, pushes_of
-from mbds_xsim.checks.impacts import Impacts, impacts_of
+from mbds_xsim.checks.ground import Impacts, Push, impacts_of, pushes_of
 from mbds_xsim.measure.result import Evidence
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory

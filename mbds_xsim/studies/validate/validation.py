@@ -8,11 +8,10 @@ import time
 
 import numpy as np
 
-from mbds_xsim.base.counted import counted
-from mbds_xsim.base.silence import Silent
+from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
-from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, run_campaign
-from mbds_xsim.measure.convergence import refine
+from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, refine, run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation

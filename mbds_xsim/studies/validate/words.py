@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mbds_xsim.base.counted import counted
+from mbds_xsim.base.text import counted
 from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
