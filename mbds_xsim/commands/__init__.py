@@ -1,4 +1,4 @@
-"""The commands, a file each; importing one adds it to the command line."""
+"""The commands, by what they are for; importing a file adds those in it to the command line."""
 
 from importlib import import_module
 from pkgutil import iter_modules

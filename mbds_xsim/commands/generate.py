@@ -1,4 +1,4 @@
-"""`mbds-xsim generate`: data sets of checked trajectories."""
+"""`mbds-xsim plan` and `generate`: what data sets cost, and checked ones."""
 
 from __future__ import annotations
 
@@ -13,10 +13,98 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
-from mbds_xsim.report.blocks import Block, Remarks, Text, table_of
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Column, Remark, Remarks, Text, table_of
 
 if TYPE_CHECKING:
+    from mbds_xsim.dataset.estimate import CostPlan, Estimate
     from mbds_xsim.dataset.generate import Generated
+
+
+_SIZES = ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B"))
+_TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3600, "s"))
+_FIGURES = ("each", "simulate", "check", "core-h", "wall", "size", "published")
+
+
+@shared.command(
+    "data",
+    epilog="Examples:  mbds-xsim plan 6pendulum --trajectories 1000000000  ·  "
+    "mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64",
+)
+def plan(
+    scene: shared.SceneName,
+    trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
+    engines: shared.EngineNames = None,
+    settings: Annotated[
+        str, Option(help="matched, native, a file of `match --out`, or two: matched,native.")
+    ] = "matched",
+    sample: Annotated[
+        int, Option(help="Trajectories of each of the two measured shards.", min=2, max=1000)
+    ] = 6,
+    workers: Annotated[
+        int | None, Option(help="Processes that will work; all cores when left out.", min=1)
+    ] = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
+) -> None:
+    """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
+    from mbds_xsim.dataset.estimate import plan as run
+    from mbds_xsim.simulate.choice import Choice
+
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
+    with shared.progress_on(console) as progress:
+        found = run(
+            shared.scene_named(scene),
+            choice,
+            trajectories,
+            sample=sample,
+            workers=workers,
+            progress=progress,
+        )
+    shared.answer(plan_blocks(found), found, json, "plan")
+    raise Exit(0 if all(not one.failure for one in found.estimates) else 1)
+
+
+def plan_blocks(plan: CostPlan) -> Iterator[Block]:
+    """Say in a line an engine what a data set will cost."""
+    cores = counted(plan.workers, "core")
+    yield Text(f"{plan.scene}: {counted(plan.trajectories, 'trajectory')} on {cores}")
+    yield table_of(["variant", *map(Column, _FIGURES)], map(_cells, plan.estimates))
+    failed = [Remark(e.variant, e.failure, "fail") for e in plan.estimates if e.failure]
+    left_out = [Remark(f"{name} left out", reason) for name, reason in plan.left_out.items()]
+    yield Remarks((*failed, *left_out))
+    known = [one.measured for one in plan.estimates if one.measured is not None]
+    if known:
+        spread = max(one.spread for one in known)
+        yield Text(
+            f"measured on 2 × {known[0].sample} trajectories each, which differ by up to "
+            f"{spread:.0%}; core time and size of each are this machine's, the "
+            "published share is the sample's"
+        )
+
+
+def _cells(estimate: Estimate) -> tuple[str, ...]:
+    one = estimate.measured
+    if one is None or estimate.core_hours is None:
+        return (estimate.variant, *[quantity.NONE] * len(_FIGURES))
+    return (
+        estimate.variant,
+        quantity.span(one.trajectory_s),
+        f"{one.shares['simulate_s']:.0%}",
+        f"{one.shares['check_s']:.0%}",
+        quantity.number(estimate.core_hours),
+        _scaled(estimate.wall_hours or 0.0, _TIMES),
+        _scaled(estimate.bytes or 0.0, _SIZES),
+        f"{one.published} of {2 * one.sample}",
+    )
+
+
+def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
+    """Write with the largest unit that gives a number from 1 on."""
+    size, unit = next((one for one in units if value >= one[0]), units[-1])
+    return f"{value / size:.3g} {unit}"
 
 
 @shared.command(

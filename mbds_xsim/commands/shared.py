@@ -78,7 +78,7 @@ class Commands(TyperGroup):
         for chapter in get_args(Chapter):
             rows = [
                 (name, " ".join((command.help or "").split("\n\n")[0].split()))
-                for name, command in self.commands.items()
+                for name, command in sorted(self.commands.items())
                 if getattr(command, "rich_help_panel", "") == chapter
             ]
             with formatter.section(chapter.capitalize()):

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.commands.inspect import summary_blocks
+from mbds_xsim.commands.data import summary_blocks
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import draw_paths, summaries
 from mbds_xsim.report.palette import INTERVALS

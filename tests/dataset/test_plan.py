@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.base.isolate import Crash
-from mbds_xsim.commands.plan import plan_blocks
+from mbds_xsim.commands.generate import plan_blocks
 from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
 from mbds_xsim.report.terminal import print_blocks

@@ -1,0 +1,271 @@
+"""`mbds-xsim inspect`, `export`, `audit` and `verify`: what is done with data that there are."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from typer import Argument, Exit, Option
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.base.text import counted
+from mbds_xsim.commands import shared
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Cell, Column, Remark, Remarks, Table, Text, table_of
+
+if TYPE_CHECKING:
+    from mbds_xsim.dataset.summary import Range, Summary
+    from mbds_xsim.dataset.verify import Verified
+
+
+@shared.command(
+    "data",
+    epilog="Examples:  mbds-xsim inspect data  ·  "
+    "mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png",
+)
+def inspect(
+    path: Annotated[Path, Argument(metavar="FILE|DIR", help="A data file or a folder.")],
+    png: Annotated[
+        Path | None, Option(metavar="FILE", help="Draw paths of particles into this file.")
+    ] = None,
+    json: shared.JsonFile = None,
+) -> None:
+    """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
+    from mbds_xsim.dataset.read import load_dataset
+    from mbds_xsim.dataset.summary import draw_paths, summaries
+
+    shared.check_targets(json=json, png=png)
+    found = summaries(path)
+    if png is not None and len(found) > 1:
+        msg = f"--png: {path} holds {len(found)} data sets; name one of them, as {found[0].file}"
+        raise InputError(msg)
+    if png is not None:
+        draw_paths(load_dataset(found[0].file), png)
+    shared.answer((b for summary in found for b in summary_blocks(summary)), found, json, "inspect")
+    if png is not None:
+        shared.console_for(json).print(f"written: {png}", highlight=False)
+
+
+def summary_blocks(summary: Summary) -> Iterator[Block]:
+    """Say what a data set is, how many of what it has, and what the checks measured."""
+    yield Text(f"{summary.file}  {summary.kind}, {summary.certification}", "strong")
+    yield Remarks.of(_facts(summary))
+    yield _counts(summary)
+    if summary.figures:
+        figures = (">trajectories", ">smallest", ">median", ">largest", ">allowed", ">")
+        yield table_of(["check", *figures], map(_cells, summary.figures))
+
+
+def _facts(summary: Summary) -> list[tuple[str, str]]:
+    noise = "with" if summary.noise else "without"
+    options = f", {summary.options}" if summary.options != "{}" else ""
+    causes = ", ".join(f"{cause} {count}" for cause, count in summary.rejected_by.items())
+    return [
+        (
+            "scene",
+            f"{summary.scene}: {summary.description or 'no description'}; {summary.dimension}D, "
+            f"{counted(summary.bodies, 'body')}, {counted(summary.points, 'point')}, "
+            f"{counted(summary.steps, 'step')} of "
+            f"{summary.frame_s:g} s",
+        ),
+        (
+            "made by",
+            f"{summary.engine} {summary.engine_version} ({summary.profile}), {summary.method} at "
+            f"{summary.step_s:.6g} s{options}; seed {summary.seed}, {noise} noise",
+        ),
+        ("versions", f"mbds-xsim {summary.mbds_xsim_version}, numpy {summary.numpy_version}"),
+        (
+            "holds",
+            f"{summary.published} published and {summary.rejected} rejected of {summary.drawn}"
+            + (f": {causes}" if causes else ""),
+        ),
+        ("on disk", f"{summary.bytes / 1e6:.4g} MB in {counted(summary.shards, 'shard')}"),
+    ]
+
+
+def _counts(summary: Summary) -> Table:
+    intervals = list(next(iter(summary.counts.values())))
+    return table_of(
+        ["trajectories", *map(Column, (*intervals, "all"))],
+        [
+            [part, *(str(counts[name]) for name in intervals), str(sum(counts.values()))]
+            for part, counts in summary.counts.items()
+        ],
+    )
+
+
+def _cells(figure: Range) -> list[Cell | str]:
+    first = (quantity.with_unit(value, figure.unit) for value in (figure.smallest, figure.median))
+    largest, allowed = quantity.beside(figure.largest, figure.allowed, figure.unit)
+    known: list[Cell | str] = [figure.check, str(figure.trajectories), *first, largest]
+    if figure.allowed is None:
+        return [*known, "shown", ""]
+    kept = figure.largest <= figure.allowed
+    return [*known, allowed, Cell("", "pass" if kept else "fail")]
+
+
+@shared.command(
+    "data",
+    epilog="Examples:  mbds-xsim export data --out npz --format npz  ·  "
+    "mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9",
+)
+def export(
+    dataset: Annotated[Path, Argument(metavar="DATASET", help="A data file or folder.")],
+    out: Annotated[Path, Option(metavar="DIR", help="Folder to write, made if needed.")],
+    form: Annotated[Literal["npz", "csv"], Option("--format", help="Of the files.")],
+    engines: Annotated[
+        str | None, Option(help="Comma-separated; all that there are when left out.")
+    ] = None,
+    indices: Annotated[
+        str | None, Option(help="Numbers of trajectories, as 0-9,15; all when left out.")
+    ] = None,
+    json: shared.JsonFile = None,
+) -> None:
+    """Write data sets in a form that any program reads, and say what it does not carry."""
+    from mbds_xsim.base.text import counted
+    from mbds_xsim.dataset.export import export as run
+    from mbds_xsim.dataset.read import parse_numbers
+
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
+    numbers = None if indices is None else parse_numbers(indices, "--indices")
+    with shared.progress_on(console) as progress:
+        done = run(dataset, out, form, engines=engines, numbers=numbers, progress=progress)
+    console.print(
+        f"{counted(done.trajectories, 'trajectory')} in "
+        f"{counted(done.files, 'file')}, {done.bytes / 1e6:.4g} MB, "
+        f"written to {done.out}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    for file, missing in done.absent.items():
+        if missing:
+            some = ", ".join(map(str, missing[:10])) + (" …" if len(missing) > 10 else "")
+            console.print(f"{file} has not {some}: rejected", highlight=False, soft_wrap=True)
+    console.print("not carried over:")
+    for line in done.lost:
+        console.print(f"  {line}", highlight=False, soft_wrap=True)
+    shared.write_json(shared.encoded(done, "export"), json)
+
+
+@shared.command(
+    "data",
+    epilog="Examples:  mbds-xsim audit lab.csv --scene 6pendulum  ·  "
+    "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0",
+)
+def audit(
+    file: Annotated[Path, Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
+    scene: Annotated[
+        str | None,
+        Option(help="A built-in name, a family with a size, or a file; else the file's own."),
+    ] = None,
+    index: Annotated[
+        str | None, Option(help="Numbers of the starts, as 0-9,15: compares with them, too.")
+    ] = None,
+    seed: Annotated[int | None, Option(help="Seed of those starts.", min=0)] = None,
+    noise: Annotated[
+        bool | None, Option(help="Whether their random forces acted.", show_default=False)
+    ] = None,
+    order: Annotated[
+        int | None, Option(help="Order of the method that made it; else first.", min=1)
+    ] = None,
+    step: Annotated[
+        float | None, Option(help="Its integration step [s]; else the frame.", min=1e-12)
+    ] = None,
+    velocity_lag: Annotated[
+        float | None, Option(help="Velocities belong to frame time + lag [s].")
+    ] = None,
+    contact_time: Annotated[
+        float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
+    ] = None,
+    json: shared.JsonFile = None,
+    html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
+) -> None:
+    """Check trajectories from anywhere: another engine, a lab, a learned model."""
+    from mbds_xsim.dataset.audit import audit_file
+    from mbds_xsim.dataset.foreign import Provenance
+    from mbds_xsim.dataset.read import parse_numbers
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.audit.present import present
+
+    console = shared.console_for(json)
+    shared.check_targets(json=json, html=html)
+    origin = Provenance(
+        index=None if index is None else tuple(parse_numbers(index, "--index")),
+        seed=seed,
+        noise=noise,
+        step_s=step,
+        method_order=order,
+        velocity_lag_s=velocity_lag,
+        contact_time_s=contact_time,
+    )
+    audited = audit_file(file, None if scene is None else shared.scene_named(scene), origin)
+    report = present(audited, shared.command_line())
+    print_report(report, console)
+    shared.deliver([report], audited.file, console, html=html, opened=opened)
+    shared.write_json(shared.encoded(audited, "audit"), json)
+    raise Exit(0 if audited.verdict == "pass" else 1)
+
+
+_MOST = 20
+"""Problems that are listed."""
+
+
+@shared.command(
+    "data",
+    epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5",
+)
+def verify(
+    path: Annotated[
+        Path, Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
+    ],
+    seed: Annotated[
+        int | None,
+        Option(help="Chooses what is simulated again; left out, at random.", min=0),
+    ] = None,
+    workers: shared.WorkerCount = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
+) -> None:
+    """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
+    from mbds_xsim.dataset.verify import verify as run
+
+    console = shared.console_for(json)
+    shared.check_targets(json=json)
+    with shared.progress_on(console) as progress:
+        verified = run(path, seed=seed, workers=workers, limit=limit, progress=progress)
+    shared.answer(_outcome(verified), verified, json, "verify")
+    raise Exit(0 if verified.sound else 1)
+
+
+def _outcome(verified: Verified) -> Iterator[Block]:
+    """Say what the data are, what was checked, and what is wrong."""
+    yield from map(_describe, verified.about)
+    problems = [Remark(one.file, text, "fail") for one in verified.files for text in one.problems]
+    yield Remarks(tuple(problems), most=_MOST)
+    for note, count in Counter(note for one in verified.files for note in one.notes).items():
+        yield Text(f"  {note}{f' ({count} files)' if count > 1 else ''}")
+    if any("simulated again: " in note for one in verified.files for note in one.notes):
+        yield Text(f"  simulated again: chosen by --seed {verified.seed}")
+    checked = sum(one.trajectories for one in verified.files if one.kind in ("shard", "rejected"))
+    verdict = (
+        "everything holds what it says" if verified.sound else counted(len(problems), "problem")
+    )
+    yield Text(
+        f"{counted(len(verified.files), 'file')}, {counted(checked, 'trajectory')} checked: "
+        f"{verdict}",
+        "pass" if verified.sound else "fail",
+    )
+
+
+def _describe(about: dict[str, object]) -> Text:
+    noise = "with" if about["noise"] else "without"
+    return Text(
+        f"{about['file']}: {about['scene_name']} in {about['engine']} {about['engine_version']}, "
+        f"{about['method']} at {about['step_s']:.6g} s, {about['certification']}; "
+        f"{about['published']} of {about['count']} published, {noise} noise, seed {about['seed']}"
+    )

@@ -1,0 +1,208 @@
+"""`mbds-xsim match`, `ablate` and `contact`: studies of a scene, and of contact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Exit, Option
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.commands import shared
+
+_Trajectories = Annotated[
+    int, Option(help="Starts of each interval to search with.", min=1, max=1000)
+]
+_HeldOut = Annotated[int, Option(help="Starts of each interval to verify with.", min=1, max=1000)]
+_Seed = Annotated[int, Option(help="Seed of the search; the next one verifies.", min=0)]
+_Limit = Annotated[float, Option(help="Longest rollout of a start [s].", min=0.1)]
+_Options = Annotated[bool, Option("--options", help="Vary the engines' own options, too.")]
+_Out = Annotated[
+    Path | None, Option(metavar="FILE", help="Write here, not where validate finds them.")
+]
+
+
+@shared.command(
+    "study",
+    epilog="Examples:  mbds-xsim match 3ladder  ·  "
+    "mbds-xsim match my.toml --out my-settings.toml --engines mujoco",
+)
+def match(
+    scenes: shared.SceneNames,
+    engines: shared.EngineNames = None,
+    trajectories: _Trajectories = 2,
+    held_out: _HeldOut = 20,
+    seed: _Seed = 0,
+    limit: _Limit = 30.0,
+    options: _Options = False,
+    cache: shared.CacheUse = True,
+    workers: shared.WorkerCount = None,
+    out: _Out = None,
+    json: shared.JsonFile = None,
+    html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
+) -> None:
+    """Search the cheapest settings of each engine that keep all budgets of a scene."""
+    from mbds_xsim.base.isolate import core_count
+    from mbds_xsim.base.write import write_whole
+    from mbds_xsim.report.bar import StudyBar
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.studies.match import search as study
+    from mbds_xsim.studies.match.present import matched_toml, present
+
+    console = shared.console_for(json)
+    choice = Choice.parse(engines=engines)
+    targets = _targets(scenes, out)
+    for target in targets:
+        shared.check_targets(json=json, html=html, out=target)
+    found = []
+    for name, target in zip(scenes, targets, strict=True):
+        scene = shared.scene_named(name)
+        with StudyBar(console, workers or core_count(), scene.name) as meter:
+            result = study.match(
+                scene,
+                choice=choice,
+                trajectories=trajectories,
+                held_out=held_out,
+                seed=seed,
+                limit=limit,
+                options=options,
+                workers=workers,
+                cache=cache,
+                meter=meter,
+                command=shared.command_line(),
+            )
+        print_report(present(result), console)
+        before = target.read_text("utf-8") if target.is_file() else ""
+        write_whole(target, matched_toml(result, before).encode())
+        console.print(f"written: {target}", highlight=False)
+        found.append(result)
+    reports = [present(result) for result in found]
+    shared.deliver(reports, "Matched settings", console, html=html, opened=opened)
+    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
+    met = all(engine.meets_budget for result in found for engine in result.engines)
+    raise Exit(0 if met else 1)
+
+
+def _targets(scenes: list[str], out: Path | None) -> list[Path]:
+    """Say where each scene's settings go."""
+    from mbds_xsim.simulate.registry import scene_names
+    from mbds_xsim.studies.match.present import stored_path
+
+    if out is not None and len(scenes) > 1:
+        msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
+        raise InputError(msg)
+    for name in scenes if out is None else []:
+        if name not in scene_names():
+            msg = f"{name} has no place among the built-in scenes; say where to write with --out"
+            raise InputError(msg)
+    return [out] if out is not None else [stored_path(name) for name in scenes]
+
+
+@shared.command(
+    "study",
+    epilog="Examples:  mbds-xsim ablate 3ladder  ·  "
+    "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md",
+)
+def ablate(
+    scenes: shared.SceneNames,
+    engines: shared.EngineNames = None,
+    settings: Annotated[
+        str, Option(help="Of the engines: matched, native, or a file of `match --out`.")
+    ] = "matched",
+    trajectories: Annotated[int, Option(help="Starts of each interval.", min=1, max=1000)] = 2,
+    seed: shared.Seed = 0,
+    cache: shared.CacheUse = True,
+    workers: shared.WorkerCount = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
+    markdown: shared.MarkdownFile = None,
+) -> None:
+    """Drop and halve what a scene models; compare with the disagreement between engines."""
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.studies.ablate.present import present
+    from mbds_xsim.studies.ablate.study import ablate as study
+
+    console = shared.console_for(json)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
+    if len(choice.profiles) > 1:
+        msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
+        raise InputError(msg)
+    shared.check_targets(json=json, markdown=markdown)
+    found = []
+    for scene in [shared.scene_named(name) for name in scenes]:
+        with shared.progress_on(console) as progress:
+            result = study(
+                scene,
+                choice=choice,
+                starts=trajectories,
+                seed=seed,
+                cache=cache,
+                workers=workers,
+                progress=progress,
+                command=shared.command_line(),
+            )
+        print_report(present(result), console)
+        found.append(result)
+        shared.deliver([present(one) for one in found], "", console, markdown=markdown)
+    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
+
+
+@shared.command(
+    "study",
+    epilog="Examples:  mbds-xsim contact --engines dart  ·  "
+    "mbds-xsim contact --markdown docs/contact.md --figures docs/images",
+)
+def contact(
+    engines: shared.EngineNames = None,
+    settings: Annotated[
+        str, Option(help="native, matched, or both side by side (native,matched).")
+    ] = "native,matched",
+    workers: shared.WorkerCount = None,
+    limit: shared.TimeLimit = LIMIT,
+    json: shared.JsonFile = None,
+    markdown: Annotated[
+        Path | None, Option(metavar="FILE", help="Write the page docs/contact.md.")
+    ] = None,
+    figures: Annotated[
+        Path | None, Option(metavar="DIR", help="Draw the page's figures into a folder.")
+    ] = None,
+) -> None:
+    """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
+    from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.studies.contact.present import present
+    from mbds_xsim.studies.contact.study import study_contact
+
+    console = shared.console_for(json)
+    choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
+    if choice.given:
+        msg = f"--settings: got {settings}, allowed are matched and native: what is measured has "
+        raise InputError(msg + "scenes of its own, and a file of settings is matched for one scene")
+    drawn = {} if figures is None else _figure_files(figures)
+    shared.check_targets(json=json, markdown=markdown, **drawn)
+    with shared.progress_on(console) as progress:
+        study = study_contact(
+            choice,
+            progress=progress,
+            workers=workers,
+            command=shared.command_line(),
+        )
+    print_blocks(present(study), console)
+    if drawn:
+        from mbds_xsim.studies.contact.present import draw_study
+
+        draw_study(study, drawn)
+    if markdown is not None:
+        from mbds_xsim.base.write import write_whole
+        from mbds_xsim.studies.contact.page import contact_page
+
+        write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())
+    shared.write_json(shared.encoded(study, "contact"), json)
+
+
+def _figure_files(folder: Path) -> dict[str, Path]:
+    return {name: folder / f"contact-{name}.png" for name in ("restitution", "friction")}
