@@ -60,7 +60,7 @@ from mbds_xsim.reference.tree_kernel import (
     R,
     V,
     W,
-    Work,
+    Workspace,
     X,
     gather,
     move,
@@ -76,7 +76,7 @@ _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 
 
 @compiled
-def accelerate(t: Tree, work: Work, y, rate, first):
+def accelerate(t: Tree, work: Workspace, y, rate, first):
     """Write the time derivative of states."""
     move(t, work, y)
     act(t, work)
@@ -100,7 +100,7 @@ def accelerate(t: Tree, work: Work, y, rate, first):
 
 
 @compiled
-def project(t: Tree, work: Work, y):
+def project(t: Tree, work: Workspace, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
         for step in range(2):

@@ -17,13 +17,13 @@ from mbds_xsim.reference.closure_kernel import ROW, accelerate
 from mbds_xsim.reference.dop853 import coefficients
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
 from mbds_xsim.reference.lanes import LANES
-from mbds_xsim.reference.march_kernel import REACHED, Lane, Method, Task
+from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.singular import typical_states
 from mbds_xsim.reference.tree import BALL, FREE, Tree, to_tree, tree_of, with_rows
-from mbds_xsim.reference.tree_kernel import PLACES, A, R, Work
+from mbds_xsim.reference.tree_kernel import PLACES, A, R, Workspace
 from mbds_xsim.scene.mechanism import Mechanism
 
 Progress = Callable[[int, int], None]
@@ -54,7 +54,7 @@ def march_compiled(
     for first in range(0, len(start), _TOGETHER):
         part = slice(first, first + _TOGETHER)
         states = marched.states[part]
-        task = Task(
+        task = Problems(
             to_tree(mechanism, start[part]),
             np.require(inputs.force[part], float, ["C", "W"]),
             np.require(inputs.torque[part], float, ["C", "W"]),
@@ -94,7 +94,7 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
 
 
 def _evaluated(
-    tree: Tree, work: Work, y: Array, force: Array, torque: Array
+    tree: Tree, work: Workspace, y: Array, force: Array, torque: Array
 ) -> tuple[Array, Array]:
     """Evaluate states; give A of the loaded rows, (batch, row, row), and the rows' sizes."""
     count, speeds = tree.loaded, tree.size - tree.place_count
@@ -145,31 +145,31 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
     states[:, 0] = start
 
 
-def _work(tree: Tree) -> Work:
+def _work(tree: Tree) -> Workspace:
     links, rows, loaded = len(tree.kind) + 1, len(tree.row_kind), tree.loaded
     speeds = tree.size - tree.place_count
 
-    def lanes(count: int) -> Array:
-        return np.zeros((max(count, 1), LANES))
-
-    work = Work(
-        link=lanes(links * PLACES),
-        own=lanes(tree.size),
-        load=lanes(6 * links),
-        torque=lanes(len(tree.hinge_axis)),
-        rows=lanes(ROW * rows),
-        loads=lanes(12 * loaded),
-        responses=lanes(2 * loaded * speeds),
-        matrix=lanes(loaded * loaded),
-        multipliers=lanes(loaded),
-        share=np.array([[1.0] * LANES, [0.0] * LANES]),
+    work = Workspace(
+        link=_lanes(links * PLACES),
+        own=_lanes(tree.size),
+        load=_lanes(6 * links),
+        torque=_lanes(len(tree.hinge_axis)),
+        rows=_lanes(ROW * rows),
+        loads=_lanes(12 * loaded),
+        responses=_lanes(2 * loaded * speeds),
+        matrix=_lanes(loaded * loaded),
+        multipliers=_lanes(loaded),
+        share=_lanes(2),
     )
+    work.share[0] = 1.0
     world = (links - 1) * PLACES + R
     work.link[world : world + 9] = np.eye(3).reshape(9, 1)
     return work
 
 
 def _lane(tree: Tree) -> Lane:
+    size, idle = -(-tree.size // BLOCK) * BLOCK, _lanes(1)
+    idle[:] = -1.0
     whole = [np.zeros(LANES, dtype=np.int64) for _ in range(2)]
     return Lane(
         row=whole[0],
@@ -178,22 +178,30 @@ def _lane(tree: Tree) -> Lane:
         step=np.zeros(LANES),
         tries=np.zeros(LANES, dtype=np.int64),
         due=np.zeros(LANES, dtype=np.bool_),
-        h=np.full((1, LANES), -1.0),
-        ratio=np.zeros((3, LANES)),
-        worst=np.zeros((2, LANES)),
-        y=np.zeros((tree.size, LANES)),
-        new=np.zeros((tree.size, LANES)),
-        stages=np.zeros((12 * tree.size, LANES)),
+        h=idle,
+        ratio=_lanes(3),
+        worst=_lanes(2),
+        y=_lanes(size),
+        new=_lanes(size),
+        stages=_lanes(12 * size),
     )
 
 
-def _method(rtol: float, frame: float, companions: int, near: float) -> Method:
+def _lanes(count: int) -> Array:
+    """Make zeros of shape (count, 8), or (1, 8): each row one line of the processor's cache."""
+    raw = np.zeros((count + 2) * LANES)
+    first = -raw.ctypes.data % 64 // raw.itemsize
+    return raw[first : first + max(count, 1) * LANES].reshape(-1, LANES)
+
+
+def _method(rtol: float, frame: float, companions: int, near: float) -> Scheme:
     given = coefficients()
-    weights = np.zeros((13, 12))
-    weights[:12], weights[12] = given.A[:12, :12], given.B
-    return Method(
-        weights=weights,
-        errors=np.array([given.E5[:12], given.E3[:12]]),
+    rows = np.array([*given.A[:12, :12], given.B, given.E5[:12], given.E3[:12]])
+    row, stage = np.nonzero(rows)
+    return Scheme(
+        begin=np.searchsorted(row, np.arange(len(rows) + 1)),
+        stage=stage,
+        weight=rows[row, stage],
         rtol=rtol,
         first=marching.FIRST_STEP * frame,
         smallest=marching.SMALLEST_STEP * frame,

@@ -5,7 +5,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
@@ -13,15 +16,22 @@ from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
 _SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "closure_kernel", "march_kernel")
 _READY = "ready"
+_UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
 
 
 @functools.cache
 def kernel_folder() -> Path:
-    """Where machine code is kept: numba looks at one file's time, and not at what it calls."""
+    """Where machine code is kept: numba looks at one file's time, and not at what it calls.
+
+    The folder's own time is that of its last use.
+    """
     base = os.environ.get("XDG_CACHE_HOME")
     text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
     root = (Path(base) if base else Path.home() / ".cache") / "mbds-xsim" / "kernels"
-    return root / hashlib.sha256(text).hexdigest()[:16]
+    folder = root / hashlib.sha256(text).hexdigest()[:16]
+    with suppress(OSError):  # it is not there yet, or is another's
+        os.utime(folder)
+    return folder
 
 
 def compile_once(notice: Callable[[str], None], *, workers: int | None) -> None:
@@ -54,3 +64,11 @@ def _compile() -> None:
     folder = kernel_folder()
     if folder.is_dir():
         (folder / _READY).touch()
+        _remove_unused(folder)
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove machine code of other versions that nobody has used for long."""
+    for other in folder.parent.iterdir():
+        if other != folder and time.time() - other.stat().st_mtime > _UNUSED:
+            shutil.rmtree(other, ignore_errors=True)

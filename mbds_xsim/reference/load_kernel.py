@@ -23,11 +23,11 @@ from mbds_xsim.reference.lanes import (
     times,
 )
 from mbds_xsim.reference.tree import Tree
-from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Work, X, zero
+from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
 
 @compiled
-def still(t: Tree, work: Work):
+def still(t: Tree, work: Workspace):
     """Let nothing act."""
     for i in range(len(t.kind) + 1):
         store3(work.link, i * PLACES + F, zero())
@@ -35,7 +35,7 @@ def still(t: Tree, work: Work):
 
 
 @compiled
-def act(t: Tree, work: Work):
+def act(t: Tree, work: Workspace):
     """Let springs and torques act on the bodies."""
     a = work.link
     still(t, work)
@@ -66,7 +66,7 @@ def act(t: Tree, work: Work):
 
 
 @compiled
-def weigh(t: Tree, work: Work):
+def weigh(t: Tree, work: Workspace):
     """Start each body's articulated inertia with its own, and its bias with its loads."""
     a = work.link
     for i in range(len(t.kind)):

@@ -22,22 +22,27 @@ from mbds_xsim.reference.lanes import (
     store,
 )
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
-from mbds_xsim.reference.tree_kernel import PLACES, V, W, Work, X
+from mbds_xsim.reference.tree_kernel import PLACES, V, W, Workspace, X
 
 REACHED, STUCK, SINGULAR = 0, 1, 2
 """What became of a trajectory."""
+
+BLOCK = 4
+"""Numbers of a state are summed up so many at a time; arrays of them have a multiple of it."""
 
 _STAGES = 12
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 6.0
 
 
-class Method(NamedTuple):
+class Scheme(NamedTuple):
     """Coefficients of the method and what it has to keep to."""
 
-    weights: Array
-    """Of the stages before, shape (13, 12): the last row makes the step."""
-    errors: Array
-    """Of the stages in the estimates of order 5 and 3, shape (2, 12)."""
+    begin: Index
+    """Where each row's weights begin: those of stages 0 to 11, of the step, and of the estimates
+    of its error of order 5 and 3, shape (16,)."""
+    stage: Index
+    """Stages that the weights are of, the others having none."""
+    weight: Array
     rtol: float
     first: float
     smallest: float
@@ -62,13 +67,13 @@ class Lane(NamedTuple):
     ratio: Array
     """Error over what is allowed, then the two sums that make it, shape (3, 8)."""
     worst: Array
-    """Over the stages of a step: as `Work.share`."""
+    """Over the stages of a step: as `Workspace.share`."""
     y: Array
     new: Array
     stages: Array
 
 
-class Task(NamedTuple):
+class Problems(NamedTuple):
     """Trajectories to find."""
 
     start: Array
@@ -82,7 +87,7 @@ class Task(NamedTuple):
 
 
 @compiled
-def march(t: Tree, work: Work, method: Method, lane: Lane, task: Task):
+def march(t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
     """Find all trajectories of a task; there is one at least, of one frame at least."""
     following = 0
     for k in range(LANES):
@@ -101,7 +106,7 @@ def march(t: Tree, work: Work, method: Method, lane: Lane, task: Task):
         if not under_way:
             return
         _try_step(t, work, method, lane)
-        _measure(t, method, lane)
+        _measure(method, lane)
         _accept(t, method, lane, task)
         _start_frames(t, work, lane, task)
 
@@ -208,15 +213,14 @@ def _turned(p, q):
 @compiled
 def _try_step(t, work, method, lane):
     """Fill in the stages and the new states of a step."""
-    h, count = load(lane.h, 0), t.size
+    h, count = load(lane.h, 0), len(lane.y)
     for stage in range(1, _STAGES + 1):
-        for j in range(count):
-            total = spread(0.0)
-            for s in range(stage):
-                weight = method.weights[stage, s]
-                if weight != 0.0:
-                    total = total + weight * load(lane.stages, s * count + j)
-            store(lane.new, j, load(lane.y, j) + h * total)
+        for j in range(0, count, BLOCK):
+            a, b, c, d = _combined(method, stage, lane.stages, count, j)
+            store(lane.new, j, load(lane.y, j) + h * a)
+            store(lane.new, j + 1, load(lane.y, j + 1) + h * b)
+            store(lane.new, j + 2, load(lane.y, j + 2) + h * c)
+            store(lane.new, j + 3, load(lane.y, j + 3) + h * d)
         if stage < _STAGES:
             accelerate(t, work, lane.new, lane.stages, stage * count)
             share, off = load(work.share, 0), load(work.share, 1)
@@ -226,18 +230,30 @@ def _try_step(t, work, method, lane):
 
 
 @compiled
-def _measure(t, method, lane):
+def _combined(method, row, stages, count, j):
+    """Sum up the stages with the weights of a row: a block of numbers, which share the weights."""
+    a, b, c, d = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for k in range(method.begin[row], method.begin[row + 1]):
+        weight, at = method.weight[k], method.stage[k] * count + j
+        a = a + weight * load(stages, at)
+        b = b + weight * load(stages, at + 1)
+        c = c + weight * load(stages, at + 2)
+        d = d + weight * load(stages, at + 3)
+    return a, b, c, d
+
+
+@compiled
+def _measure(method, lane):
     """Sum up the two error estimates."""
     fifth, third = spread(0.0), spread(0.0)
-    for j in range(t.size):
-        a, b = spread(0.0), spread(0.0)
-        for s in range(_STAGES):
-            rate = load(lane.stages, s * t.size + j)
-            a = a + method.errors[0, s] * rate
-            b = b + method.errors[1, s] * rate
-        allowed = method.rtol * (1.0 + larger(size(load(lane.y, j)), size(load(lane.new, j))))
-        a, b = a / allowed, b / allowed
-        fifth, third = fifth + a * a, third + b * b
+    for j in range(0, len(lane.y), BLOCK):
+        a = _combined(method, _STAGES + 1, lane.stages, len(lane.y), j)
+        b = _combined(method, _STAGES + 2, lane.stages, len(lane.y), j)
+        for q in range(BLOCK):
+            most = larger(size(load(lane.y, j + q)), size(load(lane.new, j + q)))
+            scale = 1.0 / (method.rtol * (1.0 + most))
+            one, two = a[q] * scale, b[q] * scale
+            fifth, third = fifth + one * one, third + two * two
     store(lane.ratio, 1, fifth)
     store(lane.ratio, 2, third)
 

@@ -62,7 +62,7 @@ A, ALPHA = 90, 93
 PLACES = 96
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays of lanes that kernels write into, each of shape (number, 8)."""
 
     link: Array
@@ -87,7 +87,7 @@ class Work(NamedTuple):
 
 
 @compiled
-def move(t: Tree, work: Work, y):
+def move(t: Tree, work: Workspace, y):
     """Place all bodies, and find their velocities and what these do to accelerations."""
     a = work.link
     for i in range(len(t.kind)):
@@ -128,7 +128,7 @@ def move(t: Tree, work: Work, y):
 
 
 @compiled
-def gather(t: Tree, work: Work):
+def gather(t: Tree, work: Workspace):
     """Hand inertias and biases down to the roots, after `move` and `load_kernel.weigh`."""
     for k in range(len(t.kind)):
         i = len(t.kind) - 1 - k
@@ -267,7 +267,7 @@ def _give(a, p, m, h, j, f, n):
 
 
 @compiled
-def spread_out(t: Tree, work: Work, with_bias):
+def spread_out(t: Tree, work: Workspace, with_bias):
     """Find the accelerations of all bodies from the roots outwards.
 
     Without bias they are the twists, or displacements, that the own parts alone bring.
@@ -307,7 +307,7 @@ def spread_out(t: Tree, work: Work, with_bias):
 
 
 @compiled
-def rates(t: Tree, work: Work, y, rate, first):
+def rates(t: Tree, work: Workspace, y, rate, first):
     """Write the time derivative of a state from the accelerations of the bodies."""
     a = work.link
     for i in range(len(t.kind)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -43,3 +45,17 @@ def test_a_compiler_that_crashes_is_told_and_stops_nothing(
 
     assert "could not be compiled: TypeError" in told[1]
     assert not folder.exists()
+
+
+def test_machine_code_of_other_versions_goes_a_month_after_its_last_use(folder: Path) -> None:
+    others = {days: folder.with_name(f"{days} days") for days in (29, 31)}
+    for days, other in others.items():
+        (other / "numba").mkdir(parents=True)
+        os.utime(other, (time.time() - days * 86400.0,) * 2)
+    folder.mkdir()
+    os.utime(folder, (0.0, 0.0))
+
+    kernels._remove_unused(kernels.kernel_folder())
+
+    assert [other.exists() for other in others.values()] == [True, False]
+    assert time.time() - folder.stat().st_mtime < 60.0
