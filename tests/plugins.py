@@ -133,5 +133,5 @@ def installed(
 
 
 def _forget() -> None:
-    registry._points.cache_clear()
+    registry.registered.cache_clear()
     registry._answer.cache_clear()

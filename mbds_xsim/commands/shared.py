@@ -121,9 +121,11 @@ _Version = Annotated[
 def _of_all_commands(_version: _Version = False) -> None: ...
 
 
-def command(chapter: Chapter, epilog: str | None = None) -> Callable[[F], F]:
-    """Add a function to the command line."""
-    return app.command(cls=Command, rich_help_panel=chapter, epilog=epilog)
+def command(
+    chapter: Chapter, epilog: str | None = None, *, name: str | None = None
+) -> Callable[[F], F]:
+    """Add a function to the command line, under its own name or another."""
+    return app.command(name, cls=Command, rich_help_panel=chapter, epilog=epilog)
 
 
 def _complete_scene(incomplete: str) -> list[str]:
@@ -145,7 +147,7 @@ SceneName = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        help="A built-in name, a family with a size, or a file.",
+        help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf).",
         autocompletion=_complete_scene,
     ),
 ]

@@ -49,7 +49,7 @@ def read_scene(path: Path) -> Scene:
     data = _load(path)
     try:
         scene = msgspec.convert(data, Scene)
-        _check_starts(scene)
+        check_starts(scene)
     except msgspec.ValidationError as error:
         raise SceneError(f"{path}: {explain(error, data)}") from error
     except SceneError as error:
@@ -78,7 +78,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     write_whole(path_of("path", path), write_scene(scene).encode())
 
 
-def _check_starts(scene: Scene) -> None:
+def check_starts(scene: Scene) -> None:
     """Draw a trajectory of each interval; raise SceneError where a number runs out of range."""
     with np.errstate(all="ignore"):
         batch = draw_batch(scene, range(len(INTERVALS)))

@@ -46,7 +46,7 @@ _TIMEOUT = 60.0  # longest that an adapter may take to be imported, or to answer
 
 def engine_names() -> list[str]:
     """Names of all known adapters, whether their engine is installed or not."""
-    return sorted(_points("mbds_xsim.adapters"))
+    return sorted(registered("mbds_xsim.adapters"))
 
 
 def installed_engines() -> list[str]:
@@ -76,7 +76,7 @@ def load_adapter(name: str) -> Adapter:
         EngineMissing: Its engine is not installed.
         EngineFaulty: It is another package's, and goes wrong before it can be asked anything.
     """
-    points = _points("mbds_xsim.adapters")
+    points = registered("mbds_xsim.adapters")
     if name not in points:
         raise UnknownName.of("engine", name, engine_names())
     other = stand_in(points[name])
@@ -96,29 +96,32 @@ def load_adapter(name: str) -> Adapter:
 
 def scene_names() -> list[str]:
     """Names of the built-in scenes: the paper's, then other single ones and scene files."""
-    others = _points("mbds_xsim.single_scenes").keys() | _scene_files().keys()
+    others = registered("mbds_xsim.single_scenes").keys() | _scene_files().keys()
     return [*PAPER_SCENES, *sorted(others - set(PAPER_SCENES))]
 
 
 def load_scene(name: str) -> Scene:
-    """Make a scene from a built-in name, a family name with a size, or a path to a scene file.
+    """Make a scene from a built-in name, a family name with a size, or the path of a file.
 
     Raises:
         UnknownName: Nothing of that name exists.
         SceneError: The file is wrong; the text says where.
     """
     from mbds_xsim.scene.file import read_scene
+    from mbds_xsim.simulate.models import is_model, read_model
 
+    if is_model(name):
+        return read_model(Path(name)).scene
     if name.endswith(".toml") or "/" in name:
         return read_scene(Path(name))
-    singles = _points("mbds_xsim.single_scenes")
+    singles = registered("mbds_xsim.single_scenes")
     if name in singles:
         single: Callable[[], Scene] = singles[name].load()
         return single()
     if name in _scene_files():
         return read_scene(_scene_files()[name])
     match = re.fullmatch(r"([1-9][0-9]{0,3})([a-z]\w*)", name)
-    families = _points("mbds_xsim.families")
+    families = registered("mbds_xsim.families")
     if match and match[2] in families:
         family: Callable[[int], Scene] = families[match[2]].load()
         return family(int(match[1]))
@@ -127,7 +130,7 @@ def load_scene(name: str) -> Scene:
         msg = f"no scene is called {name!r}: N of N{name[len(digits) :]} is a number from 1 to 9999"
         raise UnknownName(msg)
     sized = [f"N{family}" for family in sorted(families)]
-    raise UnknownName.of("scene", name, [*scene_names(), *sized, "a path to a .toml file"])
+    raise UnknownName.of("scene", name, [*scene_names(), *sized, "a path to a file"])
 
 
 def package_version(distribution: str) -> str:
@@ -139,7 +142,8 @@ def package_version(distribution: str) -> str:
 
 
 @functools.cache
-def _points(group: str) -> dict[str, EntryPoint]:
+def registered(group: str) -> dict[str, EntryPoint]:
+    """Give what packages register in a group of entry points, by name."""
     points: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         if point.name in points and points[point.name].value != point.value:
@@ -155,7 +159,7 @@ def _points(group: str) -> dict[str, EntryPoint]:
 @functools.cache
 def _scene_files() -> dict[str, Path]:
     found = {}
-    for point in _points("mbds_xsim.scenes").values():
+    for point in registered("mbds_xsim.scenes").values():
         for entry in files(point.value).iterdir():
             if entry.name.endswith(".toml"):
                 found[entry.name.removesuffix(".toml")] = Path(str(entry))

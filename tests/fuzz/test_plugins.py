@@ -101,10 +101,10 @@ def test_a_faulty_adapter_is_named_and_the_sound_one_has_its_result(
     kind, name = where
     points = {
         "hostile": _Point(lambda: _hostile(kind, name, what)),
-        "mujoco": registry._points("mbds_xsim.adapters")["mujoco"],
+        "mujoco": registry.registered("mbds_xsim.adapters")["mujoco"],
     }
     out = Path(tempfile.mkdtemp(dir=place))
-    with mock.patch.object(registry, "_points", return_value=points):
+    with mock.patch.object(registry, "registered", return_value=points):
         registry._answer.cache_clear()
         listed = {row.engine: row for row in engine_rows()}
         choice = Choice.parse()

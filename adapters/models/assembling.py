@@ -1,0 +1,259 @@
+"""Parts become a scene: what is fixed is one body, what has several joints a chain of bodies."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.imported import Fate, Imported, gathered
+from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene
+
+from .masses import SHARE, physical, small
+from .parts import Closing, Freedom, Mass, Part, Parts
+
+_NOT_YET = "not yet in the scene description"
+PROPERTIES = {
+    "stiffness": _NOT_YET,
+    "rest": _NOT_YET,
+    "damping": _NOT_YET,
+    "armature": _NOT_YET,
+    "friction": _NOT_YET,
+    "limits": _NOT_YET,
+}
+"""Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""
+
+_NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
+_TOGETHER = 1e-9  # [m], between anchors that are one
+_INDEPENDENT = 1e-3  # least volume that three unit axes span
+
+
+def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable[Fate]) -> Imported:
+    """Make the scene.
+
+    Args:
+        model: What a reader has made of the file.
+        file: Its name.
+        kind: Of the format.
+        reader: Name and version.
+        fates: What has become of the rest of the file.
+    """
+    builder = _Builder(model)
+    if not builder.bodies:
+        msg = "nothing in it moves: all is fixed in the world; --floating frees a URDF's root link"
+        raise InputError(msg)
+    scene = Scene(
+        name=model.name,
+        description=f"imported from {file}",
+        source=f"{file} ({kind}), read by {reader}",
+        bodies=tuple(builder.bodies),
+        joints=tuple(builder.joints),
+        length=builder.length,
+        gravity=model.gravity.tolist(),
+    )
+    return Imported(scene, file, kind, reader, gathered([*fates, *builder.fates]))
+
+
+class _Builder:
+    """Bodies and joints, and what was done to make them."""
+
+    def __init__(self, model: Parts) -> None:
+        self._model, self._parts = model, model.parts
+        self.bodies: list[Body] = []
+        self.joints: list[Joint] = []
+        self.fates: list[Fate] = []
+        self._names: set[str] = {WORLD}
+        self._owner = self._owners()
+        """Part as which each part moves; −1: the world."""
+        self._own = [_NOTHING] * len(self._parts)
+        for k, owner in enumerate(self._owner):
+            if owner >= 0:
+                self._own[owner] += self._parts[k].mass
+        self._carried = list(self._own)
+        for k in reversed(range(len(self._parts))):
+            if self._owner[k] == k and (above := self._above(k)) >= 0:
+                self._carried[above] += self._carried[k]
+        self.length = _reach(self._parts, self._own)
+        self._body_names = {-1: WORLD}
+        for k in range(len(self._parts)):
+            if self._owner[k] == k:
+                self._add(k)
+        for closing in model.closings:
+            self._close(closing)
+
+    def _above(self, k: int) -> int:
+        parent = self._parts[k].parent
+        return self._owner[parent] if parent >= 0 else -1
+
+    def _owners(self) -> list[int]:
+        owners: list[int] = []
+        for k, part in enumerate(self._parts):
+            owner = owners[part.parent] if part.parent >= 0 else -1
+            owners.append(k if part.freedoms else owner)
+            if not part.freedoms and owner >= 0:
+                reason = "one with the body that it is fixed to: masses and inertias are added"
+                place = f"{part.name} in {self._parts[owner].name}"
+                self._tell("kept", "body", reason, place)
+            elif not part.freedoms:
+                reason = "fixed in the world, where its mass moves nothing"
+                self._tell("kept", "body", reason, part.name, moves=False)
+        return owners
+
+    def _tell(
+        self, outcome: str, element: str, reason: str, place: str, *, moves: bool = True
+    ) -> None:
+        self.fates.append(Fate(element, (), outcome, reason, moves, (place,)))  # type: ignore[arg-type]
+
+    def _add(self, k: int) -> None:
+        part = self._parts[k]
+        carried = self._carried[k]
+        above = self._body_names.get(self._above(k))
+        if not (carried.mass > 0 or np.trace(carried.inertia) > 0) or above is None:
+            reason = "it has no mass and carries none: nothing determines its motion"
+            self._tell("dropped", "body", reason, part.name, moves=False)
+            return
+        mass = self._sound(part, self._own[k], carried)
+        *between, last = self._simplified(part)
+        name = self._named(part.name)
+        for freedom in between:
+            middle = self._named(f"{part.name} after {freedom.name}")
+            self.bodies.append(_body(middle, part, small(carried, freedom.anchor)))
+            self._join(freedom, above, middle)
+            above = middle
+        if between:
+            reason = (
+                "several joints of one body: between two of them stands a body of "
+                f"{SHARE:g} of the mass and inertia that they carry"
+            )
+            self._tell("approximated", "joint", reason, part.name)
+        self.bodies.append(_body(name, part, mass))
+        self._join(last, above, name)
+        self._body_names[k] = name
+
+    def _named(self, wanted: str) -> str:
+        name = _unique(wanted, self._names)
+        self._names.add(name)
+        return name
+
+    def _sound(self, part: Part, own: Mass, carried: Mass) -> Mass:
+        """Give a mass and an inertia that a body can have."""
+        if own.mass <= 0 and np.trace(own.inertia) <= 0:
+            reason = f"no mass: it gets {SHARE:g} of the mass and inertia that it carries"
+            self._tell("approximated", "inertial", reason, part.name)
+            return small(carried, part.position)
+        if own.mass <= 0:
+            reason = f"inertia without mass: it gets {SHARE:g} of the mass that it carries"
+            self._tell("approximated", "inertial", reason, part.name)
+            own = dataclasses.replace(own, mass=SHARE * (carried.mass or 1.0))
+        if np.trace(own.inertia) <= 0:
+            reason = f"mass without inertia: it gets {SHARE:g} of its mass times the model's reach²"
+            self._tell("approximated", "inertial", reason, part.name)
+            moment = SHARE * own.mass * self.length**2
+            own = dataclasses.replace(own, inertia=moment * np.eye(3))
+        lifted = physical(own.inertia)
+        if lifted is None:
+            return own
+        change = np.linalg.norm(lifted - own.inertia) / np.linalg.norm(own.inertia)
+        reason = "no body has such moments (A + B < C): the nearest that one can have"
+        self._tell("approximated", "inertial", reason, f"{part.name}: by {change:.2g} of it")
+        return dataclasses.replace(own, inertia=lifted)
+
+    def _simplified(self, part: Part) -> tuple[Freedom, ...]:
+        """Take three sliders and a turn as a free body, and three hinges in a point as a ball."""
+        freedoms = part.freedoms
+        if any(freedom.properties for freedom in freedoms):
+            return freedoms
+        kinds = [freedom.kind for freedom in freedoms]
+        last = freedoms[-3:]
+        if kinds[-3:] == ["hinge"] * 3 and _span(last) and _in_a_point(last):
+            ball = Freedom(last[-1].name, "ball", last[-1].anchor, np.zeros(3))
+            freedoms, kinds = (*freedoms[:-3], ball), [*kinds[:-3], "ball"]
+            self._tell("kept", "joint", "three hinges in a point are a ball joint", part.name)
+        if kinds == ["slider"] * 3 + ["ball"] and _span(freedoms[:3]):
+            self._tell("kept", "joint", "three sliders and a ball joint are a free body", part.name)
+            return (Freedom(freedoms[-1].name, "free", freedoms[-1].anchor, np.zeros(3)),)
+        return freedoms
+
+    def _join(self, freedom: Freedom, parent: str, child: str) -> None:
+        kept: dict[str, Any] = {}
+        for key, value in freedom.properties.items():
+            reason = PROPERTIES[key]
+            if not reason:
+                kept[key] = value
+            element, attribute = self._model.labels[key]
+            told = f"{freedom.name}: {_shown(value)}"
+            outcome = "dropped" if reason else "kept"
+            self.fates.append(Fate(element, (attribute,), outcome, reason, True, (told,)))  # type: ignore[arg-type]
+        if freedom.kind == "free":
+            return
+        names = {joint.name for joint in self.joints}
+        axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
+        self.joints.append(
+            Joint(
+                name=_unique(freedom.name, names),
+                kind=freedom.kind,
+                parent=parent,
+                child=child,
+                anchor=freedom.anchor.tolist(),
+                axis=axis,
+                **kept,
+            )
+        )
+
+    def _close(self, closing: Closing) -> None:
+        owners = [self._owner[k] if k >= 0 else -1 for k in closing.parts]
+        ends = [self._body_names.get(owner) for owner in owners]
+        if None in ends or ends[0] == ends[1]:
+            reason = "it holds what does not move, or is not there"
+            self._tell("dropped", "equality", reason, closing.name, moves=False)
+            return
+        name = _unique(closing.name, {joint.name for joint in self.joints})
+        parent, child = map(str, ends)
+        self.joints.append(Joint(name, closing.kind, parent, child, closing.anchor.tolist()))
+        reason = "a rigid joint that closes a loop, where the engine's own is soft"
+        self._tell("approximated", "equality", reason, closing.name)
+
+
+def _body(name: str, part: Part, mass: Mass) -> Body:
+    turn = part.orientation / np.linalg.norm(part.orientation)
+    to_body = rotation.matrix(turn).T
+    tensor = to_body @ mass.inertia @ to_body.T
+    inertia = Inertia(
+        mass=mass.mass,
+        moments=np.diag(tensor).tolist(),
+        products=(tensor[0, 1], tensor[0, 2], tensor[1, 2]),
+        com=(to_body @ (mass.com - part.position)).tolist(),
+    )
+    place = part.position.tolist()
+    return Body(name, inertia=inertia, position=place, orientation=turn.tolist())
+
+
+def _reach(parts: tuple[Part, ...], own: list[Mass]) -> float:
+    """Give the largest extent of all centres of mass and joints, and of the bodies themselves."""
+    points = [mass.com for mass in own if mass.mass > 0]
+    points += [freedom.anchor for part in parts for freedom in part.freedoms]
+    sizes = [math.sqrt(max(np.trace(m.inertia), 0.0) / m.mass) for m in own if m.mass > 0]
+    extent = float(np.linalg.norm(np.ptp(points, axis=0))) if points else 0.0
+    return max([extent, *sizes]) or 1.0
+
+
+def _span(freedoms: tuple[Freedom, ...]) -> bool:
+    return bool(abs(np.linalg.det([freedom.axis for freedom in freedoms])) > _INDEPENDENT)
+
+
+def _in_a_point(freedoms: tuple[Freedom, ...]) -> bool:
+    return bool(np.ptp([freedom.anchor for freedom in freedoms], axis=0).max() < _TOGETHER)
+
+
+def _unique(wanted: str, taken: set[str]) -> str:
+    names: Iterator[str] = (f"{wanted} {k}" for k in range(2, len(taken) + 3))
+    return wanted if wanted and wanted not in taken else next(n for n in names if n not in taken)
+
+
+def _shown(value: float | tuple[float, float]) -> str:
+    return f"{value:g}" if isinstance(value, float) else f"{value[0]:g} to {value[1]:g}"

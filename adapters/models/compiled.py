@@ -1,0 +1,271 @@
+"""MJCF and URDF, as MuJoCo's compiler resolves them.
+
+Defaults, includes, frames, limits' units and the inertia of geometry are the compiler's to know.
+What a URDF says of masses is taken as it is written, before MuJoCo refuses or mends it: links have
+the inertia that is stated, none where none is, and meshes are not read.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.scene.imported import Fate, Imported
+
+from .assembling import assemble
+from .fates import fates_of
+from .parts import Closing, Freedom, Mass, Part, Parts, Property
+from .source import read_source
+
+_LABELS = {
+    "mujoco": {
+        "stiffness": ("joint", "stiffness"),
+        "rest": ("joint", "springref"),
+        "damping": ("joint", "damping"),
+        "armature": ("joint", "armature"),
+        "friction": ("joint", "frictionloss"),
+        "limits": ("joint", "range"),
+    },
+    "robot": {
+        "damping": ("dynamics", "damping"),
+        "friction": ("dynamics", "friction"),
+        "limits": ("limit", "lower"),
+    },
+}
+"""Element and attribute of each property."""
+_ALIASES = {
+    ("joint", "limited"): "limits",
+    ("joint", "springdamper"): "damping",
+    ("limit", "upper"): "limits",
+}
+_APART = 1e-9  # [m] or turn: ends of an equality that is not met at the reference pose
+
+
+def read(path: Path, folder: Path, floating: bool) -> Imported:
+    """Read an MJCF or URDF file; see `mbds_xsim.simulate.models`."""
+    try:
+        import mujoco
+    except ImportError as error:
+        msg = "models are read by MuJoCo, which is not installed: pip install 'mbds-xsim[mujoco]'"
+        raise EngineMissing(msg) from error
+    root = read_source(path, folder)
+    if root.tag not in _LABELS:
+        msg = f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>"
+        raise InputError(msg)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            stated = _stated(spec, floating) if root.tag == "robot" else {}
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise InputError(_line(str(error))) from error
+    if root.tag == "mujoco" and floating:
+        msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
+        raise InputError(msg)
+    reading = _Reading(mujoco, model, stated)
+    parts = Parts(
+        name=str(spec.modelname).strip() or path.stem,
+        parts=tuple(reading.parts()),
+        gravity=reading.gravity(),
+        closings=tuple(reading.closings()),
+        labels=_LABELS[root.tag],
+    )
+    had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
+    told = {label: key in had for key, label in _LABELS[root.tag].items()}
+    told |= {label: key in had for label, key in _ALIASES.items()}
+    fates = [*fates_of(root, told), *reading.fates()]
+    kind = "MJCF" if root.tag == "mujoco" else "URDF"
+    reader = f"MuJoCo {mujoco.__version__}"
+    return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
+
+
+def _stated(spec: Any, floating: bool) -> dict[str, Any]:
+    """Take the masses out of a specification, with all that cannot matter to the rest.
+
+    Returns:
+        Mass, place and turn of the axes in the link's frame, and inertia along these, by link.
+    """
+    for item in [*spec.geoms, *spec.meshes]:
+        spec.delete(item)
+    spec.compiler.fusestatic = False
+    stated = {}
+    for body in spec.bodies[1:]:
+        full = np.array(body.fullinertia)
+        xx, yy, zz, xy, xz, yz = full
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if np.isnan(full[0]):
+            tensor = np.diag(body.inertia)
+        if body.explicitinertial:
+            stated[body.name] = (body.mass, np.array(body.ipos), np.array(body.iquat), tensor)
+        body.mass, body.inertia, body.ipos, body.iquat = 1.0, np.ones(3), np.zeros(3), [1, 0, 0, 0]
+        body.fullinertia = [math.nan] + 5 * [0.0]
+        body.explicitinertial = True
+    if floating:
+        for body in [body for body in spec.bodies[1:] if body.parent.name == "world"]:
+            if not body.joints:
+                body.add_freejoint()
+    return stated
+
+
+def _line(text: str) -> str:
+    """Make a line of what the compiler says, and leave out what names nothing."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    kept = [line for line in lines if line not in ("Element name ''", "Element name '', id 0")]
+    return "; ".join(kept).replace("XML Error: ", "").replace("Error: ", "")
+
+
+class _Reading:
+    """A compiled model at its reference pose."""
+
+    def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any]) -> None:
+        self._mujoco, self._model, self._stated = mujoco, model, stated
+        self._data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, self._data)
+        flags = mujoco.mjtDisableBit
+        parts = ("GRAVITY", "SPRING", "DAMPER", "LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT")
+        self._off = {
+            part: bool(model.opt.disableflags & getattr(flags, f"mjDSBL_{part}")) for part in parts
+        }
+
+    def gravity(self) -> Array:
+        return np.zeros(3) if self._off["GRAVITY"] else np.array(self._model.opt.gravity)
+
+    def parts(self) -> Iterator[Part]:
+        model, data = self._model, self._data
+        for k in range(1, model.nbody):
+            first = model.body_jntadr[k]
+            yield Part(
+                name=self._name("BODY", k),
+                parent=int(model.body_parentid[k]) - 1,
+                position=data.xpos[k].copy(),
+                orientation=data.xquat[k].copy(),
+                mass=self._mass(k),
+                freedoms=tuple(self._freedom(first + j) for j in range(model.body_jntnum[k])),
+            )
+
+    def _mass(self, k: int) -> Mass:
+        model, data = self._model, self._data
+        place, quat = data.xpos[k], data.xquat[k]
+        mass, com, turn, tensor = 0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros((3, 3))
+        if not self._stated and model.body_mass[k] > 0:
+            mass, com, turn = model.body_mass[k], model.body_ipos[k], model.body_iquat[k]
+            tensor = np.diag(model.body_inertia[k])
+        elif self._stated:
+            mass, com, turn, tensor = self._stated.get(
+                self._name("BODY", k), (mass, com, turn, tensor)
+            )
+        axes = rotation.matrix(quat) @ rotation.matrix(turn / np.linalg.norm(turn))
+        return Mass(float(mass), place + rotation.rotate(quat, com), axes @ tensor @ axes.T)
+
+    def _freedom(self, j: int) -> Freedom:
+        kind = ("free", "ball", "slider", "hinge")[self._model.jnt_type[j]]
+        has_axis = kind in ("slider", "hinge")
+        body = self._model.jnt_bodyid[j]
+        return Freedom(
+            name=self._name("JOINT", j),
+            kind=kind,  # type: ignore[arg-type]
+            anchor=self._data.xanchor[j].copy() if kind != "free" else self._data.xpos[body].copy(),
+            axis=self._data.xaxis[j].copy() if has_axis else np.zeros(3),
+            properties=self._properties(j, has_axis),
+        )
+
+    def _properties(self, j: int, has_axis: bool) -> dict[str, Property]:
+        model, off = self._model, self._off
+        dof, place = model.jnt_dofadr[j], model.jnt_qposadr[j]
+        start = model.qpos0[place] if has_axis else 0.0
+        found: dict[str, Property] = {
+            "stiffness": 0.0 if off["SPRING"] else float(model.jnt_stiffness[j]),
+            "damping": 0.0 if off["DAMPER"] else float(model.dof_damping[dof]),
+            "armature": float(model.dof_armature[dof]),
+            "friction": 0.0 if off["FRICTIONLOSS"] else float(model.dof_frictionloss[dof]),
+        }
+        if found["stiffness"] and has_axis:
+            found["rest"] = float(model.qpos_spring[place] - start)
+        if model.jnt_limited[j] and not off["LIMIT"]:
+            low, high = model.jnt_range[j] - start
+            found["limits"] = (float(low), float(high))
+        return {key: value for key, value in found.items() if value}
+
+    def closings(self) -> Iterator[Closing]:
+        for e in self._equalities():
+            kind, name = self._holds(e), self._name("EQUALITY", e)
+            if kind:
+                (first, point), (second, _) = self._ends(e)
+                yield Closing(name, kind, (first - 1, second - 1), point)
+
+    def fates(self) -> Iterator[Fate]:
+        """Say what becomes of contact, equalities and tendons."""
+        model = self._model
+        solid = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
+        if (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
+            names = tuple(self._name("GEOM", g) for g in solid)
+            reason = "bodies do not collide in the scene description"
+            yield Fate("geom", ("contact",), "dropped", reason, True, names, len(solid))
+        for e in self._equalities():
+            if not self._holds(e):
+                name = self._name("EQUALITY", e)
+                yield Fate("equality", (), "dropped", self._why(e), True, (name,))
+        for t in range(model.ntendon):
+            acts = any(
+                np.any(getattr(model, f"tendon_{key}")[t])
+                for key in ("stiffness", "damping", "frictionloss", "limited", "armature")
+            )
+            reason = "not yet in the scene description" if acts else "it exerts nothing by itself"
+            yield Fate("tendon", (), "dropped", reason, acts, (self._name("TENDON", t),))
+
+    def _equalities(self) -> list[int]:
+        active = [] if self._off["EQUALITY"] else range(self._model.neq)
+        return [e for e in active if self._model.eq_active0[e]]
+
+    def _holds(self, e: int) -> Literal["fixed", "ball", ""]:
+        """Say which joint an equality is; none where its ends are apart."""
+        kinds = self._mujoco.mjtEq
+        kind = self._model.eq_type[e]
+        if kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD) or self._gap(e) > _APART:
+            return ""
+        return "fixed" if kind == kinds.mjEQ_WELD else "ball"
+
+    def _why(self, e: int) -> str:
+        kinds = self._mujoco.mjtEq
+        if self._model.eq_type[e] in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
+        return "couplings of joints, tendons and flexes are not yet in the scene description"
+
+    def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
+        """Give the bodies of an equality, and the points that it keeps together, in W."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
+        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            first, second = ((int(model.site_bodyid[k]), data.site_xpos[k].copy()) for k in ids)
+            return first, second
+        places = model.eq_data[e, :3], model.eq_data[e, 3:6]
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD:
+            places = places[::-1]
+        first, second = (
+            (k, data.xpos[k] + data.xmat[k].reshape(3, 3) @ place)
+            for k, place in zip(ids, places, strict=True)
+        )
+        return first, second
+
+    def _gap(self, e: int) -> float:
+        mujoco, model, data = self._mujoco, self._model, self._data
+        (first, point), (second, other) = self._ends(e)
+        gap = float(np.linalg.norm(point - other))
+        bodies = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_BODY
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD and bodies:
+            turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
+            gap += 1.0 - abs(float(turn @ data.xquat[second]))
+        return gap
+
+    def _name(self, kind: str, k: int) -> str:
+        what = getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}")
+        return self._mujoco.mj_id2name(self._model, what, k) or f"{kind.lower()} {k}"

@@ -1,0 +1,90 @@
+"""What a reader makes of a model's file: moving parts and the freedoms that each has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+
+Property = float | tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Mass:
+    """Mass, centre of mass and inertia, placed in W at the reference pose."""
+
+    mass: float
+    com: Array
+    """[m], shape (3,)."""
+    inertia: Array
+    """About the centre of mass, along the axes of W [kg·m²], shape (3, 3)."""
+
+    def __add__(self, other: Mass) -> Mass:
+        """Give that of both together."""
+        mass = self.mass + other.mass
+        com = (self.mass * self.com + other.mass * other.com) / mass if mass > 0 else self.com
+        inertia = sum(m.inertia + m.mass * _about(m.com - com) for m in (self, other))
+        return Mass(mass, com, np.asarray(inertia))
+
+
+def _about(arm: Array) -> Array:
+    return np.asarray(arm @ arm * np.eye(3) - np.outer(arm, arm))
+
+
+@dataclass(frozen=True, eq=False)
+class Freedom:
+    """One joint of a part; the coordinate is 0 at the reference pose."""
+
+    name: str
+    kind: Literal["hinge", "slider", "ball", "free"]
+    anchor: Array
+    """In W at the reference pose [m], shape (3,)."""
+    axis: Array
+    """Unit, in W at the reference pose, shape (3,); zero where the kind has none."""
+    properties: Mapping[str, Property] = field(default_factory=dict)
+    """Those that are not zero, by the names of `PROPERTIES`; places count from the reference
+    pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A rigid part with its joints to the part that carries it."""
+
+    name: str
+    parent: int
+    """Position of a part listed before; −1 is the world."""
+    position: Array
+    """Origin of its frame in W at the reference pose [m], shape (3,)."""
+    orientation: Array
+    """Its frame to W, wxyz."""
+    mass: Mass
+    freedoms: tuple[Freedom, ...]
+    """In the order in which they follow each other from the parent; none: fixed to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """What closes a loop."""
+
+    name: str
+    kind: Literal["fixed", "ball"]
+    parts: tuple[int, int]
+    anchor: Array
+    """In W at the reference pose [m], shape (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """A model without its format."""
+
+    name: str
+    parts: tuple[Part, ...]
+    gravity: Array
+    """[m/s²], shape (3,)."""
+    closings: tuple[Closing, ...] = ()
+    labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """Element and attribute that the format has for each property of a freedom."""

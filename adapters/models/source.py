@@ -1,0 +1,135 @@
+"""What a model's files say, before a compiler forgets what it ignores.
+
+Nothing is resolved here: this reads the elements for the report on losses, and refuses what no
+compiler should be given: documents that define entities or nest without end, files that include
+each other, and paths that leave the model's folder.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.write import read_file
+
+_LARGEST_FILE = 16 * 10**6  # bytes
+_DEEPEST = 400  # levels, of the 500 that the compiler takes
+_MOST_FILES = 1000
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+
+
+def read_source(path: Path, folder: Path) -> Element:
+    """Read a model's XML; the elements of what it includes stand where it does so.
+
+    Args:
+        path: Of the main file.
+        folder: That nothing may leave.
+
+    Raises:
+        InputError: Something cannot be read, or is none of the files that may be.
+    """
+    reader = _Reader(path.parent, folder.resolve())
+    root = reader.document(path, ())
+    _refuse_macros(root)
+    if root.tag == "mujoco":  # what others name is not read
+        reader.check_files(root)
+    return root
+
+
+class _Reader:
+    def __init__(self, base: Path, folder: Path) -> None:
+        self._base, self._folder, self._read = base, folder, 0
+
+    def document(self, path: Path, above: tuple[Path, ...]) -> Element:
+        """Read a file with what it includes."""
+        if path in above:
+            msg = f"{path.name} includes itself, by way of {above[-1].name}"
+            raise InputError(msg)
+        self._read += 1
+        if self._read > _MOST_FILES:
+            msg = f"includes more than {_MOST_FILES} files"
+            raise InputError(msg)
+        root = _parse(path)
+        for element in list(root.iter()):
+            for k, child in reversed(list(enumerate(element))):
+                if child.tag == "include" and root.tag != "robot":
+                    element[k : k + 1] = list(self._included(child, path, above))
+                elif child.tag == "model" and "file" in child.attrib:
+                    child.extend(self._included(child, path, above))
+        return root
+
+    def _included(self, include: Element, path: Path, above: tuple[Path, ...]) -> Element:
+        name = include.get("file", "")
+        places = [self._base / name, path.parent / name]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            msg = f"{path.name} includes {name!r}, which is not there"
+            raise InputError(msg)
+        self.check(found, name)
+        return self.document(found, (*above, path))
+
+    def check_files(self, root: Element) -> None:
+        """Raise where a file that an element names is out of the folder."""
+        compilers = list(root.iter("compiler"))
+        folders = {compiler.get(key, "") for compiler in compilers for key in _FOLDERS} | {""}
+        for element in root.iter():
+            for key, name in element.attrib.items():
+                if key.startswith("file") and name:
+                    for folder in folders:
+                        self.check(self._base / folder / name, name)
+
+    def check(self, path: Path, name: str) -> None:
+        """Raise where a path leads out of the folder."""
+        if not path.resolve().is_relative_to(self._folder):
+            msg = (
+                f"names {name!r}, which is not in {self._folder}; where that is meant, "
+                "`mbds-xsim import` takes a --folder with all files of the model"
+            )
+            raise InputError(msg)
+
+
+def _parse(path: Path) -> Element:
+    try:
+        content = read_file(path, _LARGEST_FILE + 1)
+    except OSError as error:
+        msg = f"{path.name} cannot be read ({error.strerror})"
+        raise InputError(msg) from error
+    if len(content) > _LARGEST_FILE:
+        msg = f"{path.name} is larger than {_LARGEST_FILE // 10**6} MB, which no model's XML needs"
+        raise InputError(msg)
+    builder, depth = TreeBuilder(), 0
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _DEEPEST:
+            msg = f"{path.name} nests elements deeper than {_DEEPEST} levels"
+            raise InputError(msg)
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    def refuse(*_: object) -> None:
+        msg = f"{path.name} defines entities, which may expand without end; write them out"
+        raise InputError(msg)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError) as error:
+        raise InputError(f"{path.name} is not XML: {error}") from error
+    return builder.close()
+
+
+def _refuse_macros(root: Element) -> None:
+    for element in root.iter():
+        if element.tag.startswith("xacro:") or "${" in "".join(element.attrib.values()):
+            msg = f"<{element.tag}> is a macro; expand it first: xacro model.xacro > model.urdf"
+            raise InputError(msg)

@@ -1,0 +1,112 @@
+"""The report on an imported model: what of its file is kept, approximated or dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import msgspec
+
+from mbds_xsim.base.text import counted
+from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, table_of
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.imported import Fate, Imported, Outcome
+from mbds_xsim.scene.mechanism import Mechanism
+
+_MARKS: dict[Outcome, Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
+_WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
+_MOST = 3  # places that a table names
+
+
+class ImportRow(msgspec.Struct, frozen=True):
+    """What an import came to."""
+
+    file: str
+    format: str
+    reader: str
+    scene: str
+    bodies: int
+    joints: int
+    degrees_of_freedom: int
+    mass_kg: float
+    approximated: int
+    """Fates that bear on the motion."""
+    dropped: int
+    """The same."""
+    fates: tuple[Fate, ...]
+
+
+def import_row(imported: Imported) -> ImportRow:
+    """Summarise an import."""
+    mechanism = Mechanism.of(imported.scene)
+    return ImportRow(
+        imported.file,
+        imported.format,
+        imported.reader,
+        imported.scene.name,
+        mechanism.body_count,
+        len(mechanism.joints),
+        degrees_of_freedom(mechanism),
+        float(mechanism.mass.sum()),
+        imported.count("approximated"),
+        imported.count("dropped"),
+        imported.fates,
+    )
+
+
+def present(imported: Imported, command: str) -> Report:
+    """Say what became of a model.
+
+    Args:
+        imported: The model.
+        command: That made it.
+    """
+    row = import_row(imported)
+    size = (
+        f"{counted(row.bodies, 'body')}, {row.mass_kg:g} kg, "
+        f"{counted(row.degrees_of_freedom, 'degree of freedom', 'degrees of freedom')}"
+    )
+    lost = row.dropped + row.approximated
+    return Report(
+        title=imported.file,
+        what="imported",
+        description=f"{imported.format}, read by {imported.reader}: {size}",
+        conclusion=(
+            f"{row.dropped} of what bears on the motion dropped, {row.approximated} approximated"
+            if lost
+            else "all that bears on the motion is kept"
+        ),
+        blocks=tuple(loss_blocks(imported)),
+        command=command,
+    )
+
+
+def loss_blocks(imported: Imported) -> Iterator[Block]:
+    """Give a table of what is lost of the motion; on pages also what is not."""
+    lost = [fate for fate in imported.fates if fate.moves and fate.outcome != "kept"]
+    kept = [fate for fate in imported.fates if fate.moves and fate.outcome == "kept"]
+    others = [fate for fate in imported.fates if not fate.moves]
+    if lost:
+        yield _table(lost, "lost of the motion")
+    rest = (_table(kept, "kept"), _table(others, "without effect on the motion"))
+    blocks = tuple(table for table in rest if table.rows)
+    yield Section("What is kept, and what moves nothing", blocks, True, on=_WRITTEN)
+
+
+def _table(fates: list[Fate], title: str) -> Table:
+    rows = [
+        (
+            Cell(fate.outcome, _MARKS[fate.outcome] if fate.moves else ""),
+            fate.element,
+            ", ".join(fate.properties),
+            str(fate.count),
+            fate.reason,
+            _places(fate),
+        )
+        for fate in fates
+    ]
+    return table_of(("", "element", "of it", ">count", "how or why", "where"), rows, title=title)
+
+
+def _places(fate: Fate) -> str:
+    more = len(fate.places) - _MOST
+    return "; ".join(fate.places[:_MOST]) + (f" and {more} more" if more > 0 else "")

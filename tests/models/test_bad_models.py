@@ -1,0 +1,132 @@
+"""A bad model is refused in one line that says what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim.scene.file import read_scene
+from tests.command_line import CommandLine
+
+pytest.importorskip("mujoco")
+
+_BODY = '<body><joint/><geom size=".1"/></body>'
+_MJCF = "<mujoco><worldbody>{}</worldbody>{}</mujoco>"
+_FLAT = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/>'
+_LINKS = (
+    '<link name="a"/><link name="b"><inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    '<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint>'
+)
+
+_BAD = {
+    "mesh": (_MJCF.format(_BODY, '<asset><mesh file="gone.stl"/></asset>'), "gone.stl"),
+    "include": (_MJCF.format(_BODY, '<include file="gone.xml"/>'), "'gone.xml', which is not"),
+    "cycle": (_MJCF.format(_BODY, '<include file="model.xml"/>'), "includes itself"),
+    "outside": (
+        _MJCF.format(_BODY, '<asset><mesh file="../outside.stl"/></asset>'),
+        "takes a --folder",
+    ),
+    "include outside": (_MJCF.format(_BODY, '<include file="../outside.xml"/>'), "--folder"),
+    "folder outside": (
+        _MJCF.format(_BODY, '<compiler meshdir="/etc"/><asset><mesh file="a.stl"/></asset>'),
+        "takes a --folder",
+    ),
+    "entities": (
+        '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><mujoco model="&b;"/>',
+        "defines entities",
+    ),
+    "external entity": (
+        '<!DOCTYPE m [<!ENTITY a SYSTEM "file:///etc/passwd">]><mujoco>&a;</mujoco>',
+        "defines entities",
+    ),
+    "depth": ("<mujoco>" + "<a>" * 10**5, "deeper than 400 levels"),
+    "size": (f"<!--{'x' * 16_000_000}--><mujoco/>", "larger than 16 MB"),
+    "not XML": ("<mujoco><worldbody>", "is not XML: no element found"),
+    "nothing": ("", "is not XML"),
+    "another format": ("<svg/>", "outermost element is <svg>"),
+    "schema": (_MJCF.format('<body><joint colour="red"/></body>', ""), "colour"),
+    "no mass": (_MJCF.format("<body><joint/></body>", ""), "mass and inertia of moving bodies"),
+    "inertia": (
+        _MJCF.format(f'<body><joint/>{_FLAT}</body>', ""),
+        "A + B >= C",
+    ),
+    "no bodies": (_MJCF.format("", ""), "nothing in it moves"),
+    "number": (_MJCF.format(_BODY.replace(".1", "nan"), ""), "nan"),
+    "macro": ('<robot name="r"><xacro:include filename="a.xacro"/></robot>', "expand it first"),
+    "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
+    "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),
+    "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _BAD)
+def test_a_bad_model_is_one_line(name: str, run: CommandLine, here: Path) -> None:
+    text, part = _BAD[name]
+    (here / "model.xml").write_text(text)
+    (here.parent / "outside.xml").write_text("<mujoco/>")
+
+    refusal = run("import", "model.xml", "--out", "scene.toml").refusal
+
+    assert refusal.startswith("mbds-xsim: model.xml: ")
+    assert part in refusal
+    assert "Traceback" not in refusal
+    assert not (here / "scene.toml").exists()
+
+
+def test_what_is_not_there_or_of_no_known_format_is_one_line(run: CommandLine, here: Path) -> None:
+    (here / "model.step").write_text("ISO-10303-21;")
+
+    assert "no such file" in run("import", "gone.urdf").refusal
+    assert "no such file" in run("show", "gone.xml").refusal
+    assert "there are: urdf, xml" in run("import", "model.step").refusal
+    assert "is for URDF" in _refused_floating(run, here)
+
+
+def _refused_floating(run: CommandLine, here: Path) -> str:
+    (here / "model.xml").write_text(_MJCF.format(_BODY, ""))
+    return run("import", "model.xml", "--floating").refusal
+
+
+def test_a_crash_of_the_compiler_is_one_line(
+    run: CommandLine, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mbds_xsim.base.isolate import Task
+    from mbds_xsim.simulate import models
+
+    (here / "model.xml").write_text(_MJCF.format(_BODY, ""))
+    monkeypatch.setattr(models, "Task", lambda *_: Task(__import__("os").abort, ()))
+
+    assert "model.xml: the process crashed with SIGABRT" in run("show", "model.xml").refusal
+
+
+def test_a_folder_above_is_named_to_be_read(run: CommandLine, here: Path) -> None:
+    (here / "models").mkdir()
+    (here / "models" / "model.xml").write_text(_MJCF.format("", '<include file="../parts.xml"/>'))
+    (here / "parts.xml").write_text(
+        f"<mujocoinclude><worldbody>{_BODY}</worldbody></mujocoinclude>"
+    )
+
+    assert run("import", "models/model.xml").code == 2
+    assert run("import", "models/model.xml", "--folder", ".", "--out", "scene.toml").code == 0
+    assert len(read_scene(here / "scene.toml").bodies) == 1
+
+
+def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) -> None:
+    joint = '<joint name="hip" damping="0.5"/>'
+    (here / "leg.xml").write_text(_MJCF.format(_BODY.replace("<joint/>", joint), ""))
+
+    ended = run(
+        "import", "leg.xml", "--out", "leg.toml", "--json", "leg.json", "--markdown", "leg.md"
+    )
+
+    assert ended.code == 0
+    assert "hip: 0.5" in ended.out
+    told = json.loads((here / "leg.json").read_text())
+    assert (told["schema"], told["bodies"]) == ("mbds-xsim/import/1", 1)
+    (damping,) = (fate for fate in told["fates"] if fate["properties"] == ["damping"])
+    assert damping["outcome"] in ("kept", "dropped")
+    assert "as the compiler resolves it" in (here / "leg.md").read_text()
+    assert run("show", "leg.xml", "--toml").out == (here / "leg.toml").read_text()
