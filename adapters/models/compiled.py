@@ -7,11 +7,13 @@ the inertia that is stated, none where none is, and meshes are not read.
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
@@ -41,6 +43,21 @@ _LABELS = {
     },
 }
 """Element and attribute of each property."""
+_MECHANICAL = {
+    "link",
+    "inertial",
+    "mass",
+    "inertia",
+    "origin",
+    "joint",
+    "parent",
+    "child",
+    "axis",
+    "limit",
+    "dynamics",
+    "mimic",
+}
+"""Elements of a URDF that say how it moves."""
 _ALIASES = {
     ("joint", "limited"): "limits",
     ("joint", "springdamper"): "damping",
@@ -63,8 +80,12 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            spec = mujoco.MjSpec.from_file(str(path))
-            stated = _stated(spec, floating) if root.tag == "robot" else {}
+            stated = {}
+            if root.tag == "mujoco":
+                spec = mujoco.MjSpec.from_file(str(path))
+            else:
+                spec = _mechanics(mujoco, root, path)
+                stated = _stated(spec, floating)
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise InputError(_line(str(error))) from error
@@ -88,14 +109,34 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
 
 
+def _mechanics(mujoco: Any, root: Element, path: Path) -> Any:
+    """Give the specification of a URDF without what has neither mass nor freedom."""
+    for joint in root.iter("joint"):
+        axis = joint.find("axis")
+        normal = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        if joint.get("type") == "planar" and [float(x) for x in normal.split()] != [0, 0, 1]:
+            msg = (
+                f"joint {joint.get('name')!r} is planar with the normal {normal}, which MuJoCo "
+                "takes for 0 0 1; turn its origin so that the normal is that"
+            )
+            raise InputError(msg)
+    kept = copy.deepcopy(root)
+    for parent in list(kept.iter()):
+        for child in [child for child in parent if child.tag not in _MECHANICAL]:
+            parent.remove(child)
+    try:
+        return mujoco.MjSpec.from_string(tostring(kept, encoding="unicode"))
+    except ValueError:
+        mujoco.MjSpec.from_file(str(path))  # tells the line of the file itself
+        raise
+
+
 def _stated(spec: Any, floating: bool) -> dict[str, Any]:
     """Take the masses out of a specification, with all that cannot matter to the rest.
 
     Returns:
         Mass, place and turn of the axes in the link's frame, and inertia along these, by link.
     """
-    for item in [*spec.geoms, *spec.meshes]:
-        spec.delete(item)
     spec.compiler.fusestatic = False
     stated = {}
     for body in spec.bodies[1:]:
@@ -135,6 +176,8 @@ class _Reading:
         self._off = {
             part: bool(model.opt.disableflags & getattr(flags, f"mjDSBL_{part}")) for part in parts
         }
+        if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
+            self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
 
     def gravity(self) -> Array:
         return np.zeros(3) if self._off["GRAVITY"] else np.array(self._model.opt.gravity)

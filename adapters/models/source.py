@@ -7,6 +7,7 @@ each other, and paths that leave the model's folder.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -17,6 +18,7 @@ from mbds_xsim.base.write import read_file
 _LARGEST_FILE = 16 * 10**6  # bytes
 _DEEPEST = 400  # levels, of the 500 that the compiler takes
 _MOST_FILES = 1000
+_MACRO = re.compile(r"\$[{(]")
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
@@ -92,7 +94,7 @@ class _Reader:
 
 def _parse(path: Path) -> Element:
     try:
-        content = read_file(path, _LARGEST_FILE + 1)
+        content = read_file(path, _LARGEST_FILE + 1).strip(b"\0 \t\r\n")
     except OSError as error:
         msg = f"{path.name} cannot be read ({error.strerror})"
         raise InputError(msg) from error
@@ -130,6 +132,6 @@ def _parse(path: Path) -> Element:
 
 def _refuse_macros(root: Element) -> None:
     for element in root.iter():
-        if element.tag.startswith("xacro:") or "${" in "".join(element.attrib.values()):
+        if element.tag.startswith("xacro:") or _MACRO.search("".join(element.attrib.values())):
             msg = f"<{element.tag}> is a macro; expand it first: xacro model.xacro > model.urdf"
             raise InputError(msg)

@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 _BODY = '<body><joint/><geom size=".1"/></body>'
 _MJCF = "<mujoco><worldbody>{}</worldbody>{}</mujoco>"
 _FLAT = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/>'
+_COMMAS = '<origin xyz="1, 2, 3"/>'
 _LINKS = (
     '<link name="a"/><link name="b"><inertial><mass value="1"/>'
     '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
@@ -58,6 +59,8 @@ _BAD = {
     "macro": ('<robot name="r"><xacro:include filename="a.xacro"/></robot>', "expand it first"),
     "expression": ('<robot name="r"><link name="${a}"/></robot>', "expand it first"),
     "rigid": (f'<robot name="r">{_LINKS.format("fixed", "")}</robot>', "nothing in it moves"),
+    "planar": (f'<robot name="r">{_LINKS.format("planar", "")}</robot>', "the normal 1 0 0"),
+    "text": (f'<robot name="r">\n{_LINKS.format("fixed", _COMMAS)}</robot>', "line 2"),
     "joint": (f'<robot name="r">{_LINKS.format("screw", "")}</robot>', "invalid joint type"),
 }  # fmt: skip
 
