@@ -14,6 +14,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import Fate, Imported, gathered
 from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene
 
+from .facts import facts_of
 from .masses import SHARE, physical, small
 from .parts import Closing, Freedom, Mass, Part, Parts
 
@@ -56,7 +57,9 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
-    return Imported(scene, file, kind, reader, gathered([*fates, *builder.fates]))
+    return Imported(
+        scene, file, kind, reader, gathered([*fates, *builder.fates]), facts_of(model, reader)
+    )
 
 
 class _Builder:
@@ -85,6 +88,10 @@ class _Builder:
                 self._add(k)
         for closing in model.closings:
             self._close(closing)
+        for coupling in model.couplings:
+            element, attribute = model.labels["coupling"]
+            place = (f"{coupling.joint} follows {coupling.follows}",)
+            self.fates.append(Fate(element, (attribute,), "dropped", _NOT_YET, True, place))
 
     def _above(self, k: int) -> int:
         parent = self._parts[k].parent

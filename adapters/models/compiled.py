@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree.ElementTree import Element, tostring
@@ -20,11 +20,12 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import EngineMissing, InputError
-from mbds_xsim.scene.imported import Fate, Imported
+from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
+from .facts import facts_of
 from .fates import fates_of
-from .parts import Closing, Freedom, Mass, Part, Parts, Property
+from .parts import Closing, Coupling, Freedom, Mass, Part, Parts, Property
 from .source import read_source
 
 _LABELS = {
@@ -35,11 +36,13 @@ _LABELS = {
         "armature": ("joint", "armature"),
         "friction": ("joint", "frictionloss"),
         "limits": ("joint", "range"),
+        "coupling": ("equality", "joint"),
     },
     "robot": {
         "damping": ("dynamics", "damping"),
         "friction": ("dynamics", "friction"),
         "limits": ("limit", "lower"),
+        "coupling": ("mimic", "multiplier"),
     },
 }
 """Element and attribute of each property."""
@@ -92,14 +95,8 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     if root.tag == "mujoco" and floating:
         msg = "--floating is for URDF; an MJCF file says itself which of its bodies are free"
         raise InputError(msg)
-    reading = _Reading(mujoco, model, stated)
-    parts = Parts(
-        name=str(spec.modelname).strip() or path.stem,
-        parts=tuple(reading.parts()),
-        gravity=reading.gravity(),
-        closings=tuple(reading.closings()),
-        labels=_LABELS[root.tag],
-    )
+    reading = Reading(mujoco, model, stated)
+    parts = reading.model(str(spec.modelname).strip() or path.stem, _LABELS[root.tag])
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
     told = {label: key in had for key, label in _LABELS[root.tag].items()}
     told |= {label: key in had for label, key in _ALIASES.items()}
@@ -107,6 +104,23 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
     kind = "MJCF" if root.tag == "mujoco" else "URDF"
     reader = f"MuJoCo {mujoco.__version__}"
     return assemble(parts, file=path.name, kind=kind, reader=reader, fates=fates)
+
+
+def load(path: Path, floating: bool) -> ModelFacts:
+    """Say what MuJoCo makes of a file by itself; see `mbds_xsim.simulate.models`."""
+    import mujoco
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            spec.compiler.fusestatic = False  # names links, and moves nothing
+            if floating:
+                spec.worldbody.first_body().add_freejoint()
+            reading = Reading(mujoco, spec.compile(), {})
+        except (ValueError, mujoco.FatalError) as error:
+            raise InputError(_line(str(error))) from error
+    return facts_of(reading.model("", {}), f"MuJoCo {mujoco.__version__}")
 
 
 def _mechanics(mujoco: Any, root: Element, path: Path) -> Any:
@@ -164,8 +178,14 @@ def _line(text: str) -> str:
     return "; ".join(kept).replace("XML Error: ", "").replace("Error: ", "")
 
 
-class _Reading:
-    """A compiled model at its reference pose."""
+class Reading:
+    """A compiled model at its reference pose.
+
+    Args:
+        mujoco: The module.
+        model: The compiled model.
+        stated: Masses that count in place of the compiled ones, by body.
+    """
 
     def __init__(self, mujoco: Any, model: Any, stated: dict[str, Any]) -> None:
         self._mujoco, self._model, self._stated = mujoco, model, stated
@@ -179,10 +199,21 @@ class _Reading:
         if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
 
-    def gravity(self) -> Array:
+    def model(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
+        """Give the parts."""
+        return Parts(
+            name=name,
+            parts=tuple(self._parts()),
+            gravity=self._gravity(),
+            closings=tuple(self._closings()),
+            couplings=tuple(self._couplings()),
+            labels=labels,
+        )
+
+    def _gravity(self) -> Array:
         return np.zeros(3) if self._off["GRAVITY"] else np.array(self._model.opt.gravity)
 
-    def parts(self) -> Iterator[Part]:
+    def _parts(self) -> Iterator[Part]:
         model, data = self._model, self._data
         for k in range(1, model.nbody):
             first = model.body_jntadr[k]
@@ -193,6 +224,7 @@ class _Reading:
                 orientation=data.xquat[k].copy(),
                 mass=self._mass(k),
                 freedoms=tuple(self._freedom(first + j) for j in range(model.body_jntnum[k])),
+                named=bool(model.body(k).name),
             )
 
     def _mass(self, k: int) -> Mass:
@@ -219,6 +251,7 @@ class _Reading:
             anchor=self._data.xanchor[j].copy() if kind != "free" else self._data.xpos[body].copy(),
             axis=self._data.xaxis[j].copy() if has_axis else np.zeros(3),
             properties=self._properties(j, has_axis),
+            named=bool(self._model.joint(j).name),
         )
 
     def _properties(self, j: int, has_axis: bool) -> dict[str, Property]:
@@ -238,12 +271,23 @@ class _Reading:
             found["limits"] = (float(low), float(high))
         return {key: value for key, value in found.items() if value}
 
-    def closings(self) -> Iterator[Closing]:
+    def _closings(self) -> Iterator[Closing]:
         for e in self._equalities():
             kind, name = self._holds(e), self._name("EQUALITY", e)
             if kind:
                 (first, point), (second, _) = self._ends(e)
                 yield Closing(name, kind, (first - 1, second - 1), point)
+
+    def _couplings(self) -> Iterator[Coupling]:
+        model = self._model
+        for e in self._equalities():
+            followed = int(model.eq_obj2id[e])
+            if model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
+                yield Coupling(
+                    joint=self._name("JOINT", int(model.eq_obj1id[e])),
+                    follows=self._name("JOINT", followed),
+                    polynomial=tuple(model.eq_data[e, :5].tolist()),
+                )
 
     def fates(self) -> Iterator[Fate]:
         """Say what becomes of contact, equalities and tendons."""
@@ -254,7 +298,7 @@ class _Reading:
             reason = "bodies do not collide in the scene description"
             yield Fate("geom", ("contact",), "dropped", reason, True, names, len(solid))
         for e in self._equalities():
-            if not self._holds(e):
+            if not self._holds(e) and model.eq_type[e] != self._mujoco.mjtEq.mjEQ_JOINT:
                 name = self._name("EQUALITY", e)
                 yield Fate("equality", (), "dropped", self._why(e), True, (name,))
         for t in range(model.ntendon):
@@ -281,7 +325,7 @@ class _Reading:
         kinds = self._mujoco.mjtEq
         if self._model.eq_type[e] in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
             return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
-        return "couplings of joints, tendons and flexes are not yet in the scene description"
+        return "equalities of tendons and flexes are not yet in the scene description"
 
     def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
         """Give the bodies of an equality, and the points that it keeps together, in W."""

@@ -48,6 +48,8 @@ class Freedom:
     properties: Mapping[str, Property] = field(default_factory=dict)
     """Those that are not zero, by the names of `PROPERTIES`; places count from the reference
     pose."""
+    named: bool = True
+    """Whether the file names it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,8 @@ class Part:
     mass: Mass
     freedoms: tuple[Freedom, ...]
     """In the order in which they follow each other from the parent; none: fixed to it."""
+    named: bool = True
+    """Whether the file names it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +81,16 @@ class Closing:
     """In W at the reference pose [m], shape (3,)."""
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """A joint whose coordinate follows another's."""
+
+    joint: str
+    follows: str
+    polynomial: tuple[float, ...]
+    """Of the followed coordinate, from its constant term on; both are 0 at the reference pose."""
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
     """A model without its format."""
@@ -86,5 +100,6 @@ class Parts:
     gravity: Array
     """[m/s²], shape (3,)."""
     closings: tuple[Closing, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""

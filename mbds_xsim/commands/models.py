@@ -1,13 +1,22 @@
-"""`mbds-xsim import`: a model of another format becomes a scene file, with a report of losses."""
+"""`mbds-xsim import` and `readers`: models of other formats, and what of them is lost."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from mbds_xsim.commands import shared
+
+Model = Annotated[Path, Argument(metavar="MODEL", help="An MJCF (.xml) or URDF (.urdf) file.")]
+Floating = Annotated[
+    bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")
+]
+Folder = Annotated[
+    Path | None,
+    Option(help="Folder that files named in the model must lie in; its own when left out."),
+]
 
 
 @shared.command(
@@ -17,15 +26,10 @@ from mbds_xsim.commands import shared
     "mbds-xsim import anymal.urdf --floating --json losses.json",
 )
 def import_model(
-    model: Annotated[Path, Argument(metavar="MODEL", help="An MJCF (.xml) or URDF (.urdf) file.")],
+    model: Model,
     out: Annotated[Path | None, Option(metavar="FILE", help="Write the scene file.")] = None,
-    floating: Annotated[
-        bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")
-    ] = False,
-    folder: Annotated[
-        Path | None,
-        Option(help="Folder that files named in the model must lie in; its own when left out."),
-    ] = None,
+    floating: Floating = False,
+    folder: Folder = None,
     json: shared.JsonFile = None,
     html: shared.HtmlFile = None,
     markdown: shared.MarkdownFile = None,
@@ -47,3 +51,32 @@ def import_model(
     print_report(report, console)
     shared.deliver([report], imported.scene.name, console, html=html, markdown=markdown)
     shared.write_json(shared.encoded(import_row(imported), "import"), json)
+
+
+@shared.command("check", epilog="Example:  mbds-xsim readers arm.urdf --engines pybullet,dart")
+def readers(
+    model: Model,
+    engines: Annotated[
+        str, Option(metavar="NAMES", help="Comma-separated: mujoco, pybullet, dart.")
+    ] = "mujoco,pybullet,dart",
+    floating: Floating = False,
+    folder: Folder = None,
+    json: shared.JsonFile = None,
+    html: shared.HtmlFile = None,
+    markdown: shared.MarkdownFile = None,
+) -> None:
+    """Hold what engines' own readers make of a model against what its file says."""
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.readers.compare import compare
+    from mbds_xsim.studies.readers.present import present
+
+    shared.check_targets(json=json, html=html, markdown=markdown)
+    console = shared.console_for(json)
+    with shared.progress_on(console) as progress:
+        progress.begin(1, f"reading {model}")
+        readings = compare(model, engines.split(","), folder=folder, floating=floating)
+    report = present(readings, shared.command_line())
+    print_report(report, console)
+    shared.deliver([report], readings.file, console, html=html, markdown=markdown)
+    shared.write_json(shared.encoded(readings), json)
+    raise Exit(0 if all(reading.alike for reading in readings.readings) else 1)

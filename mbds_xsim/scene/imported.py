@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import groupby
-from typing import Literal
+from typing import Literal, Self
 
 import msgspec
 
-from mbds_xsim.scene.scene import Scene
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.scene import Scene, Vector
 
 Outcome = Literal["kept", "approximated", "dropped"]
 
@@ -31,6 +32,55 @@ class Fate(msgspec.Struct, frozen=True):
     """Number of elements."""
 
 
+class LinkFacts(msgspec.Struct, frozen=True):
+    """Mass of a link that can move, in W at the reference pose."""
+
+    name: str
+    mass: float
+    """[kg]"""
+    com: Vector
+    """[m]"""
+    inertia: tuple[float, float, float, float, float, float]
+    """xx, yy, zz, xy, xz, yz about the centre of mass [kg·m²]."""
+
+    @classmethod
+    def of(cls, name: str, mass: float, com: Array, inertia: Array) -> Self:
+        """Take an inertia of shape (3, 3)."""
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+        return cls(name, float(mass), com.tolist(), (xx, yy, zz, xy, xz, yz))
+
+
+class JointFacts(msgspec.Struct, frozen=True):
+    """A joint with freedom, at the reference pose; zeros where it has none of something."""
+
+    name: str
+    kind: str
+    """hinge, slider, ball, free, or another program's word."""
+    anchor: Vector = (0.0, 0.0, 0.0)
+    """In W [m]."""
+    axis: Vector = (0.0, 0.0, 0.0)
+    """In W."""
+    damping: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    armature: float = 0.0
+    limits: tuple[float, float] | None = None
+    """Counted from the reference pose."""
+    enforced: bool = True
+    """Whether the limits hold, or are only remembered."""
+
+
+class ModelFacts(msgspec.Struct, frozen=True):
+    """What a reader makes of a model's file."""
+
+    reader: str
+    """Name and version."""
+    links: tuple[LinkFacts, ...] = ()
+    joints: tuple[JointFacts, ...] = ()
+    couplings: int = 0
+    """Joints that follow another."""
+
+
 class Imported(msgspec.Struct, frozen=True):
     """A scene made of a model, with the report on what was lost."""
 
@@ -40,6 +90,8 @@ class Imported(msgspec.Struct, frozen=True):
     reader: str
     """Name and version of what has read it."""
     fates: tuple[Fate, ...]
+    facts: ModelFacts
+    """What the file says."""
 
     def count(self, outcome: Outcome) -> int:
         """Count the fates of an outcome that bear on the motion."""

@@ -6,14 +6,14 @@ name there is the suffix. It is called in a process of its own, since what it us
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from mbds_xsim.base.errors import InputError, SceneError, UnknownName
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene.file import check_starts
-from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.imported import Imported, ModelFacts
 from mbds_xsim.simulate.registry import registered
 
 Reader = Callable[[Path, Path, bool], Imported]
@@ -21,6 +21,9 @@ Reader = Callable[[Path, Path, bool], Imported]
 
 Raises `InputError` with a line that does not name the file.
 """
+
+Loader = Callable[[Path, bool], ModelFacts]
+"""Takes the file and whether its base floats; raises `InputError` where the engine refuses it."""
 
 _TIMEOUT = 300.0  # [s]
 
@@ -61,3 +64,33 @@ def _read(point: EntryPoint, path: Path, folder: Path, floating: bool) -> Import
     imported = reader(path, folder, floating)
     check_starts(imported.scene)
     return imported
+
+
+def engine_facts(
+    path: Path, engines: Sequence[str], *, floating: bool = False
+) -> dict[str, ModelFacts | str]:
+    """Let engines read a file with readers of their own.
+
+    Args:
+        path: Of the file.
+        engines: Names.
+        floating: Whether a base that the file ties to nothing is free.
+
+    Returns:
+        For each engine what it has read, or why it did not.
+    """
+    loaders = registered("mbds_xsim.model_loaders")
+    for engine in engines:
+        if engine not in loaders:
+            raise UnknownName.of("engine with a reader of its own", engine, sorted(loaders))
+    tasks = [Task(_load, (loaders[name], path.absolute(), floating), _TIMEOUT) for name in engines]
+    answers = run_tasks(tasks)
+    return {
+        engine: answer.reason if isinstance(answer, Crash) else answer
+        for engine, answer in zip(engines, answers, strict=True)
+    }
+
+
+def _load(point: EntryPoint, path: Path, floating: bool) -> ModelFacts:
+    loader: Loader = point.load()
+    return loader(path, floating)

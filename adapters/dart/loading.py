@@ -1,0 +1,84 @@
+"""What DART's own readers make of a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.imported import JointFacts, LinkFacts, ModelFacts
+
+_KINDS = {
+    "RevoluteJoint": "hinge",
+    "PrismaticJoint": "slider",
+    "BallJoint": "ball",
+    "FreeJoint": "free",
+    "WeldJoint": "fixed",
+}
+
+
+def load(path: Path, floating: bool) -> ModelFacts:
+    """Read a URDF or MJCF file; see `mbds_xsim.simulate.models`."""
+    import dartpy
+
+    utils = dartpy.utils
+    if path.suffix.lower() == ".urdf":
+        root = utils.DartLoaderRootJointType
+        options = utils.DartLoaderOptions()
+        options.mDefaultRootJointType = root.FLOATING if floating else root.FIXED
+        loader = utils.DartLoader()
+        loader.setOptions(options)
+        skeletons = [loader.parseSkeleton(str(path))]
+    else:
+        world = utils.MjcfParser.readWorld(str(path))
+        count = world.getNumSkeletons() if world is not None else 0
+        skeletons = [world.getSkeleton(k) for k in range(count)]
+    if not skeletons or None in skeletons:
+        msg = "it gives no skeleton"
+        raise InputError(msg)
+    nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]
+    links = tuple(_link(node) for node in nodes)
+    joints = tuple(joint for node in nodes for joint in _joints(node))
+    return ModelFacts(f"DART {_version()}", links, joints)
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("dartpy")
+
+
+def _link(node: Any) -> LinkFacts:
+    inertia = node.getInertia()
+    axes = node.getTransform().rotation()
+    return LinkFacts.of(
+        node.getName(), inertia.getMass(), node.getCOM(), axes @ inertia.getMoment() @ axes.T
+    )
+
+
+def _joints(node: Any) -> Iterator[JointFacts]:
+    joint = node.getParentJoint()
+    kind = _KINDS.get(joint.getType(), joint.getType())
+    if kind == "fixed":
+        return
+    place = node.getTransform().multiply(joint.getTransformFromChildBodyNode())
+    axis: Array = np.zeros(3)
+    if kind in ("hinge", "slider"):
+        axis = place.rotation() @ joint.getAxis()
+    limits = (joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0))
+    yield JointFacts(
+        name=joint.getName(),
+        kind=kind,
+        anchor=place.translation().tolist(),
+        axis=axis.tolist(),
+        damping=joint.getDampingCoefficient(0),
+        friction=joint.getCoulombFriction(0),
+        stiffness=joint.getSpringStiffness(0),
+        limits=limits if any(map(math.isfinite, limits)) and limits != (0.0, 0.0) else None,
+        enforced=joint.areLimitsEnforced(),
+    )

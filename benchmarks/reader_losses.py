@@ -1,0 +1,86 @@
+"""The page of what engines' own readers lose: a minimal file for each, read by all of them.
+
+python -m benchmarks.reader_losses > docs/reader-losses.md
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from mbds_xsim.base.text import in_markdown
+from mbds_xsim.studies.readers.compare import Difference, Readings, compare
+
+FOLDER = Path(__file__).parents[1] / "tests" / "models" / "losses"
+ENGINES = ("mujoco", "pybullet", "dart")
+
+# What each file shows: fields by engine, "" where the engine refuses the file.
+SHOWN: dict[str, dict[str, str]] = {
+    "inertia-from-shape.urdf": {"pybullet": "inertia"},
+    "inertia-without-shape.urdf": {"pybullet": "inertia"},
+    "no-inertial.urdf": {"pybullet": "mass", "dart": "mass"},
+    "mass-from-shape.urdf": {"mujoco": "mass"},
+    "mimic.urdf": {"pybullet": "coupling", "dart": "coupling"},
+    "long-axis.urdf": {"pybullet": "axis"},
+    "limits.urdf": {"dart": "enforcement of limits"},
+    "package.urdf": {"mujoco": "", "pybullet": "", "dart": ""},
+    "damping.xml": {"pybullet": "damping"},
+    "armature.xml": {"pybullet": "armature", "dart": "armature"},
+    "spring.xml": {"pybullet": "stiffness", "dart": "stiffness"},
+    "friction.xml": {"pybullet": "friction", "dart": "friction"},
+    "mass.xml": {"pybullet": "mass"},
+    "geometry.xml": {"dart": "inertia"},
+    "ends.xml": {"dart": "anchor"},
+    "degrees.xml": {"dart": "limits"},
+    "no-type.xml": {"pybullet": "existence"},
+}
+
+_HEAD = """# What engines' own readers lose
+
+MuJoCo, PyBullet and DART read MJCF and URDF files themselves, and each reads other things of them.
+`mbds-xsim readers MODEL` lets each load a file, with the options that it has by itself, and holds
+what it then has against what the file says, field by field. It exits with 1 where one differs.
+
+Each of these losses has a minimal file in `tests/models/losses`. This page is made of them by
+`python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.
+"""
+
+
+def shown(name: str, readings: Readings) -> Iterator[tuple[str, Difference | str]]:
+    """Give what a file is there to show: engine, and the difference or why it refuses."""
+    for reading in readings.readings:
+        field = SHOWN[name].get(reading.engine)
+        if field == "":
+            yield reading.engine, reading.refused
+        for difference in reading.differences:
+            if difference.field == field:
+                yield reading.engine, difference
+
+
+def _chapter(name: str) -> Iterator[str]:
+    text = (FOLDER / name).read_text("utf-8")
+    comment, _, model = text.partition("-->\n")
+    sentence, *links = comment.removeprefix("<!-- ").strip().split("\n")
+    yield f"\n## {sentence.rstrip('.')}\n"
+    yield f"`mbds-xsim readers tests/models/losses/{name}`" + "".join(
+        f", reported at <{link.strip()}>" for link in links
+    )
+    yield f"\n```xml\n{model}```\n"
+    yield "| engine | field | for | it has | file says |\n| :-- | :-- | :-- | :-- | :-- |"
+    for engine, what in shown(name, compare(FOLDER / name, ENGINES)):
+        if isinstance(what, str):
+            reason = re.sub(r"\\s+", " ", what)
+            yield f"| {engine} | – | – | refuses: {in_markdown(reason)} | – |"
+        else:
+            cells = (f"{what.field} of {what.of}", what.first or "–", what.read, what.stated)
+            yield f"| {engine} | {' | '.join(map(in_markdown, cells))} |"
+
+
+def page() -> str:
+    """Write the page."""
+    return "\n".join([_HEAD.rstrip(), *(line for name in SHOWN for line in _chapter(name))]) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(), end="")

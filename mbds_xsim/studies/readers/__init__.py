@@ -1,0 +1,1 @@
+"""What engines' own readers make of a model, held against what its file says."""

@@ -1,0 +1,57 @@
+"""What engines' own readers lose is found, and nothing where they lose nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.reader_losses import ENGINES, FOLDER, SHOWN, page, shown
+from mbds_xsim.studies.readers.compare import compare
+from tests.command_line import CommandLine
+
+for _engine in ("mujoco", "pybullet", "dartpy"):
+    pytest.importorskip(_engine)
+
+_ALIKE = """<robot name="arm"><link name="base"/><link name="ball"><inertial>
+  <origin xyz="0.5 0 0"/><mass value="3"/>
+  <inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0.5 0 0"/><geometry><sphere radius="0.5"/></geometry></collision></link>
+  <joint name="pivot" type="continuous"><parent link="base"/><child link="ball"/>
+  <origin xyz="0 1 0" rpy="0 0 0.7"/><axis xyz="0 0.6 0.8"/><dynamics damping="0.25"/></joint>
+</robot>"""
+
+
+@pytest.mark.slow
+def test_every_file_of_a_loss_shows_it() -> None:
+    assert sorted(SHOWN) == sorted(path.name for path in FOLDER.iterdir())
+    expected = (FOLDER.parents[2] / "docs" / "reader-losses.md").read_text("utf-8")
+    assert page() == expected, "python -m benchmarks.reader_losses > docs/reader-losses.md"
+
+
+@pytest.mark.parametrize("name", ["mimic.urdf", "degrees.xml"])
+def test_a_loss_is_told_for_those_engines_that_have_it(name: str) -> None:
+    readings = compare(FOLDER / name, ENGINES)
+
+    assert [engine for engine, _ in shown(name, readings)] == list(SHOWN[name])
+    (mujoco,) = (reading for reading in readings.readings if reading.engine == "mujoco")
+    assert mujoco.alike
+
+
+def test_a_solid_ball_is_read_alike_by_all(run: CommandLine, here: Path) -> None:
+    (here / "arm.urdf").write_text(_ALIKE.format(0.4 * 3 * 0.5**2))
+    assert run("readers", "arm.urdf").code == 0
+
+    (here / "arm.urdf").write_text(_ALIKE.format(0.41 * 3 * 0.5**2))
+    ended = run("readers", "arm.urdf", "--json", "arm.json")
+    assert ended.code == 1
+    assert "otherwise: pybullet" in ended.out
+    assert '"field": "inertia"' in (here / "arm.json").read_text()
+
+
+def test_an_engine_without_a_reader_is_one_line(run: CommandLine, here: Path) -> None:
+    (here / "arm.urdf").write_text(_ALIKE.format(1))
+
+    assert "there are: dart, mujoco, pybullet" in run(
+        "readers", "arm.urdf", "--engines", "exudyn"
+    ).refusal  # fmt: skip
