@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -17,6 +18,7 @@ from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene
 from .facts import facts_of
 from .masses import SHARE, physical, small
 from .parts import Closing, Freedom, Mass, Part, Parts
+from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
 PROPERTIES = {
@@ -57,6 +59,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
+    scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
     return Imported(
         scene, file, kind, reader, gathered([*fates, *builder.fates]), facts_of(model, reader)
     )
@@ -70,6 +73,8 @@ class _Builder:
         self.bodies: list[Body] = []
         self.joints: list[Joint] = []
         self.fates: list[Fate] = []
+        self.limits: dict[str, tuple[float, float]] = {}
+        """Of hinges and sliders by name."""
         self._names: set[str] = {WORLD}
         self._owner = self._owners()
         """Part as which each part moves; −1: the world."""
@@ -198,11 +203,14 @@ class _Builder:
             self.fates.append(Fate(element, (attribute,), outcome, reason, True, (told,)))  # type: ignore[arg-type]
         if freedom.kind == "free":
             return
-        names = {joint.name for joint in self.joints}
+        name = _unique(freedom.name, {joint.name for joint in self.joints})
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
+        limits = freedom.properties.get("limits")
+        if axis and isinstance(limits, tuple):
+            self.limits[name] = limits
         self.joints.append(
             Joint(
-                name=_unique(freedom.name, names),
+                name=name,
                 kind=freedom.kind,
                 parent=parent,
                 child=child,

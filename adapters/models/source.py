@@ -80,7 +80,7 @@ class _Reader:
             for key, name in element.attrib.items():
                 if key.startswith("file") and name:
                     for folder in folders:
-                        self.check(self._base / folder / name, name)
+                        self.check(self._base / folder / name, str(Path(folder) / name))
 
     def check(self, path: Path, name: str) -> None:
         """Raise where a path leads out of the folder."""

@@ -20,8 +20,9 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
 from mbds_xsim.scene.assembly import assemble, check_joints
+from mbds_xsim.scene.draft import Draft, carried_by, hinge_rate, pose
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, connected
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 
@@ -91,50 +92,11 @@ def noise_components(scene: Scene) -> list[int]:
     return {1: [0], 2: [0, 2], 3: [0, 1, 2]}[scene.dimension]
 
 
-@dataclass
-class _Draft:
-    """A trajectory while it is drawn."""
-
-    mechanism: Mechanism
-    index: int
-    interval: terms.Interval
-    rng: np.random.Generator
-    position: Array
-    native: Array
-    velocity: Array
-    angular_velocity: Array
-    force: Array
-    torque: Array
-    inputs: bool
-
-    def body(self, name: str) -> int:
-        return [body.name for body in self.mechanism.scene.bodies].index(name)
-
-    def uniform(self, span: terms.Span) -> float:
-        low, high = terms.span_of(span, self.interval)
-        return float(self.rng.uniform(low, high))
-
-    def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
-        """Turn bodies, poses and velocities together, about a point of W."""
-        for values, origin in (
-            (self.position, point),
-            (self.velocity, np.zeros(3)),
-            (self.angular_velocity, np.zeros(3)),
-        ):
-            values[bodies] = rotation.rotate(turn, values[bodies] - origin) + origin
-        self.native[bodies] = rotation.multiply(turn, self.native[bodies])
-
-    def add_twist(self, bodies: list[int], point: Array, rate: Array) -> None:
-        """Add a rigid angular velocity about a point of W."""
-        self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
-        self.angular_velocity[bodies] += rate
-
-
-def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> _Draft:
+def _draw_one(mechanism: Mechanism, index: int, seed: int, noise: bool, inputs: bool) -> Draft:
     scene = mechanism.scene
     start = assemble(mechanism)
     force, torque = _scene_inputs(mechanism)
-    drawing = _Draft(
+    drawing = Draft(
         mechanism=mechanism,
         index=index,
         interval=terms.INTERVALS[index % len(terms.INTERVALS)],
@@ -171,7 +133,7 @@ def _held(series: Array, hold: int, steps: int) -> Array:
     return np.asarray(series[rows])
 
 
-def _add_noise(drawing: _Draft, switched_on: bool) -> None:
+def _add_noise(drawing: Draft, switched_on: bool) -> None:
     scene = drawing.mechanism.scene
     components = noise_components(scene)
     steps, count = scene.clock.steps, drawing.mechanism.body_count
@@ -183,7 +145,7 @@ def _add_noise(drawing: _Draft, switched_on: bool) -> None:
         drawing.force[:, :, components] += sigma[None, :, None] * normal
 
 
-def _swing(term: terms.Swing, drawing: _Draft) -> None:
+def _swing(term: terms.Swing, drawing: Draft) -> None:
     hung = _hung(drawing.mechanism, term.bodies)
     drawn = [
         (
@@ -259,7 +221,7 @@ def _hung(mechanism: Mechanism, bodies: tuple[str, ...]) -> _Hung:
     )
 
 
-def _pivots(hung: _Hung, drawing: _Draft, turn: Array, rate: Array) -> tuple[Array, Array]:
+def _pivots(hung: _Hung, drawing: Draft, turn: Array, rate: Array) -> tuple[Array, Array]:
     """Joints from their parents' centres of mass, and what the parents' turning adds there."""
     swung = hung.above[:, None] >= 0
     native = np.where(swung, turn[hung.above], drawing.native[hung.parent])
@@ -270,7 +232,7 @@ def _pivots(hung: _Hung, drawing: _Draft, turn: Array, rate: Array) -> tuple[Arr
     return np.where(world, hung.in_parent, arm), np.where(world, 0.0, swing)
 
 
-def _turn(term: terms.Turn, drawing: _Draft) -> None:
+def _turn(term: terms.Turn, drawing: Draft) -> None:
     axis = np.array(term.axis) / np.linalg.norm(term.axis)
     everything = list(range(drawing.mechanism.body_count))
     angle, rate = drawing.uniform(term.angle), drawing.uniform(term.rate)
@@ -279,9 +241,9 @@ def _turn(term: terms.Turn, drawing: _Draft) -> None:
     drawing.add_twist(everything, point, rate * axis)
 
 
-def _throw(term: terms.Throw, drawing: _Draft) -> None:
+def _throw(term: terms.Throw, drawing: Draft) -> None:
     body = drawing.body(term.body)
-    carried = _carried(drawing.mechanism, body)
+    carried = carried_by(drawing.mechanism, body)
     drawing.position[carried] += [drawing.uniform(span) for span in term.displacement]
     center = drawing.position[body].copy()
     turn = rotation.IDENTITY
@@ -296,10 +258,10 @@ def _throw(term: terms.Throw, drawing: _Draft) -> None:
     drawing.add_twist(carried, center, rate)
 
 
-def _roll(term: terms.Roll, drawing: _Draft) -> None:
+def _roll(term: terms.Roll, drawing: Draft) -> None:
     mechanism = drawing.mechanism
     body = drawing.body(term.body)
-    carried = _carried(mechanism, body)
+    carried = carried_by(mechanism, body)
     own = mechanism.sphere_body == body
     if own.sum() != 1 or np.abs(mechanism.sphere_offset[own]).max() > _CENTRED:
         msg = (
@@ -311,31 +273,7 @@ def _roll(term: terms.Roll, drawing: _Draft) -> None:
     drawing.add_twist(carried, drawing.position[body], drawing.uniform(term.share) * rolling)
 
 
-def _hinge_rate(term: terms.HingeRate, drawing: _Draft) -> None:
-    mechanism = drawing.mechanism
-    links = {link.joint.name: link for link in mechanism.links if link.joint is not None}
-    rates, driven = [], set()
-    for name in term.joints:
-        if name not in links:
-            msg = f"sampling: the hinge {name!r} closes a loop; its rate follows from the others"
-            raise SceneError(msg)
-        joint = links[name].joint
-        assert joint is not None
-        point, axis = joint.in_parent, joint.axis
-        if joint.parent != WORLD_INDEX:
-            point, axis = (
-                rotation.rotate(drawing.native[joint.parent], vector) for vector in (point, axis)
-            )
-            point = drawing.position[joint.parent] + point
-        rates.append(drawing.uniform(term.rate))
-        drawing.add_twist(_outboard(mechanism, joint.child), point, rates[-1] * axis)
-        driven.add(joint.child)
-    if rates and any(term.travel):
-        moved = {other for body in driven for other in _carried(mechanism, body)}
-        drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
-
-
-def _hinge_torque(term: terms.HingeTorque, drawing: _Draft) -> None:
+def _hinge_torque(term: terms.HingeTorque, drawing: Draft) -> None:
     hinges = [joint.name for joint in drawing.mechanism.hinges]
     columns = [hinges.index(name) for name in term.joints]
     steps = drawing.mechanism.scene.clock.steps
@@ -348,7 +286,7 @@ def _hinge_torque(term: terms.HingeTorque, drawing: _Draft) -> None:
                 drawing.torque[first : first + term.hold, column] += value
 
 
-def _wind(term: terms.Wind, drawing: _Draft) -> None:
+def _wind(term: terms.Wind, drawing: Draft) -> None:
     mechanism = drawing.mechanism
     clock = mechanism.scene.clock
     azimuth, mean = drawing.rng.uniform(0.0, 2.0 * np.pi), drawing.uniform(term.mean)
@@ -366,31 +304,13 @@ def _wind(term: terms.Wind, drawing: _Draft) -> None:
         drawing.force += strength[:, None, None] * per_body
 
 
-def _carried(mechanism: Mechanism, body: int) -> list[int]:
-    """Bodies that joints connect to a free body, itself among them."""
-    pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
-    group = next(group for group in connected(mechanism.body_count, pairs) if body in group)
-    if any(WORLD_INDEX in ends and {*ends} & {*group} for ends in pairs):
-        msg = f"sampling: {mechanism.scene.bodies[body].name!r} is held by the world, not free"
-        raise SceneError(msg)
-    return list(group)
-
-
-def _outboard(mechanism: Mechanism, body: int) -> list[int]:
-    """Return a body and all that the spanning tree hangs on it."""
-    found = [body]
-    for link in mechanism.links:
-        if link.parent in found:
-            found.append(link.body)
-    return found
-
-
-_DRAWS: dict[type, Callable[[Any, _Draft], None]] = {
+_DRAWS: dict[type, Callable[[Any, Draft], None]] = {
     terms.Swing: _swing,
     terms.Turn: _turn,
     terms.Throw: _throw,
     terms.Roll: _roll,
-    terms.HingeRate: _hinge_rate,
+    terms.Pose: pose,
+    terms.HingeRate: hinge_rate,
     terms.HingeTorque: _hinge_torque,
     terms.Wind: _wind,
 }

@@ -112,6 +112,14 @@ class Roll(_Draw, tag_field="kind", tag="roll"):
     share: Span
 
 
+class Pose(_Draw, tag_field="kind", tag="pose"):
+    """Lead hinges and sliders to a coordinate each, drawn by itself, added to that of the file."""
+
+    joints: Names
+    coordinate: Span
+    """Hinge [rad], slider [m]."""
+
+
 class HingeRate(_Draw, tag_field="kind", tag="hinge_rate"):
     """Give hinges a rate relative to the body that carries them, each drawn by itself."""
 
@@ -153,4 +161,4 @@ class Wind(_Draw, tag_field="kind", tag="wind"):
     """[s]"""
 
 
-Draw = Swing | Turn | Throw | Roll | HingeRate | HingeTorque | Wind
+Draw = Swing | Turn | Throw | Roll | Pose | HingeRate | HingeTorque | Wind

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
-from mbds_xsim.scene.sampling_terms import Draw, Roll, Throw
+from mbds_xsim.scene.sampling_terms import Draw, Pose, Roll, Throw
 
 Vector = tuple[float, float, float]
 FiniteVector = Annotated[Vector, bounds.finite]
@@ -323,6 +323,7 @@ class Scene(Neutral):
         bodies = {body.name for body in self.bodies}
         held = bodies | {WORLD}
         hinges = {joint.name for joint in self.joints if joint.kind == "hinge"}
+        coordinates = hinges | {joint.name for joint in self.joints if joint.kind == "slider"}
         for k, joint in enumerate(self.joints):
             for key in ("parent", "child"):
                 _known(f"joints[{k}].{key}", getattr(joint, key), held)
@@ -344,8 +345,10 @@ class Scene(Neutral):
         for k, draw in enumerate(self.sampling):
             for body in getattr(draw, "bodies", ()):
                 _known(f"sampling[{k}].bodies", body, bodies)
+            posed = isinstance(draw, Pose)
             for joint_name in getattr(draw, "joints", ()):
-                _known(f"sampling[{k}].joints", joint_name, hinges, what="hinge")
+                named, what = (coordinates, "hinge or slider") if posed else (hinges, "hinge")
+                _known(f"sampling[{k}].joints", joint_name, named, what=what)
             if isinstance(draw, Throw | Roll):
                 _known(f"sampling[{k}].body", draw.body, bodies)
 

@@ -95,6 +95,7 @@ def _draws(names: list[str], hinges: list[str]) -> st.SearchStrategy[Table]:
         _optional(
             {"kind": st.just("roll"), "body": st.sampled_from(names), "share": _SPAN},
         ),
+        _optional({"kind": st.just("pose"), "joints": some_hinges, "coordinate": _SPAN}),
         _optional(
             {"kind": st.just("hinge_rate"), "joints": some_hinges, "rate": _SPAN},
             travel=_VECTOR,

@@ -1,0 +1,74 @@
+"""How trajectories of an imported model start: random poses inside the limits, at small rates."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
+from mbds_xsim.scene.sampling_terms import Draw, HingeRate, Levels, Pose, Throw
+from mbds_xsim.scene.scene import Scene
+
+_SHARES = (0.25, 0.5, 0.9)
+"""Of a joint's range about its middle, in the intervals low, medium and high."""
+_RATES = (0.1, 0.5, 1.0)
+"""Largest rates of hinges and free bodies in these intervals [rad/s]."""
+
+
+def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Draw, ...]:
+    """Give the draws: poses of the joints that are in no loop, then rates of hinges and bodies.
+
+    A hinge without limits turns by half a turn either way, a slider goes a tenth of the scene's
+    length; with wider limits it goes no farther, a slider the whole length.
+
+    Args:
+        scene: The scene.
+        limits: Of joints by name, counted from the reference pose.
+    """
+    mechanism, length = Mechanism.of(scene), scene.length
+    looped = _looped(mechanism)
+    joints = [j for link in mechanism.links if (j := link.joint) is not None]
+    alone = [j for j in joints if j.kind in ("hinge", "slider") and j.child not in looped]
+    ranges = defaultdict(list)
+    for joint in alone:
+        usual, most = (math.pi, math.pi) if joint.kind == "hinge" else (0.1 * length, length)
+        low, high = limits.get(joint.name, (-usual, usual))
+        near = max(low, -most), min(high, most)
+        ranges[near if near[0] < near[1] else (low, high)].append(joint.name)
+    poses = [Pose(tuple(names), _levels(*span)) for span, names in ranges.items()]
+    hinges = tuple(joint.name for joint in alone if joint.kind == "hinge")
+    turning = [HingeRate(hinges, _levels(-1.0, 1.0, _RATES))] if hinges else []
+    spin = _levels(-1.0, 1.0, _RATES)
+    thrown = [Throw(body, angular_velocity=(spin, spin, spin)) for body in _free(mechanism)]
+    return (*poses, *turning, *thrown)
+
+
+def _levels(low: float, high: float, shares: Sequence[float] = _SHARES) -> Levels:
+    middle, half = (low + high) / 2, (high - low) / 2
+    spans = ((middle - share * half, middle + share * half) for share in shares)
+    return Levels(*spans)
+
+
+def _looped(mechanism: Mechanism) -> set[int]:
+    """Give the bodies whose joint of the tree is in a loop: it cannot be led alone."""
+    parent = {link.body: link.parent for link in mechanism.links}
+    looped: set[int] = set()
+    for loop in mechanism.loops:
+        first, second = (set(_path(parent, end)) for end in (loop.parent, loop.child))
+        looped |= first ^ second
+    return looped
+
+
+def _path(parent: Mapping[int, int], body: int) -> Iterator[int]:
+    while body != WORLD_INDEX:
+        yield body
+        body = parent[body]
+
+
+def _free(mechanism: Mechanism) -> Iterator[str]:
+    """Give the free bodies that carry no loop to the world."""
+    tied = {end for loop in mechanism.loops for end in (loop.parent, loop.child)}
+    for link in mechanism.links:
+        if link.joint is None and WORLD_INDEX not in tied:
+            yield mechanism.scene.bodies[link.body].name

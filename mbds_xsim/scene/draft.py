@@ -1,0 +1,128 @@
+"""A trajectory while it is drawn, and the draws that move joints."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene import sampling_terms as terms
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
+
+
+@dataclass
+class Draft:
+    """A trajectory while it is drawn."""
+
+    mechanism: Mechanism
+    index: int
+    interval: terms.Interval
+    rng: np.random.Generator
+    position: Array
+    native: Array
+    velocity: Array
+    angular_velocity: Array
+    force: Array
+    torque: Array
+    inputs: bool
+
+    def body(self, name: str) -> int:
+        """Give the position of a body."""
+        return [body.name for body in self.mechanism.scene.bodies].index(name)
+
+    def uniform(self, span: terms.Span) -> float:
+        """Draw from the range that holds in the interval."""
+        low, high = terms.span_of(span, self.interval)
+        return float(self.rng.uniform(low, high))
+
+    def move_rigidly(self, bodies: list[int], point: Array, turn: Array) -> None:
+        """Turn bodies, poses and velocities together, about a point of W."""
+        for values, origin in (
+            (self.position, point),
+            (self.velocity, np.zeros(3)),
+            (self.angular_velocity, np.zeros(3)),
+        ):
+            values[bodies] = rotation.rotate(turn, values[bodies] - origin) + origin
+        self.native[bodies] = rotation.multiply(turn, self.native[bodies])
+
+    def add_twist(self, bodies: list[int], point: Array, rate: Array) -> None:
+        """Add a rigid angular velocity about a point of W."""
+        self.velocity[bodies] += rotation.cross(rate, self.position[bodies] - point)
+        self.angular_velocity[bodies] += rate
+
+
+def pose(term: terms.Pose, drawing: Draft) -> None:
+    """Lead hinges and sliders to a coordinate, with all that hangs on them."""
+    for name in term.joints:
+        joint, point, axis = _placed(drawing, name)
+        moved = _outboard(drawing.mechanism, joint.child)
+        amount = drawing.uniform(term.coordinate)
+        spin, drift = np.zeros(3), np.zeros(3)
+        if joint.parent != WORLD_INDEX:
+            spin = drawing.angular_velocity[joint.parent].copy()
+            arm = point - drawing.position[joint.parent]
+            drift = drawing.velocity[joint.parent] + np.cross(spin, arm)
+        # Relative to the parent, velocities turn along with the bodies.
+        drawing.add_twist(moved, point, -spin)
+        drawing.velocity[moved] -= drift
+        if joint.kind == "hinge":
+            drawing.move_rigidly(moved, point, rotation.from_vector(amount * axis))
+        else:
+            drawing.position[moved] += amount * axis
+        drawing.velocity[moved] += drift
+        drawing.add_twist(moved, point, spin)
+
+
+def hinge_rate(term: terms.HingeRate, drawing: Draft) -> None:
+    """Give hinges a rate."""
+    mechanism = drawing.mechanism
+    rates, driven = [], set()
+    for name in term.joints:
+        joint, point, axis = _placed(drawing, name)
+        rates.append(drawing.uniform(term.rate))
+        drawing.add_twist(_outboard(mechanism, joint.child), point, rates[-1] * axis)
+        driven.add(joint.child)
+    if rates and any(term.travel):
+        moved = {other for body in driven for other in carried_by(mechanism, body)}
+        drawing.velocity[sorted(moved)] += np.mean(rates) * np.array(term.travel)
+
+
+def carried_by(mechanism: Mechanism, body: int) -> list[int]:
+    """Bodies that joints connect to a free body, itself among them."""
+    pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
+    group = next(group for group in connected(mechanism.body_count, pairs) if body in group)
+    if any(WORLD_INDEX in ends and {*ends} & {*group} for ends in pairs):
+        msg = f"sampling: {mechanism.scene.bodies[body].name!r} is held by the world, not free"
+        raise SceneError(msg)
+    return list(group)
+
+
+@functools.lru_cache(maxsize=16)
+def _tree_joints(mechanism: Mechanism) -> dict[str, PlacedJoint]:
+    return {link.joint.name: link.joint for link in mechanism.links if link.joint is not None}
+
+
+def _placed(drawing: Draft, name: str) -> tuple[PlacedJoint, Array, Array]:
+    """Find a joint of the tree, and where its anchor and axis are now, in W."""
+    joint = _tree_joints(drawing.mechanism).get(name)
+    if joint is None:
+        msg = f"sampling: the joint {name!r} closes a loop; it follows from the others"
+        raise SceneError(msg)
+    if joint.parent == WORLD_INDEX:
+        return joint, joint.in_parent, joint.axis
+    native = drawing.native[joint.parent]
+    point = drawing.position[joint.parent] + rotation.rotate(native, joint.in_parent)
+    return joint, point, rotation.rotate(native, joint.axis)
+
+
+def _outboard(mechanism: Mechanism, body: int) -> list[int]:
+    """Return a body and all that the spanning tree hangs on it."""
+    found = [body]
+    for link in mechanism.links:
+        if link.parent in found:
+            found.append(link.body)
+    return found

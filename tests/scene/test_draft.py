@@ -1,0 +1,65 @@
+"""Draws that move joints move them by what is drawn, whatever moves them already."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling_terms import HingeRate, Pose
+from mbds_xsim.testing import CASES
+from tests.random_scenes import Kind, random_tree
+
+_KINDS = st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=5)
+
+
+@settings(max_examples=50, deadline=None)
+@given(_KINDS, st.integers(0, 2**32 - 1))
+def test_a_pose_adds_to_coordinates_and_leaves_rates(kinds: list[Kind], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, kinds)
+    start, rate, more = rng.uniform(-1.2, 1.2, (3, len(kinds)))
+    joints = tuple(
+        msgspec.structs.replace(joint, start=float(s), rate=float(r))
+        for joint, s, r in zip(tree.joints, start, rate, strict=True)
+    )
+    poses = tuple(
+        Pose(joints=(joint.name,), coordinate=(float(m), float(m)))
+        for joint, m in zip(joints, more, strict=True)
+    )
+    scene = msgspec.structs.replace(tree, joints=joints, sampling=poses)
+
+    mechanism = Mechanism.of(scene)
+    links = to_links(mechanism, BodyStates.of(mechanism, draw_batch(scene, [0])))
+    order = [link.joint.index for link in mechanism.links if link.joint is not None]
+    np.testing.assert_allclose(links.coordinate[0], (start + more)[order], atol=1e-11)
+    np.testing.assert_allclose(links.rate[0], rate[order], atol=1e-11)
+
+
+def test_poses_of_a_range_are_drawn_anew_for_each_joint_and_trajectory() -> None:
+    tree = random_tree(np.random.default_rng(1), ["hinge", "slider"])
+    names = tuple(joint.name for joint in tree.joints)
+    scene = msgspec.structs.replace(tree, sampling=(Pose(names, (0.2, 0.5)),))
+
+    mechanism = Mechanism.of(scene)
+    links = to_links(mechanism, BodyStates.of(mechanism, draw_batch(scene, range(20))))
+    drawn = links.coordinate.ravel()
+    assert len(np.unique(drawn)) == 40
+    assert ((drawn >= 0.2 - 1e-12) & (drawn <= 0.5 + 1e-12)).all()
+    assert drawn.min() < 0.26
+    assert drawn.max() > 0.44
+
+
+@pytest.mark.parametrize("term", [Pose, HingeRate])
+def test_a_joint_that_closes_a_loop_cannot_be_led(term: type[Pose] | type[HingeRate]) -> None:
+    (scene,) = (case.scene for case in CASES if case.name == "parallelogram")
+    (loop,) = Mechanism.of(scene).loops
+
+    with pytest.raises(SceneError, match="closes a loop"):
+        draw_batch(msgspec.structs.replace(scene, sampling=(term((loop.name,), (0, 1)),)), [0])
