@@ -16,6 +16,7 @@ import msgspec
 from mbds_xsim.base.write import write_whole
 from mbds_xsim.report import quantity
 from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.words import BUSY
@@ -49,8 +50,9 @@ def choose_table(studies: Sequence[Tradeoff]) -> str:
 
 def _engines(study: Tradeoff) -> list[str]:
     """Engines that were asked, also those that cannot do the scene."""
-    names = [curve.engine for curve in study.curves]
-    return list(dict.fromkeys([*names, *(what.split()[0] for what in study.left_out)]))
+    names = [curve.engine for curve in study.curves if curve.own]
+    left_out = (what.split()[0] for what in study.left_out)
+    return list(dict.fromkeys([*names, *(name for name in left_out if name != REFERENCE)]))
 
 
 def _row(study: Tradeoff, engines: Sequence[str]) -> list[str]:

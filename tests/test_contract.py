@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.testing import AdapterContract
 
@@ -14,3 +15,9 @@ class TestContract(AdapterContract):
         del engine
         adapter: Adapter = request.getfixturevalue("adapter")
         return adapter
+
+
+class TestContractOfTheReference(AdapterContract):
+    @pytest.fixture
+    def adapter(self) -> Adapter:
+        return registry.load_adapter(registry.REFERENCE)

@@ -9,7 +9,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.stiffness import spring_step
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import LOOPS, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep
 
 from .contact import CONTACT_LAW, DETECTORS, SOLVERS, contact_statements
 from .run import DartRun
@@ -52,7 +52,7 @@ class Dart(Adapter):
                 Feature.LOOP_BALL: _NO_LOOPS,
                 Feature.LOOP_HINGE: _NO_LOOPS,
                 Feature.LOOP_FIXED: _NO_LOOPS,
-                Feature.CONTACT: _NO_CONTACT,
+                **dict.fromkeys(CONTACTS, _NO_CONTACT),
             },
             own=False,
         ),

@@ -8,7 +8,15 @@ from typing import ClassVar
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
-from mbds_xsim.simulate.claims import LOOPS, ContactScales, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import (
+    CONTACTS,
+    LOOPS,
+    ContactScales,
+    Feature,
+    Method,
+    Option,
+    Sweep,
+)
 
 from .contact import CONTACT_LAW, PenaltyContact
 from .model import Formulation, RigidBodies
@@ -32,10 +40,10 @@ _NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
 # With fewer steps an impact is not resolved.
 _SHORTEST_IMPACT = 4
 _CONSTRAINTS = LOOPS | {Feature.DISTANCE_LINK}
-_NO_FRICTION = {
-    Feature.CONTACT: "friction in an impact is too stiff for Exudyn's explicit solvers, which "
-    "then create energy",
-}
+_NO_FRICTION = dict.fromkeys(
+    CONTACTS,
+    "friction in an impact is too stiff for Exudyn's explicit solvers, which then create energy",
+)
 _NO_JOINTS = _NO_FRICTION | dict.fromkeys(
     (Feature.BALL, Feature.HINGE, Feature.SLIDER, Feature.FIXED, *_CONSTRAINTS),
     "Exudyn's explicit solvers take no constraints",

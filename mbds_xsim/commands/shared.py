@@ -136,10 +136,10 @@ def _complete_scene(incomplete: str) -> list[str]:
 
 def _complete_engines(incomplete: str) -> list[str]:
     """Go on with the last of some names between commas."""
-    from mbds_xsim.simulate.registry import engine_names
+    from mbds_xsim.simulate.registry import simulator_names
 
     before, comma, last = incomplete.rpartition(",")
-    names = [name for name in engine_names() if name not in before.split(",")]
+    names = [name for name in simulator_names() if name not in before.split(",")]
     return [f"{before}{comma}{name}" for name in names if name.startswith(last)]
 
 

@@ -64,16 +64,17 @@ def tradeoff(
     png: _Png = None,
     markdown: shared.MarkdownFile = None,
 ) -> None:
-    """Chart speed against accuracy: every engine, method and step, and their options."""
+    """Chart speed against accuracy: every engine, method and step, and the reference."""
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff.present import present, to_png
 
     console = shared.console_for(json)
-    choice = Choice.parse(engines=engines)
+    choice = Choice.parse(engines=engines, also=(REFERENCE,))
     shared.check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
     loaded = [shared.scene_named(name) for name in scenes]
     trained = _models(models, onto, loaded)

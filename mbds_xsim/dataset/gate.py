@@ -241,12 +241,13 @@ def limit_faults(
         solved: Their reference; left out, that of their first steps is solved here, and no more
             of them is looked at.
     """
-    if solved is None:
+    rows, settings = list(range(len(batch))), contender.settings
+    steps = other_steps(scene, contender.engine, settings)
+    if steps and solved is None:
         scene, batch, trajectory = _beginning(scene, batch, trajectory)
         solved = _briefly(scene, batch)
-    if not any(smooth(scene, solved)):
+    if solved is None or not steps or not any(smooth(scene, solved)):
         return []
-    rows, settings = list(range(len(batch))), contender.settings
     outcome = Outcome(contender, rows=[rows], sample=rows)
 
     def run(step: float) -> None:
@@ -258,7 +259,7 @@ def limit_faults(
         own = made.rollout_s * step / settings.step
         outcome.parts[:] = [dataclasses.replace(made, trajectory=trajectory, rollout_s=own)]
 
-    for step in other_steps(scene, settings):
+    for step in steps:
         run(step)
     while (finer := further_step(scene, batch, outcome, solved)) is not None:
         run(finer)

@@ -32,6 +32,7 @@ from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
+from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.simulate.timed import Simulation, Work, forewarnings, simulate
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
@@ -231,7 +232,7 @@ def _engine_work(
         task = Task(simulate, arguments, contender.limit)
         work.append((label(contender.settings.step), task, outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
-    for step in other_steps(scene, contender.settings):
+    for step in other_steps(scene, contender.engine, contender.settings):
         task = step_task(scene, batch, outcome, step)
         work.append((label(step), task, partial(outcome.keep_step, step, batch)))
     return work
@@ -241,7 +242,7 @@ def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
     """Sum up the steps of all runs."""
     contender = outcome.contender
     steps = [len(batch) * scene.clock.duration / contender.settings.step]
-    others = other_steps(scene, contender.settings)
+    others = other_steps(scene, contender.engine, contender.settings)
     steps += [len(outcome.sample) * scene.clock.duration / step for step in others]
     return Work(contender.name, contender.engine, contender.settings, sum(steps))
 
@@ -255,8 +256,13 @@ def step_task(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Task
     )
 
 
-def other_steps(scene: Scene, settings: Settings) -> list[float]:
-    """Give the consistency check's steps: longer ones where they divide the frame, else shorter."""
+def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
+    """Give the consistency check's steps: longer ones where they divide the frame, else shorter.
+
+    None for an adaptive method, which takes no step from its settings.
+    """
+    if load_adapter(engine).methods[settings.method].adaptive:
+        return []
     count = settings.substeps(scene.clock.frame)
     longer = all(count % factor == 0 for factor in _REFINEMENT)
     return [

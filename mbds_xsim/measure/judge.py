@@ -17,6 +17,7 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback, registry
+from mbds_xsim.simulate.claims import RTOL
 
 _ONE_SECOND = 1.0
 
@@ -28,7 +29,7 @@ class Judged:
     result: EngineResult
     trajectory: Trajectory | None
     error: Array | None
-    """RMS particle error [m], shape (trajectory, frame)."""
+    """RMS particle error [m], shape (trajectory, frame); None of the reference itself."""
     series: dict[str, Array]
 
 
@@ -56,15 +57,15 @@ def judge(
     settings = outcome.contender.settings
     method = registry.load_adapter(outcome.contender.engine).methods[settings.method]
     spread = outcome.simulations[0].contact_time
-    error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
     record = Record(scene, batch, trajectory, method, settings.step, spread)
-    findings = [
-        *audited(record),
-        *_together(record),
-        *error_findings(scene, batch, error, truth, reference.growth),
-        turn_finding(scene, trajectory, truth, reference.growth),
-        *convergence(scene, batch, outcome, reference),
-    ]
+    findings, error = [*audited(record), *_together(record)], None
+    if not method.is_truth:
+        error = agreement.particle_error(Mechanism.of(scene), trajectory, truth)
+        findings += [
+            *error_findings(scene, batch, error, truth, reference.growth),
+            turn_finding(scene, trajectory, truth, reference.growth),
+            *convergence(scene, batch, outcome, reference),
+        ]
     result = _result(scene, batch, outcome, findings, error, reference, native)
     return Judged(
         result, trajectory, error, {finding.check: finding.series for finding in findings}
@@ -188,6 +189,7 @@ def _result(
         constraints=size.constraints if size else None,
         findings=tuple(finding_result(batch, finding) for finding in findings),
         failures=failures,
+        rtol=adapter.option(contender.settings, RTOL) if method.adaptive else None,
     )
 
 

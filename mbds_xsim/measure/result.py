@@ -76,6 +76,8 @@ class EngineResult(msgspec.Struct, frozen=True):
     findings: tuple[FindingResult, ...]
     failures: tuple[str, ...]
     """One line for each trajectory that ended early, or for a crash of the whole engine."""
+    rtol: float | None = None
+    """Relative tolerance of a method that chooses its steps; they may go over a whole `step_s`."""
 
 
 class ReferenceResult(msgspec.Struct, frozen=True):

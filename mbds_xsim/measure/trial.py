@@ -86,7 +86,7 @@ def run_trial(
     # Where it fails already, nothing that other steps tell can mend it.
     if sample and _passed(row, limits):
         outcome.sample = list(range(min(sample, len(batch))))
-        steps: list[float] = other_steps(scene, settings)
+        steps: list[float] = other_steps(scene, engine, settings)
         while steps:
             for step in steps:
                 other = Settings(settings.method, step, settings.options)

@@ -115,9 +115,10 @@ def _engine(row: EngineRow) -> str:
         ["option", "default", "meaning"],
         ([f"`{k}`", f"`{o.default}`", o.meaning] for k, o in row.options.items()),
     )
+    own = row.package == "mbds-xsim"
+    there = "always there" if own else f"`pip install 'mbds-xsim[{row.engine}]'`"
     return (
-        f"### {row.engine}\n\n{row.coordinates.capitalize()} coordinates; "
-        f"`pip install 'mbds-xsim[{row.engine}]'`.\n\n{methods}"
+        f"### {row.engine}\n\n{row.coordinates.capitalize()} coordinates; {there}.\n\n{methods}"
         + (f"\n{options}" if row.options else "")
     )
 

@@ -49,9 +49,10 @@ METHODS = {
     "RK67": "p",
     "tree-RK44": "<",
     "forward-dynamics-RK4": ">",
+    "adaptive": "d",
 }
 """Markers of methods: filled forms, which nothing else has."""
-_MORE_MARKERS = "h8d"
+_MORE_MARKERS = "h8"
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Style:
 
 def engine_style(engine: str, others: Iterable[str] = (), *, dashed: bool = False) -> Style:
     """Give an engine its colour: registered ones in their order, then the others."""
-    known = list(dict.fromkeys([*registry.engine_names(), *others, engine]))
+    known = list(dict.fromkeys([*registry.simulator_names(), *others, engine]))
     return Style(known.index(engine) % len(ENGINES), dashed, engine[:1].upper())
 
 

@@ -26,6 +26,11 @@ def span(seconds: float | None) -> str:
     return with_unit(seconds, "s")
 
 
+def pace(step: float, rtol: float | None) -> str:
+    """Write a step [s], or the relative tolerance in its place: `rtol 1e-09`."""
+    return span(step) if rtol is None else f"rtol {rtol:.0e}"
+
+
 def beside(figure: float | None, budget: float | None, unit: str) -> tuple[str, str]:
     """Write a figure and its budget, with more digits where it would read as kept but is not."""
     if figure is None or budget is None:

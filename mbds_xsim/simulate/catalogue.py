@@ -48,6 +48,8 @@ class EngineRow(msgspec.Struct, frozen=True):
     """"not installed" where it is missing; the rest is empty then."""
     fault: str = ""
     """Why an adapter of another package cannot be used; the rest is empty then, too."""
+    package: str = ""
+    """Distribution that installs it."""
     coordinates: str = ""
     methods: tuple[MethodRow, ...] = ()
     options: dict[str, OptionRow] = {}
@@ -74,8 +76,8 @@ class SceneRow(msgspec.Struct, frozen=True):
 
 
 def engine_rows() -> list[EngineRow]:
-    """List all known engines; a missing one has no methods."""
-    return [_engine_row(name) for name in registry.engine_names()]
+    """List all known engines, and the reference; a missing one has no methods."""
+    return [_engine_row(name) for name in registry.simulator_names()]
 
 
 def scene_rows() -> list[SceneRow]:
@@ -153,6 +155,7 @@ def _engine_row(name: str) -> EngineRow:
     return EngineRow(
         engine=name,
         version=adapter.version(),
+        package=adapter.package,
         coordinates=adapter.coordinates,
         methods=tuple(_method_row(method) for method in adapter.methods.values()),
         options={key: OptionRow(o.default, o.meaning) for key, o in adapter.options.items()},

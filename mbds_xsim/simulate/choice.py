@@ -66,8 +66,11 @@ class Choice:
         method: str | None = None,
         step: float | None = None,
         limit: float = LIMIT,
+        also: tuple[str, ...] = (),
     ) -> Choice:
         """Read names, or words separated by commas; no engine named means all installed.
+
+        What is beside these, `also`, then takes part too.
 
         A profile may be the path of a file of settings, as `mbds-xsim match --out` writes it:
         settings that are matched for a scene; no engine named means all of the file then.
@@ -77,7 +80,7 @@ class Choice:
             registry.load_adapter(name)
         named = bool(names)
         words, given = _profiles(words_of(profiles), names)
-        names = names or tuple(given) or tuple(registry.installed_engines())
+        names = names or tuple(given) or (*registry.installed_engines(), *also)
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
             raise InputError(msg)
@@ -123,8 +126,12 @@ class Choice:
             if profile == "matched" and adapter.name in self.given
             else settings_for(scene, adapter, profile)
         )
+        method = self.method or preset.method
+        if self.step is not None and method in adapter.methods and adapter.methods[method].adaptive:
+            msg = f"--step: {adapter.name} {method} chooses its steps; leave it out"
+            raise InputError(msg)
         return Settings(
-            self.method or preset.method,
+            method,
             preset.step if self.step is None else self.step,
             preset.options if self.method in (None, preset.method) else {},
         )

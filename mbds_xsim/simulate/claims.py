@@ -16,8 +16,12 @@ from mbds_xsim.scene.scene import Scene
 
 Family = Literal[
     "semi-implicit Euler", "implicit Euler", "RK4", "Runge-Kutta 5(4)", "Runge-Kutta 6(7)",
-    "generalised-alpha", "trapezoidal", "toolkit RK4",
+    "generalised-alpha", "trapezoidal", "toolkit RK4", "reference",
 ]  # fmt: skip
+TRUTH: Family = "reference"
+"""Of the reference itself: what it is held against is no other than it is."""
+RTOL = "rtol"
+"""Option of adaptive methods: the tolerance that decides their steps."""
 
 
 class Feature(Enum):
@@ -38,10 +42,13 @@ class Feature(Enum):
     HINGE_TORQUE = "hinge torque"
     FULL_INERTIA = "inertia not along the body frame"
     CONTACT = "sphere on the ground"
+    LINKED_CONTACT = "spheres of joined bodies, or off centre"
 
 
 LOOPS = frozenset(feature for feature in Feature if feature.name.startswith("LOOP_"))
 """Every way of closing a loop."""
+CONTACTS = (Feature.CONTACT, Feature.LINKED_CONTACT)
+"""Every kind of sphere on the ground."""
 
 
 def features_of(scene: Scene) -> frozenset[Feature]:
@@ -60,6 +67,7 @@ def features_of(scene: Scene) -> frozenset[Feature]:
         Feature.HINGE_TORQUE: bool(scene.torques) or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
         Feature.CONTACT: bool(scene.contacts),
+        Feature.LINKED_CONTACT: bool(scene.contacts) and not mechanism.has_only_balls,
     }
     return frozenset(kinds | {feature for feature, needed in asked.items() if needed})
 
@@ -84,6 +92,13 @@ class Method:
     own: bool = True
     """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
     says nothing about the engine's stepping."""
+    adaptive: bool = False
+    """Whether it chooses its steps by the option `rtol`, and runs by whole frames."""
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether it is the reference: its distance to itself is no figure of accuracy."""
+        return self.family == TRUTH
 
     def order_for(self, scene: Scene) -> int:
         """Order that holds for a scene."""

@@ -40,13 +40,22 @@ PAPER_SCENES = (
     "simplecubli",
 )
 
+REFERENCE = "reference"
+"""Name of the one simulator behind the contract that is no engine."""
+
 _OURS = "mbds-xsim"
+_TRUTH = EntryPoint(REFERENCE, "mbds_xsim.reference.adapter:Reference", "mbds_xsim.adapters")
 _TIMEOUT = 60.0  # longest that an adapter may take to be imported, or to answer a question [s]
 
 
 def engine_names() -> list[str]:
     """Names of all known adapters, whether their engine is installed or not."""
     return sorted(registered("mbds_xsim.adapters"))
+
+
+def simulator_names() -> list[str]:
+    """Names of all engines, and of the reference."""
+    return [*engine_names(), REFERENCE]
 
 
 def installed_engines() -> list[str]:
@@ -69,16 +78,18 @@ def _lack(name: str) -> EngineMissing | None:
 
 
 def load_adapter(name: str) -> Adapter:
-    """Make an adapter by name.
+    """Make an adapter by name; the reference has one too.
 
     Raises:
         UnknownName: No adapter has that name.
         EngineMissing: Its engine is not installed.
         EngineFaulty: It is another package's, and goes wrong before it can be asked anything.
     """
+    if name == REFERENCE:
+        return made(_TRUTH)
     points = registered("mbds_xsim.adapters")
     if name not in points:
-        raise UnknownName.of("engine", name, engine_names())
+        raise UnknownName.of("engine", name, simulator_names())
     other = stand_in(points[name])
     if isinstance(other, str):
         raise EngineFaulty(f"the engine {name} cannot be used: {other}; repair or uninstall it")

@@ -23,7 +23,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import ModelSize, Profile, Settings
 from mbds_xsim.simulate.choice import settings_for
-from mbds_xsim.simulate.claims import Method
+from mbds_xsim.simulate.claims import RTOL, Method
 from mbds_xsim.simulate.timed import WARM_UP, checked, stopwatch
 
 Options = Mapping[str, float | int | bool | str]
@@ -101,6 +101,8 @@ class Simulator(ABC):
     """What differs from the usual options; empty: nothing."""
     counts: tuple[int, ...] = (1,)
     """Steps a frame at which it is tried, the fewest first."""
+    digits: bool = False
+    """Whether counts are digits n in place of steps, for relative tolerances of 10⁻ⁿ."""
     profile: Profile = "matched"
     """Profile of its settings, or of the data that it was trained on."""
     source: str = ""
@@ -169,6 +171,8 @@ class EngineMethod(Simulator):
     _: KW_ONLY
     given: Options | None = None
     """Its options; None: those of the engine's profile for the scene."""
+    together: int = 1
+    """Copies of the start that run at once: times are each one's share."""
 
     @property
     def family(self) -> str:
@@ -192,7 +196,8 @@ class EngineMethod(Simulator):
     def refusal(self, scene: Scene) -> str:
         """Ask the adapter."""
         try:
-            registry.load_adapter(self.engine).check(scene, self.settings(scene, 1))
+            settings = self.settings(scene, self.counts[0])
+            registry.load_adapter(self.engine).check(scene, settings)
         except Unsupported as error:
             return str(error)
         return ""
@@ -204,14 +209,19 @@ class EngineMethod(Simulator):
         return dict(settings_for(scene, registry.load_adapter(self.engine), self.profile).options)
 
     def settings(self, scene: Scene, count: int) -> Settings:
-        """Give the settings at a number of steps a frame."""
-        return Settings(self.method, scene.clock.frame / count, self.options(scene))
+        """Give the settings at a number of steps a frame, or of digits."""
+        options = self.options(scene)
+        if self.digits:
+            return Settings(self.method, scene.clock.frame, {**options, RTOL: 10.0**-count})
+        return Settings(self.method, scene.clock.frame / count, options)
 
     def decisive(self, scene: Scene, count: int) -> list[Any]:
         """List method, steps, options, and the versions of engine and adapter."""
         adapter = registry.load_adapter(self.engine)
         options = sorted(self.options(scene).items())
-        return [self.engine, self.method, count, options, adapter.version(), adapter.revision]
+        together = [self.together] if self.together > 1 else []
+        versions = [adapter.version(), adapter.revision]
+        return [self.engine, self.method, count, options, *versions, *together]
 
     def simulate(
         self, scene: Scene, start: Batch, count: int, truth: Trajectory | None, *, often: bool
@@ -225,12 +235,13 @@ class EngineMethod(Simulator):
             setup = time.perf_counter() - begin
             if often:
                 run.rollout(start.truncated(WARM_UP))
-            made, wall, cpu = stopwatch(lambda: run.rollout(start), often=often)
+            copies = start[[0] * self.together]
+            made, wall, cpu = stopwatch(lambda: run.rollout(copies), often=often)
             return Simulated(
-                checked(made, start),
+                checked(made, copies)[:1],
                 wall,
                 cpu,
-                simulated_s=scene.clock.frame * start.steps,
+                simulated_s=scene.clock.frame * start.steps * self.together,
                 setup_s=setup,
                 size=run.size,
                 method=adapter.methods[settings.method],

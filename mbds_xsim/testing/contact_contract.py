@@ -204,6 +204,8 @@ def _settings(adapter: Adapter, scene: Scene, *, coarser: int = _COARSER) -> Set
     stored = settings_for(scene, adapter, "matched")
     if stored != careful:
         return stored  # no finer than it must be
+    if adapter.methods[careful.method].adaptive:
+        return careful
     return Settings(careful.method, careful.step * coarser, careful.options)
 
 

@@ -110,7 +110,7 @@ def test_engines_are_told_with_their_methods_and_limits(run: CommandLine, here: 
 
     assert ended.code == 0
     rows = json.loads((here / "engines.json").read_text())
-    assert [row["engine"] for row in rows] == registry.engine_names()
+    assert [row["engine"] for row in rows] == registry.simulator_names()
     for row in rows:
         adapter = registry.load_adapter(row["engine"])
         assert row["version"] == adapter.version()

@@ -36,7 +36,9 @@ def test_a_page_on_dark_ground_has_as_many_colours() -> None:
 
 def test_every_method_has_a_marker_of_its_own() -> None:
     methods = {
-        method for name in registry.engine_names() for method in registry.load_adapter(name).methods
+        method
+        for name in registry.simulator_names()
+        for method in registry.load_adapter(name).methods
     }
 
     assert set(palette.METHODS) == methods

@@ -5,6 +5,7 @@ The truth is the reference, or where it knows nothing, a method's own limit.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +21,7 @@ from mbds_xsim.measure.judge import error_findings
 from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
 from mbds_xsim.measure.store import Store, machine, row_key
 from mbds_xsim.reference import FirstImpact
+from mbds_xsim.reference.solution import confirmed
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -49,6 +51,8 @@ class Truth:
     """Sensitivity G, shape (1, frame)."""
     judged: bool = True
     """Whether the error counts against a budget: not where an engine is held to itself."""
+    compared: bool = True
+    """Whether the distance to it is a figure at all."""
 
     @property
     def known(self) -> Mask:
@@ -72,6 +76,8 @@ class Truths:
     references: list[Truth]
     usual: Mapping[tuple[str, str], Simulator]
     """By engine and method, at the engine's usual options."""
+    own: Mapping[tuple[str, str], list[Truth]]
+    """Truths of each start for methods that are the reference, by engine and method."""
     limit: float
     """Longest rollout of one start that was asked for [s]."""
     workers: int | None
@@ -107,7 +113,9 @@ class Truths:
 
     def of(self, place: Place) -> Truth:
         """Give what one start in one method is held against."""
-        return self._limits[place] if self.are_limits else self.references[place[2]]
+        if self.are_limits:
+            return self._limits[place]
+        return self.own.get(place[:2], self.references)[place[2]]
 
     def _unknown(self) -> Truth:
         """Give what nothing can be held against."""
@@ -124,6 +132,25 @@ def references(scene: Scene, batch: Batch, *, cache: bool, workers: int | None) 
     solved = run_references(scene, batch, cache=cache, workers=workers)
     each = (solved[[k]] for k in range(len(batch)))
     return [Truth(one.trajectory, one.growth) for one in each]
+
+
+def confirmations(
+    scene: Scene, batch: Batch, truths: Sequence[Truth], *, cache: bool, workers: int | None
+) -> list[Truth]:
+    """Solve each start by other equations, so that the reference is not held to itself.
+
+    A ball on the ground has no second solution: its motion has a cost, and no error.
+    """
+    if Mechanism.of(scene).has_only_balls:
+        return [dataclasses.replace(truth, judged=False, compared=False) for truth in truths]
+    tasks = [Task(confirmed, (scene, batch[[k]], cache)) for k in range(len(batch))]
+    answers = run_tasks(tasks, workers=workers)
+    return [
+        dataclasses.replace(truth, judged=False, compared=False)
+        if isinstance(answer, Crash)
+        else dataclasses.replace(truth, trajectory=answer)
+        for truth, answer in zip(truths, answers, strict=True)
+    ]
 
 
 def first_impact(truths: Sequence[Truth]) -> float | None:
@@ -236,8 +263,9 @@ class StartBench:
             method=simulator.method,
             variation=simulator.variation,
             options=simulator.options(self.scene),
-            steps_per_frame=job.count,
-            step_s=self.scene.clock.frame / job.count,
+            steps_per_frame=1 if simulator.digits else job.count,
+            step_s=self.scene.clock.frame / (1 if simulator.digits else job.count),
+            rtol=10.0**-job.count if simulator.digits else None,
             trajectory=int(self.batch.index[job.start]),
             seed=self.seed,
             machine=machine(),
@@ -317,7 +345,7 @@ def _of_particles(scene: Scene, signs: Signs, truth: Truth) -> dict[str, Any]:
 def _errors(scene: Scene, error: Array, truth: Truth) -> dict[str, float]:
     """Give the error at the horizon and the growth-weighted one [m], of shape (1, frame)."""
     frame = round(truth.horizon / scene.clock.frame)
-    if frame == 0:
+    if frame == 0 or not truth.compared:
         return {}
     known = truth.known
     (weighted,) = agreement.growth_weighted(error[:, known], truth.growth[:, known])

@@ -15,8 +15,10 @@ from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.tradeoff.explore import Found
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Measurement, Point, Ratio
 
-_FLOOR = 1e-9
+FLOOR = 1e-11
 """Errors up to this are the reference's, over the scene's length."""
+_ROUNDING = 1e-9
+"""Errors up to this may be of an engine's arithmetic, over the scene's length."""
 _WORST = ("setup_s", "error_m", "error_weighted_m", "gap_m", "energy")
 """Figures of which a point has the worst of its starts."""
 OWN_LIMIT = "distance to its own limit"
@@ -43,7 +45,7 @@ def curve_results(
         )
         for curve, points in zip(curves, found, strict=True)
     ]
-    return _with_front(listed, _FLOOR * scene.length)
+    return _with_front(listed, FLOOR * scene.length)
 
 
 def _against_limit(scene: Scene, point: Point) -> Point:
@@ -67,6 +69,7 @@ def point_of(rows: Sequence[Measurement]) -> Point:
     plain = Point(
         steps_per_frame=first.steps_per_frame,
         step_s=first.step_s,
+        rtol=first.rtol,
         kind=bad.kind if bad else "done",
         reason=_reason(bad, rows) if bad else "",
         starts=sum(row.kind == "done" for row in rows),
@@ -87,7 +90,7 @@ def point_of(rows: Sequence[Measurement]) -> Point:
 
 def ratios_of(scene: Scene, curves: Sequence[CurveResult]) -> tuple[Ratio, ...]:
     """Tell what accuracies cost: the budget, and the powers of ten that any curve reaches."""
-    budget, floor = scene.budget.error_1s * scene.length, _FLOOR * scene.length
+    budget, floor = scene.budget.error_1s * scene.length, FLOOR * scene.length
     errors = [max(p.error_m, floor) for c in curves for p in c.points if p.error_m is not None]
     if not errors:
         return ()
@@ -124,7 +127,7 @@ def _curve_result(scene: Scene, curve: EngineMethod, points: list[Point]) -> Cur
         variation=curve.variation,
         options=curve.options(scene),
         order=method.order_for(scene),
-        measured_order=order_of(pairs, length=scene.length, floor=_FLOOR * scene.length),
+        measured_order=order_of(pairs, length=scene.length, floor=_ROUNDING * scene.length),
         points=tuple(points),
     )
 

@@ -81,7 +81,7 @@ def _wants_more(bench: StartBench, last: Measurement) -> bool:
 def _round(bench: StartBench, curves: Sequence[Simulator], found: Found, start: int) -> None:
     """Measure the points that the first start went through at a further one."""
     points = [
-        (point, Job(curves[k], point[0].steps_per_frame, start))
+        (point, Job(curves[k], point[0].count, start))
         for k, points in enumerate(found)
         for point in points
         if point[0].kind == "done"
@@ -125,12 +125,12 @@ _REPEATS = 0.3
 
 
 def rollout_cost(rows: Sequence[Measurement], count: int, duration: float) -> float | None:
-    """Predict the time of a rollout at a number of steps a frame [s]; None where nothing tells.
+    """Predict the time of a rollout at a count of its curve [s]; None where nothing tells.
 
     The last two points tell how the cost grows, at most in proportion to the steps. Processor
     time is taken, which does not depend on what else the machine has to do.
     """
-    done = [(row.steps_per_frame, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
+    done = [(row.count, float(np.median(row.cpu_s))) for row in rows if row.cpu_s]
     if not done:
         return None
     last, spent = done[-1]

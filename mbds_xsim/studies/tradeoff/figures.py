@@ -10,12 +10,11 @@ from mbds_xsim.report import palette
 from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
+from mbds_xsim.studies.tradeoff.curves import FLOOR
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
 
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"
-_REFERENCE = 1e-9
-"""Accuracy of the reference over the scene's length: errors below are drawn there."""
 _TOP = 10.0
 """Largest error that is drawn, over the scene's length."""
 _REAL_TIME = 1.0
@@ -49,7 +48,7 @@ class Chart:
     def spot(self, study: Tradeoff, point: Point) -> tuple[float, float] | None:
         """Give the place of a point; None where it has none."""
         x, y = getattr(point, self.x), getattr(point, self.y)
-        if x is None or y is None:
+        if x is None or y is None or not (self.is_cost or point.rtol is None):
             return None
         return x, min(max(y, self.scale(study) * self.floor), self.scale(study) * self.top)
 
@@ -68,7 +67,7 @@ _OVER_COST = Chart(
     y="error_m",
     y_label="RMS particle error [m]",
     budget=_accuracy("error_1s"),
-    floor=_REFERENCE,
+    floor=FLOOR,
     top=_TOP,
     front=True,
 )
@@ -168,6 +167,8 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
     varied = bool(curve.variation) and curve.variation != NATIVE
     size = 3.5 if varied else 10 if curve.variation else 5.5
     spots = [chart.spot(study, point) for point in curve.points]
+    if chart.front and not varied and not any(spots):
+        _draw_cost(axes, curve, colour)
     for run in _unbroken(spots):
         (line,) = axes.plot(
             *zip(*run, strict=True),
@@ -195,6 +196,13 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
             zorder=3,
         )
         dot.set_gid(f"tip-{place}-{number}")
+
+
+def _draw_cost(axes: Any, curve: CurveResult, colour: str) -> None:
+    """Draw the least cost of what nothing else can be held against, whatever its error."""
+    cost = min((point.wall_s for point in curve.points if point.wall_s is not None), default=None)
+    if cost is not None:
+        axes.axvline(cost, color=colour, lw=1.4, ls="--")
 
 
 def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: Learned, place: int) -> None:

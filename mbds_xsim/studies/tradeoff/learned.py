@@ -28,9 +28,7 @@ from mbds_xsim.studies.tradeoff.bench import StartBench, Truths, references
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.explore import explore
 from mbds_xsim.studies.tradeoff.rows import Learned, Measurement, Tradeoff
-
-AT_ONCE = 64
-"""Trajectories of a batch."""
+from mbds_xsim.studies.tradeoff.sweep import AT_ONCE
 
 _BATCHED = f"{AT_ONCE} at a time"
 _LIMIT = 600.0  # of one start [s]
@@ -122,7 +120,7 @@ def _truths(study: Tradeoff, scene: Scene, *, cache: bool, workers: int | None) 
         raise InputError(f"{msg}; measure the engines anew, without --onto")
     starts = draw_batch(scene, study.trajectories, seed=study.seed)
     solved = references(scene, starts, cache=cache, workers=workers)
-    truths = Truths(scene, starts, solved, usual={}, limit=_LIMIT, workers=workers)
+    truths = Truths(scene, starts, solved, usual={}, own={}, limit=_LIMIT, workers=workers)
     if min(truth.horizon for truth in solved) < HISTORY * scene.clock.frame * (1 - 1e-9):
         msg = f"{scene.name}: the reference ends within the {HISTORY} frames of a model's start"
         raise InputError(msg)

@@ -134,7 +134,7 @@ def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) 
 def _point_rows(study: Tradeoff) -> Iterator[Row]:
     for curve in study.curves:
         for point in curve.points:
-            texts = (curve.name, quantity.span(point.step_s), *_figures(point))
+            texts = (curve.name, quantity.pace(point.step_s, point.rtol), *_figures(point))
             tone: Mark = "strong" if point.on_front else "" if point.kind == "done" else "muted"
             yield Row(tuple(Cell(text, "strong" if point.on_front else "") for text in texts), tone)
 

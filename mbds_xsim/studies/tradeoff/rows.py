@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
@@ -31,6 +32,8 @@ class Measurement(Keyed, frozen=True, kw_only=True):
     options: Options
     steps_per_frame: int
     step_s: float
+    rtol: float | None = None
+    """Relative tolerance of a method that chooses its steps, which may go over a whole frame."""
     trajectory: int
     """Index of the start."""
     seed: int
@@ -61,6 +64,11 @@ class Measurement(Keyed, frozen=True, kw_only=True):
     contact_pairs: int | None = None
 
     @property
+    def count(self) -> int:
+        """Steps a frame, or digits of the tolerance."""
+        return self.steps_per_frame if self.rtol is None else round(-math.log10(self.rtol))
+
+    @property
     def unmeasured(self) -> bool:
         """Whether it was not waited for, so that nothing is known of it."""
         return self.kind == "timed out"
@@ -71,6 +79,8 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
     steps_per_frame: int
     step_s: float
+    rtol: float | None = None
+    """In place of the step, where a method chooses its steps."""
     kind: Kind
     reason: str = ""
     starts: int = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,11 +20,13 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
+from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.tradeoff.bench import (
     LIMIT_COUNT,
     StartBench,
     Truths,
+    confirmations,
     first_impact,
     references,
 )
@@ -53,7 +56,7 @@ def tradeoff(
 
     Args:
         scene: What to simulate, or the name or file of it.
-        engines: One name or several; all installed ones when empty.
+        engines: One name or several; all installed ones and the reference when empty.
         starts: Starts of the medium interval.
         seed: Seed of starts and inputs.
         limit: Longest rollout of one start [s]; points that would take longer are only listed.
@@ -65,7 +68,7 @@ def tradeoff(
     """
     return tradeoff_with_rows(
         registry.load_scene(scene) if isinstance(scene, str) else scene,
-        choice=Choice.parse(engines=words_of(engines) or None),
+        choice=Choice.parse(engines=words_of(engines) or None, also=(registry.REFERENCE,)),
         starts=starts,
         seed=seed,
         limit=limit,
@@ -96,11 +99,16 @@ def tradeoff_with_rows(
         msg = f"no engine can do {scene.name}: {next(iter(left_out.values()), 'none is installed')}"
         raise InputError(msg)
     batch = _draw(scene, starts, seed)
+    how: dict[str, Any] = {"cache": cache, "workers": workers}
+    solved = references(scene, batch, **how)
+    usual = {(curve.engine, curve.method): curve for curve in curves if not curve.variation}
+    own = [key for key, curve in usual.items() if curve.family == TRUTH]
     truths = Truths(
         scene=scene,
         batch=batch,
-        references=references(scene, batch, cache=cache, workers=workers),
-        usual={(curve.engine, curve.method): curve for curve in curves if not curve.variation},
+        references=solved,
+        usual=usual,
+        own=dict.fromkeys(own, confirmations(scene, batch, solved, **how) if own else []),
         limit=limit,
         workers=workers,
     )

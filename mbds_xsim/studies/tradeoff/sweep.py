@@ -15,8 +15,13 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Steps a frame that a method is tried at."""
+DIGITS = (5, 6, 7, 8, 9, 10, 11, 12)
+"""Of the tolerances that an adaptive method is tried at."""
 SPAN = 100
 """A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
+AT_ONCE = 64
+"""Trajectories of a batch, of a method that does several at once."""
+_BATCH = f"{AT_ONCE} at a time"
 _THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
 
 
@@ -39,14 +44,23 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod],
             left_out[name] = str(error)
             continue
         for method in adapter.methods:
-            counts = _counts(scene, matched, method)
-            curve = EngineMethod(name, method, given=dict(matched.options), counts=counts)
+            curve = _curve(scene, adapter, matched, method)
             if refusal := curve.refusal(scene):
                 left_out[f"{name} {method}"] = refusal
+            elif curve.digits:
+                curves += [curve, dataclasses.replace(curve, variation=_BATCH, together=AT_ONCE)]
             else:
                 curves += [curve, *_variations(scene, adapter, curve, matched.method)]
         curves += _native(scene, adapter)
     return curves, left_out
+
+
+def _curve(scene: Scene, adapter: Adapter, matched: Settings, method: str) -> EngineMethod:
+    """Give a method at the matched options, and at steps or tolerances."""
+    if adapter.methods[method].adaptive:
+        return EngineMethod(adapter.name, method, given={}, counts=DIGITS, digits=True)
+    counts = _counts(scene, matched, method)
+    return EngineMethod(adapter.name, method, given=dict(matched.options), counts=counts)
 
 
 def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
@@ -81,6 +95,8 @@ def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
         settings = adapter.settings(scene, "native")
         adapter.check(scene, settings)
     except Unsupported:
+        return
+    if adapter.methods[settings.method].adaptive:  # on the curve, at the digits of its own
         return
     count = settings.substeps(scene.clock.frame)
     yield EngineMethod(

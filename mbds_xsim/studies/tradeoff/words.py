@@ -59,9 +59,15 @@ def places(study: Tradeoff) -> list[tuple[CurveResult, Point]]:
     ]
 
 
-def cheapest_within(study: Tradeoff) -> tuple[CurveResult, Point] | None:
-    """The cheapest of all points that keep all budgets; native settings are not asked."""
-    kept = [(c, p) for c, p in places(study) if not p.broken and c.variation != NATIVE]
+def cheapest_within(study: Tradeoff, *, own: bool = False) -> tuple[CurveResult, Point] | None:
+    """The cheapest of all points that keep all budgets; native settings are not asked.
+
+    Args:
+        study: Whose points.
+        own: Whether engines' own stepping alone is asked.
+    """
+    asked = [(c, p) for c, p in places(study) if c.own or not own]
+    kept = [(c, p) for c, p in asked if not p.broken and c.variation != NATIVE]
     return min(kept, key=lambda pair: pair[1].wall_s or math.inf, default=None)
 
 
@@ -70,9 +76,14 @@ def conclusion(study: Tradeoff) -> str:
     best = cheapest_within(study)
     if best is None:
         return "no point keeps the budgets of all checks"
-    curve, point = best
+    told = f"cheapest within all budgets: {_place_told(study, *best)}"
+    engine = None if best[0].own else cheapest_within(study, own=True)
+    return told if engine is None else f"{told}; of the engines {_place_told(study, *engine)}"
+
+
+def _place_told(study: Tradeoff, curve: CurveResult, point: Point) -> str:
     return (
-        f"cheapest within all budgets: {curve.name} at {quantity.span(point.step_s)}, "
+        f"{curve.name} at {quantity.pace(point.step_s, point.rtol)}, "
         f"{quantity.span(point.wall_s)} a simulated second ({_speed(point)} real time), "
         f"{'error' if study.own_limit is None else 'from its own limit'} "
         f"{quantity.length(point.error_m)}"
@@ -149,7 +160,7 @@ def failures(study: Tradeoff) -> list[tuple[str, str, str]]:
 
 def steps_told(points: list[Point]) -> str:
     """Name the steps of points, the longest first."""
-    return ", ".join(quantity.span(point.step_s) for point in points)
+    return ", ".join(quantity.pace(point.step_s, point.rtol) for point in points)
 
 
 def _merged(lines: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
@@ -213,7 +224,7 @@ def _within(curve: CurveResult) -> str:
     if not kept:
         return quantity.NONE
     best = min(kept, key=lambda point: point.wall_s or math.inf)
-    return f"{quantity.span(best.step_s)}: {quantity.span(best.wall_s)}"
+    return f"{quantity.pace(best.step_s, best.rtol)}: {quantity.span(best.wall_s)}"
 
 
 def _best_error(curve: CurveResult) -> str:
@@ -229,8 +240,9 @@ def _speed(point: Point) -> str:
 def point_told(curve: CurveResult, point: Point) -> str:
     """Say what a point of a curve is when it is pointed at."""
     over = f"over budget: {', '.join(point.broken)}" if point.broken else "within all budgets"
+    step = f"step {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)"
     return (
-        f"{curve.name}\nstep {quantity.span(point.step_s)} ({point.steps_per_frame} a frame)\n"
+        f"{curve.name}\n{step if point.rtol is None else quantity.pace(point.step_s, point.rtol)}\n"
         f"cost {quantity.span(point.wall_s)} a simulated second "
         f"({quantity.span(point.wall_low_s)} to {quantity.span(point.wall_high_s)})\n"
         f"{_errors(point)}\n{over}"

@@ -210,7 +210,7 @@ def _settings(validation: Validation, evidence: Evidence) -> Iterator[Table]:
             result.method,
             result.family,
             str(result.order),
-            f"{result.step_s:g} s",
+            f"{result.step_s:g} s" if result.rtol is None else quantity.NONE,
             ", ".join(f"{key} = {value}" for key, value in result.options.items()) or "defaults",
             *(
                 quantity.NONE if n is None else str(n)

@@ -24,6 +24,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.claims import TRUTH
 
 __all__ = ["Choice", "validate_with_evidence"]
 
@@ -111,8 +112,11 @@ def _evidence(
 def _vote(
     scene: Scene, rows: list[Judged], reference: ReferenceOutcome
 ) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
-    """Hold every engine against every other and the reference, at 1 s on predictable starts."""
-    present = [row for row in rows if row.trajectory is not None]
+    """Hold every engine against every other and the reference, at 1 s on predictable starts.
+
+    The reference has one vote, however often it takes part.
+    """
+    present = [row for row in _others(rows) if row.trajectory is not None]
     names = (*(f"{r.result.engine} {r.result.profile}" for r in present), "reference")
     families = (*(row.result.family for row in present), "reference")
     regular = [k for k in range(len(reference.growth)) if k % len(INTERVALS) != _HIGH]
@@ -128,11 +132,16 @@ def _vote(
     return names, tuple(tuple(float(x) for x in line) for line in matrix), told
 
 
+def _others(rows: list[Judged]) -> list[Judged]:
+    """Leave the reference out, which is held against the others as what is true."""
+    return [row for row in rows if row.result.family != TRUTH]
+
+
 def _ensembles(
     scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
 ) -> tuple[EnsembleResult, ...]:
     """Compare distributions at the end, where motions no longer agree one by one."""
-    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in rows]
+    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in _others(rows)]
     named.append(("reference", reference.trajectory))
     names, runs = zip(*((name, run) for name, run in named if run is not None), strict=True)
     return tuple(

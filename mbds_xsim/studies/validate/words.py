@@ -9,6 +9,12 @@ from mbds_xsim.checks.consistency import STOPPED, UNMEASURED
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Column
+from mbds_xsim.simulate.claims import TRUTH
+
+_ITSELF = (
+    "is what the others are held against: its distance to itself is no figure, and it has no vote "
+    "as an engine; what is shown are the checks that need no truth, and its cost"
+)
 
 
 def label(result: EngineResult) -> str:
@@ -92,7 +98,8 @@ def remarks(validation: Validation) -> list[tuple[str, str]]:
         for finding in result.findings:
             if finding.passed and any(word in finding.note for word in (UNMEASURED, STOPPED)):
                 found.setdefault((label(result), finding.note), finding.check)
-    return [(f"{row}, {check}", note) for (row, note), check in found.items()]
+    told = [(f"{row}, {check}", note) for (row, note), check in found.items()]
+    return [*told, *((label(r), _ITSELF) for r in validation.engines if r.family == TRUTH)]
 
 
 def contact_words(validation: Validation, evidence: Evidence) -> str:
@@ -177,7 +184,8 @@ def cells_of(result: EngineResult, validation: Validation) -> tuple[Cell, ...]:
     error_max = error(result.error_max_m, result.error_weighted_m, "error")
     return (
         *map(Cell, (result.engine, result.profile, result.method)),
-        *map(Cell, map(quantity.span, (result.step_s, result.wall_per_simulated_s))),
+        Cell(quantity.pace(result.step_s, result.rtol)),
+        Cell(quantity.span(result.wall_per_simulated_s)),
         judged(quantity.length(gap), gap, "gap"),
         judged(quantity.number(balance), balance, energy),
         error(result.error_1s_m, result.error_1s_m, "error_1s"),
