@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import JointFacts, LinkFacts, ModelFacts
 
+_PACKAGE = re.compile(r"package://([^/\"]+)/")
 _KINDS = {
     "RevoluteJoint": "hinge",
     "PrismaticJoint": "slider",
@@ -33,6 +35,11 @@ def load(path: Path, floating: bool) -> ModelFacts:
         options.mDefaultRootJointType = root.FLOATING if floating else root.FIXED
         loader = utils.DartLoader()
         loader.setOptions(options)
+        for name in set(_PACKAGE.findall(path.read_text(errors="replace"))):
+            for above in path.absolute().parents:
+                if (above / name).is_dir():  # where PyBullet finds it, too
+                    loader.addPackageDirectory(name, str(above / name))
+                    break
         skeletons = [loader.parseSkeleton(str(path))]
     else:
         world = utils.MjcfParser.readWorld(str(path))
@@ -41,6 +48,8 @@ def load(path: Path, floating: bool) -> ModelFacts:
     if not skeletons or None in skeletons:
         msg = "it gives no skeleton"
         raise InputError(msg)
+    for skeleton in skeletons:  # it starts inside the limits, wherever zero is
+        skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
     nodes = [node for skeleton in skeletons for node in skeleton.getBodyNodes()]
     links = tuple(_link(node) for node in nodes)
     joints = tuple(joint for node in nodes for joint in _joints(node))

@@ -13,11 +13,11 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import Fate, Imported, gathered
-from mbds_xsim.scene.scene import WORLD, Body, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 
 from .facts import facts_of
 from .masses import SHARE, physical, small
-from .parts import Closing, Freedom, Mass, Part, Parts
+from .parts import Closing, Freedom, Line, Mass, Part, Parts
 from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
@@ -32,6 +32,7 @@ PROPERTIES = {
 """Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""
 
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
+_TIES_NOTHING = "it holds what does not move, or is not there"
 _TOGETHER = 1e-9  # [m], between anchors that are one
 _INDEPENDENT = 1e-3  # least volume that three unit axes span
 
@@ -56,6 +57,8 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         source=f"{file} ({kind}), read by {reader}",
         bodies=tuple(builder.bodies),
         joints=tuple(builder.joints),
+        distance_links=tuple(builder.links),
+        springs=tuple(builder.springs),
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
@@ -93,6 +96,10 @@ class _Builder:
                 self._add(k)
         for closing in model.closings:
             self._close(closing)
+        self.springs: list[SpringDamper] = []
+        self.links: list[DistanceLink] = []
+        for line in model.lines:
+            self._draw(line)
         for coupling in model.couplings:
             element, attribute = model.labels["coupling"]
             place = (f"{coupling.joint} follows {coupling.follows}",)
@@ -221,17 +228,37 @@ class _Builder:
         )
 
     def _close(self, closing: Closing) -> None:
-        owners = [self._owner[k] if k >= 0 else -1 for k in closing.parts]
-        ends = [self._body_names.get(owner) for owner in owners]
-        if None in ends or ends[0] == ends[1]:
-            reason = "it holds what does not move, or is not there"
-            self._tell("dropped", "equality", reason, closing.name, moves=False)
+        ends = self._ends(closing.parts)
+        if ends is None:
+            self._tell("dropped", "equality", _TIES_NOTHING, closing.name, moves=False)
             return
         name = _unique(closing.name, {joint.name for joint in self.joints})
-        parent, child = map(str, ends)
-        self.joints.append(Joint(name, closing.kind, parent, child, closing.anchor.tolist()))
+        axis = None if closing.axis is None else closing.axis.tolist()
+        anchor = closing.anchor.tolist()
+        self.joints.append(Joint(name, closing.kind, *ends, anchor=anchor, axis=axis))
         reason = "a rigid joint that closes a loop, where the engine's own is soft"
         self._tell("approximated", "equality", reason, closing.name)
+
+    def _draw(self, line: Line) -> None:
+        ends = self._ends(line.parts)
+        if ends is None:
+            self._tell("dropped", "tendon", _TIES_NOTHING, line.name, moves=False)
+            return
+        points = (line.points[0].tolist(), line.points[1].tolist())
+        if line.rigid:
+            self.links.append(DistanceLink(line.name, ends, points, line.length))
+            reason = "a rigid distance link, where the engine's own is soft"
+            self._tell("approximated", "tendon", reason, line.name)
+        else:
+            k, c = line.stiffness, line.damping
+            self.springs.append(SpringDamper(line.name, ends, points, k, c, line.length))
+            self._tell("kept", "tendon", "a spring and damper between two points", line.name)
+
+    def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
+        """Name the bodies that parts are; none where they are one, or not there."""
+        owners = [self._owner[k] if k >= 0 else -1 for k in parts]
+        first, second = (self._body_names.get(owner) for owner in owners)
+        return None if first is None or second is None or first == second else (first, second)
 
 
 def _body(name: str, part: Part, mass: Mass) -> Body:

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
@@ -25,8 +25,9 @@ from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 from .assembling import assemble
 from .facts import facts_of
 from .fates import fates_of
-from .parts import Closing, Coupling, Freedom, Mass, Part, Parts, Property
+from .parts import Freedom, Mass, Part, Parts, Property
 from .source import read_source
+from .ties import Ties, named
 
 _LABELS = {
     "mujoco": {
@@ -66,7 +67,6 @@ _ALIASES = {
     ("joint", "springdamper"): "damping",
     ("limit", "upper"): "limits",
 }
-_APART = 1e-9  # [m] or turn: ends of an equality that is not met at the reference pose
 
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
@@ -198,6 +198,7 @@ class Reading:
         }
         if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
+        self._ties = Ties(mujoco, model, self._data, active=not self._off["EQUALITY"])
 
     def model(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
         """Give the parts."""
@@ -205,8 +206,9 @@ class Reading:
             name=name,
             parts=tuple(self._parts()),
             gravity=self._gravity(),
-            closings=tuple(self._closings()),
-            couplings=tuple(self._couplings()),
+            closings=tuple(self._ties.closings()),
+            couplings=tuple(self._ties.couplings()),
+            lines=tuple(self._ties.lines()),
             labels=labels,
         )
 
@@ -271,88 +273,15 @@ class Reading:
             found["limits"] = (float(low), float(high))
         return {key: value for key, value in found.items() if value}
 
-    def _closings(self) -> Iterator[Closing]:
-        for e in self._equalities():
-            kind, name = self._holds(e), self._name("EQUALITY", e)
-            if kind:
-                (first, point), (second, _) = self._ends(e)
-                yield Closing(name, kind, (first - 1, second - 1), point)
-
-    def _couplings(self) -> Iterator[Coupling]:
-        model = self._model
-        for e in self._equalities():
-            followed = int(model.eq_obj2id[e])
-            if model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
-                yield Coupling(
-                    joint=self._name("JOINT", int(model.eq_obj1id[e])),
-                    follows=self._name("JOINT", followed),
-                    polynomial=tuple(model.eq_data[e, :5].tolist()),
-                )
-
     def fates(self) -> Iterator[Fate]:
         """Say what becomes of contact, equalities and tendons."""
         model = self._model
         solid = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
         if (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
-            names = tuple(self._name("GEOM", g) for g in solid)
+            names = tuple(named(self._mujoco, model, "GEOM", g) for g in solid)
             reason = "bodies do not collide in the scene description"
             yield Fate("geom", ("contact",), "dropped", reason, True, names, len(solid))
-        for e in self._equalities():
-            if not self._holds(e) and model.eq_type[e] != self._mujoco.mjtEq.mjEQ_JOINT:
-                name = self._name("EQUALITY", e)
-                yield Fate("equality", (), "dropped", self._why(e), True, (name,))
-        for t in range(model.ntendon):
-            acts = any(
-                np.any(getattr(model, f"tendon_{key}")[t])
-                for key in ("stiffness", "damping", "frictionloss", "limited", "armature")
-            )
-            reason = "not yet in the scene description" if acts else "it exerts nothing by itself"
-            yield Fate("tendon", (), "dropped", reason, acts, (self._name("TENDON", t),))
-
-    def _equalities(self) -> list[int]:
-        active = [] if self._off["EQUALITY"] else range(self._model.neq)
-        return [e for e in active if self._model.eq_active0[e]]
-
-    def _holds(self, e: int) -> Literal["fixed", "ball", ""]:
-        """Say which joint an equality is; none where its ends are apart."""
-        kinds = self._mujoco.mjtEq
-        kind = self._model.eq_type[e]
-        if kind not in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD) or self._gap(e) > _APART:
-            return ""
-        return "fixed" if kind == kinds.mjEQ_WELD else "ball"
-
-    def _why(self, e: int) -> str:
-        kinds = self._mujoco.mjtEq
-        if self._model.eq_type[e] in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
-            return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
-        return "equalities of tendons and flexes are not yet in the scene description"
-
-    def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
-        """Give the bodies of an equality, and the points that it keeps together, in W."""
-        mujoco, model, data = self._mujoco, self._model, self._data
-        ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
-        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
-            first, second = ((int(model.site_bodyid[k]), data.site_xpos[k].copy()) for k in ids)
-            return first, second
-        places = model.eq_data[e, :3], model.eq_data[e, 3:6]
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD:
-            places = places[::-1]
-        first, second = (
-            (k, data.xpos[k] + data.xmat[k].reshape(3, 3) @ place)
-            for k, place in zip(ids, places, strict=True)
-        )
-        return first, second
-
-    def _gap(self, e: int) -> float:
-        mujoco, model, data = self._mujoco, self._model, self._data
-        (first, point), (second, other) = self._ends(e)
-        gap = float(np.linalg.norm(point - other))
-        bodies = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_BODY
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD and bodies:
-            turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
-            gap += 1.0 - abs(float(turn @ data.xquat[second]))
-        return gap
+        yield from self._ties.fates()
 
     def _name(self, kind: str, k: int) -> str:
-        what = getattr(self._mujoco.mjtObj, f"mjOBJ_{kind}")
-        return self._mujoco.mj_id2name(self._model, what, k) or f"{kind.lower()} {k}"
+        return named(self._mujoco, self._model, kind, k)

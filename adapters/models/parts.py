@@ -75,10 +75,27 @@ class Closing:
     """What closes a loop."""
 
     name: str
-    kind: Literal["fixed", "ball"]
+    kind: Literal["fixed", "hinge", "ball"]
     parts: tuple[int, int]
     anchor: Array
     """In W at the reference pose [m], shape (3,)."""
+    axis: Array | None = None
+    """Of a hinge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A massless line between two points: a spring and damper, or of constant length."""
+
+    name: str
+    parts: tuple[int, int]
+    points: tuple[Array, Array]
+    """In W at the reference pose [m]."""
+    length: float
+    """Without force, or of a rigid one [m]."""
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rigid: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,5 +118,6 @@ class Parts:
     """[m/s²], shape (3,)."""
     closings: tuple[Closing, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    lines: tuple[Line, ...] = ()
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""

@@ -54,8 +54,9 @@ def _looped(mechanism: Mechanism) -> set[int]:
     """Give the bodies whose joint of the tree is in a loop: it cannot be led alone."""
     parent = {link.body: link.parent for link in mechanism.links}
     looped: set[int] = set()
-    for loop in mechanism.loops:
-        first, second = (set(_path(parent, end)) for end in (loop.parent, loop.child))
+    ties = [(loop.parent, loop.child) for loop in mechanism.loops]
+    for ends in [*ties, *(pair.bodies for pair in mechanism.distances)]:
+        first, second = (set(_path(parent, end)) for end in ends)
         looped |= first ^ second
     return looped
 
@@ -67,8 +68,8 @@ def _path(parent: Mapping[int, int], body: int) -> Iterator[int]:
 
 
 def _free(mechanism: Mechanism) -> Iterator[str]:
-    """Give the free bodies that carry no loop to the world."""
+    """Give the free bodies, where nothing ties one to the world or to another."""
     tied = {end for loop in mechanism.loops for end in (loop.parent, loop.child)}
     for link in mechanism.links:
-        if link.joint is None and WORLD_INDEX not in tied:
+        if link.joint is None and WORLD_INDEX not in tied and not mechanism.distances:
             yield mechanism.scene.bodies[link.body].name

@@ -65,21 +65,40 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
     root = Element("mujoco", model=mechanism.scene.name)
     SubElement(root, "compiler", angle="radian", autolimits="false")
     _option(root, mechanism, stepping)
-    bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle)
-    tendons, equalities = Element("tendon"), Element("equality")
-    softness = _softness(stepping.loop_time_constant)
-    for joint in mechanism.loops:
-        _close(equalities, bodies, joint, mechanism.scene.length, softness)
-    softness = _softness(stepping.link_time_constant)
-    for link in mechanism.distances:
-        _distance(tendons, equalities, bodies, mechanism, link, softness)
-    for spring in mechanism.springs:
-        _spring(tendons, bodies, spring)
-    root.extend(element for element in (tendons, equalities) if len(element))
+    loops, links = map(_softness, (stepping.loop_time_constant, stepping.link_time_constant))
+    bodies = mechanics(root, mechanism, idle, loops, links)
     add_ground(root, bodies, mechanism, stepping.impact)
     if mechanism.hinges:
         _motors(SubElement(root, "actuator"), bodies, mechanism)
     return root
+
+
+def mechanics(
+    root: Element,
+    mechanism: Mechanism,
+    idle: Array,
+    loops: dict[str, str],
+    links: dict[str, str],
+) -> dict[int, Element]:
+    """Add bodies, joints, loops, links and springs; returns the element of each body.
+
+    Args:
+        root: What is added to.
+        mechanism: Of the scene.
+        idle: As `mjcf` has it.
+        loops: Attributes of the equalities that close loops.
+        links: The same of distance links.
+    """
+    bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle)
+    tendons, equalities = Element("tendon"), Element("equality")
+    for joint in mechanism.loops:
+        _close(equalities, bodies, joint, mechanism.scene.length, loops)
+    for link in mechanism.distances:
+        _distance(tendons, equalities, bodies, mechanism, link, links)
+    for spring in mechanism.springs:
+        _spring(tendons, bodies, spring)
+    root.extend(element for element in (tendons, equalities) if len(element))
+    return bodies
 
 
 def text(root: Element) -> str:
@@ -194,10 +213,10 @@ def _close(
     softness: dict[str, str],
 ) -> None:
     for k, along in enumerate(CLOSING_POINTS[joint.kind]):
-        sites = _sites(bodies, joint, along * length * joint.axis, closing_point(joint, k))
-        SubElement(
-            equalities, "connect", dict(zip(("site1", "site2"), sites, strict=True)) | softness
-        )
+        name = closing_point(joint, k)
+        sites = _sites(bodies, joint, along * length * joint.axis, name)
+        ends = dict(zip(("site1", "site2"), sites, strict=True))
+        SubElement(equalities, "connect", {"name": name} | ends | softness)
 
 
 def _sites(

@@ -1,4 +1,4 @@
-"""`mbds-xsim import` and `readers`: models of other formats, and what of them is lost."""
+"""`mbds-xsim import`, `export-model` and `readers`: models of other formats, and what is lost."""
 
 from __future__ import annotations
 
@@ -51,6 +51,29 @@ def import_model(
     print_report(report, console)
     shared.deliver([report], imported.scene.name, console, html=html, markdown=markdown)
     shared.write_json(shared.encoded(import_row(imported), "import"), json)
+
+
+@shared.command(
+    "check",
+    name="export-model",
+    epilog="Example:  mbds-xsim export-model bricard --format mjcf --out bricard.xml",
+)
+def export_model(
+    scene: shared.SceneName,
+    out: Annotated[Path, Option(metavar="FILE", help="Write the model.")],
+    kind: Annotated[str, Option("--format", metavar="NAME", help="mjcf or urdf.")] = "mjcf",
+    json: shared.JsonFile = None,
+) -> None:
+    """Write a scene as another program's model, and tell what of it is lost."""
+    from mbds_xsim.base.write import write_whole
+    from mbds_xsim.report.losses import loss_blocks
+    from mbds_xsim.simulate.models import write_model
+
+    shared.check_targets(out=out, json=json)
+    written = write_model(shared.scene_named(scene), kind)
+    write_whole(out, written.text.encode())
+    result = {"scene": scene, "format": kind, "file": str(out), "fates": written.fates}
+    shared.answer(loss_blocks(written), result, json, "export-model")
 
 
 @shared.command("check", epilog="Example:  mbds-xsim readers arm.urdf --engines pybullet,dart")

@@ -9,7 +9,7 @@ import msgspec
 from mbds_xsim.base.text import counted
 from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, table_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
-from mbds_xsim.scene.imported import Fate, Imported, Outcome
+from mbds_xsim.scene.imported import Fate, Imported, Outcome, Written
 from mbds_xsim.scene.mechanism import Mechanism
 
 _MARKS: dict[Outcome, Mark] = {"kept": "pass", "approximated": "warn", "dropped": "fail"}
@@ -80,7 +80,7 @@ def present(imported: Imported, command: str) -> Report:
     )
 
 
-def loss_blocks(imported: Imported) -> Iterator[Block]:
+def loss_blocks(imported: Imported | Written) -> Iterator[Block]:
     """Give a table of what is lost of the motion; on pages also what is not."""
     lost = [fate for fate in imported.fates if fate.moves and fate.outcome != "kept"]
     kept = [fate for fate in imported.fates if fate.moves and fate.outcome == "kept"]

@@ -81,6 +81,13 @@ class ModelFacts(msgspec.Struct, frozen=True):
     """Joints that follow another."""
 
 
+class Written(msgspec.Struct, frozen=True):
+    """A scene in another format, with the report on what was lost."""
+
+    text: str
+    fates: tuple[Fate, ...]
+
+
 class Imported(msgspec.Struct, frozen=True):
     """A scene made of a model, with the report on what was lost."""
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from mbds_xsim.base.errors import InputError, SceneError, UnknownName
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene.file import check_starts
-from mbds_xsim.scene.imported import Imported, ModelFacts
+from mbds_xsim.scene.imported import Imported, ModelFacts, Written
+from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import registered
 
 Reader = Callable[[Path, Path, bool], Imported]
@@ -24,6 +25,9 @@ Raises `InputError` with a line that does not name the file.
 
 Loader = Callable[[Path, bool], ModelFacts]
 """Takes the file and whether its base floats; raises `InputError` where the engine refuses it."""
+
+Writer = Callable[[Scene], Written]
+"""Raises `InputError` with the reason where the format has no place for a scene."""
 
 _TIMEOUT = 300.0  # [s]
 
@@ -64,6 +68,23 @@ def _read(point: EntryPoint, path: Path, folder: Path, floating: bool) -> Import
     imported = reader(path, folder, floating)
     check_starts(imported.scene)
     return imported
+
+
+def write_model(scene: Scene, kind: str) -> Written:
+    """Write a scene in another format.
+
+    Args:
+        scene: The scene.
+        kind: Of the format.
+
+    Raises:
+        InputError: The format has no place for the scene; the text says why.
+    """
+    writers = registered("mbds_xsim.model_writers")
+    if kind not in writers:
+        raise UnknownName.of("format of models", kind, sorted(writers))
+    writer: Writer = writers[kind].load()
+    return writer(scene)
 
 
 def engine_facts(

@@ -19,7 +19,7 @@ _NAMES = sorted(command.name or command.callback.__name__ for command in app.reg
 def test_every_command_stands_in_a_chapter_with_its_whole_sentence(run: CommandLine) -> None:
     text = run("--help").out
     chapters = re.split(r"^(\w+):$", text, flags=re.MULTILINE)
-    listed = re.findall(r"^  (\w+)  +\S", "".join(chapters[4::2]), flags=re.MULTILINE)
+    listed = re.findall(r"^  ([\w-]+)  +\S", "".join(chapters[4::2]), flags=re.MULTILINE)
 
     assert chapters[3::2] == [chapter.capitalize() for chapter in get_args(Chapter)]
     assert sorted(listed) == _NAMES

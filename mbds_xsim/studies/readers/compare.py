@@ -40,7 +40,6 @@ class Reading(msgspec.Struct, frozen=True):
     """What one engine makes of a file."""
 
     engine: str
-    reader: str
     refused: str
     """Why it does not read the file, or ""."""
     differences: tuple[Difference, ...]
@@ -77,17 +76,29 @@ def compare(
         InputError: The file cannot be read as its format says.
     """
     imported = read_model(path, folder=folder, floating=floating)
-    answers = engine_facts(path, engines, floating=floating)
+    answers = differences_of(imported, path, engines, floating=floating)
     readings = tuple(
-        Reading(engine, "", facts, ())
-        if isinstance(facts, str)
-        else Reading(engine, facts.reader, "", tuple(_differences(facts, imported)))
-        for engine, facts in answers.items()
+        Reading(engine, found, ()) if isinstance(found, str) else Reading(engine, "", found)
+        for engine, found in answers.items()
     )
     said = imported.facts
     return Readings(
         imported.file, imported.format, floating, len(said.links), len(said.joints), readings
     )
+
+
+def differences_of(
+    imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
+) -> dict[str, tuple[Difference, ...] | str]:
+    """Let engines read the file of a model that was imported.
+
+    Returns:
+        For each engine what it has otherwise, or why it does not read the file.
+    """
+    return {
+        engine: facts if isinstance(facts, str) else tuple(_differences(facts, imported))
+        for engine, facts in engine_facts(path, engines, floating=floating).items()
+    }
 
 
 def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:

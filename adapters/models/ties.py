@@ -1,0 +1,181 @@
+"""What a compiled model ties together beside its tree: equalities and tendons."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.imported import Fate
+
+from .parts import Closing, Coupling, Line
+
+_APART = 1e-9  # [m] or turn: ends of an equality that is not met at the reference pose
+_NOT_YET = "not yet in the scene description"
+
+
+def named(mujoco: Any, model: Any, kind: str, k: int) -> str:
+    """Give the name of an element, or its kind and number."""
+    what = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
+    return mujoco.mj_id2name(model, what, k) or f"{kind.lower()} {k}"
+
+
+class Ties:
+    """Equalities and tendons at the reference pose.
+
+    Args:
+        mujoco: The module.
+        model: The compiled model.
+        data: Its places.
+        active: Whether equalities hold at all.
+    """
+
+    def __init__(self, mujoco: Any, model: Any, data: Any, *, active: bool) -> None:
+        self._mujoco, self._model, self._data = mujoco, model, data
+        self._active = [e for e in range(model.neq) if active and model.eq_active0[e]]
+        kinds = mujoco.mjtEq
+        self._points = (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD))
+        self._tied = {int(model.eq_obj1id[e]) for e in self._active if self._rigid(e)}
+        """Tendons whose length is kept."""
+
+    def closings(self) -> Iterator[Closing]:
+        """Give what closes loops: two points of the same two bodies make a hinge."""
+        connects: dict[tuple[int, int], list[Closing]] = defaultdict(list)
+        for e in self._active:
+            if kind := self._holds(e):
+                (first, point), (second, _) = self._ends(e)
+                name = self._name("EQUALITY", e).removesuffix(" 0")
+                closing = Closing(name, kind, (first - 1, second - 1), point)
+                if kind == "ball":
+                    connects[closing.parts].append(closing)
+                else:
+                    yield closing
+        for balls in connects.values():
+            if len(balls) != 2:
+                yield from balls
+                continue
+            first_point, second_point = (ball.anchor for ball in balls)
+            middle, axis = (first_point + second_point) / 2, second_point - first_point
+            yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
+
+    def couplings(self) -> Iterator[Coupling]:
+        """Give joints that follow another."""
+        model = self._model
+        for e in self._active:
+            followed = int(model.eq_obj2id[e])
+            if model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
+                yield Coupling(
+                    joint=self._name("JOINT", int(model.eq_obj1id[e])),
+                    follows=self._name("JOINT", followed),
+                    polynomial=tuple(model.eq_data[e, :5].tolist()),
+                )
+
+    def lines(self) -> Iterator[Line]:
+        """Give tendons between two points, as springs or of constant length."""
+        model = self._model
+        for t in range(model.ntendon):
+            if not self._straight(t):
+                continue
+            sites = model.wrap_objid[model.tendon_adr[t] :][:2]
+            first, second = (self._data.site_xpos[site].copy() for site in sites)
+            bodies = [int(model.site_bodyid[site]) - 1 for site in sites]
+            line = Line(
+                name=self._name("TENDON", t),
+                parts=(bodies[0], bodies[1]),
+                points=(first, second),
+                length=float(model.tendon_lengthspring[t, 0]),
+                stiffness=float(model.tendon_stiffness[t]),
+                damping=float(model.tendon_damping[t]),
+            )
+            if line.stiffness or line.damping:
+                yield line
+            if t in self._tied:
+                (longer,) = [
+                    float(model.eq_data[e, 0])
+                    for e in self._active
+                    if self._rigid(e) and model.eq_obj1id[e] == t
+                ]
+                length = float(model.tendon_length0[t]) + longer
+                yield Line(line.name, line.parts, line.points, length, rigid=True)
+
+    def fates(self) -> Iterator[Fate]:
+        """Say what is not given, and why."""
+        model = self._model
+        for e in self._active:
+            joint = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT
+            if not (self._holds(e) or self._rigid(e) or joint):
+                name = self._name("EQUALITY", e)
+                yield Fate("equality", (), "dropped", self._why(e), True, (name,))
+        for t in range(model.ntendon):
+            keys = ["frictionloss", "limited", "armature"]
+            keys += [] if self._straight(t) else ["stiffness", "damping"]
+            lost = tuple(key for key in keys if np.any(getattr(model, f"tendon_{key}")[t]))
+            place = (self._name("TENDON", t),)
+            if lost:
+                yield Fate("tendon", lost, "dropped", _NOT_YET, True, place)
+            elif not self._straight(t):
+                yield Fate("tendon", (), "dropped", "it exerts nothing by itself", False, place)
+
+    def _straight(self, t: int) -> bool:
+        """Whether a tendon goes from one site to another and has one rest length."""
+        model = self._model
+        first, count = model.tendon_adr[t], model.tendon_num[t]
+        kinds = model.wrap_type[first : first + count]
+        low, high = model.tendon_lengthspring[t]
+        return bool(
+            count == 2 and (kinds == self._mujoco.mjtWrap.mjWRAP_SITE).all() and low == high
+        )
+
+    def _rigid(self, e: int) -> bool:
+        """Whether an equality keeps a straight tendon at one length."""
+        model = self._model
+        return bool(
+            model.eq_type[e] == self._mujoco.mjtEq.mjEQ_TENDON
+            and model.eq_obj2id[e] < 0
+            and self._straight(int(model.eq_obj1id[e]))
+        )
+
+    def _holds(self, e: int) -> Literal["fixed", "ball", ""]:
+        """Say which joint an equality is; none where its ends are apart."""
+        kind = int(self._model.eq_type[e])
+        if kind not in self._points or self._gap(e) > _APART:
+            return ""
+        return "fixed" if kind == self._mujoco.mjtEq.mjEQ_WELD else "ball"
+
+    def _why(self, e: int) -> str:
+        if int(self._model.eq_type[e]) in self._points:
+            return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
+        return f"equalities of tendons and flexes are {_NOT_YET}"
+
+    def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:
+        """Give the bodies of an equality, and the points that it keeps together, in W."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        ids = (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
+        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            first, second = ((int(model.site_bodyid[k]), data.site_xpos[k].copy()) for k in ids)
+            return first, second
+        places = model.eq_data[e, :3], model.eq_data[e, 3:6]
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD:
+            places = places[::-1]
+        first, second = (
+            (k, data.xpos[k] + data.xmat[k].reshape(3, 3) @ place)
+            for k, place in zip(ids, places, strict=True)
+        )
+        return first, second
+
+    def _gap(self, e: int) -> float:
+        mujoco, model, data = self._mujoco, self._model, self._data
+        (first, point), (second, other) = self._ends(e)
+        gap = float(np.linalg.norm(point - other))
+        bodies = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_BODY
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_WELD and bodies:
+            turn = rotation.multiply(data.xquat[first], model.eq_data[e, 6:10])
+            gap += 1.0 - abs(float(turn @ data.xquat[second]))
+        return gap
+
+    def _name(self, kind: str, k: int) -> str:
+        return named(self._mujoco, self._model, kind, k)

@@ -1,0 +1,348 @@
+"""Survey: published models, what of each is lost on import, and what engines' readers make of it.
+
+    python -m benchmarks.models_in_the_wild PACKAGES found.json
+    python -m benchmarks.models_in_the_wild PACKAGES found.json --validate 60
+    python -m benchmarks.models_in_the_wild found.json > reports/models-in-the-wild.md
+
+PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
+it. What was found of a model is kept by its content and the versions, so that an interrupted run
+goes on where it was. `--validate` also runs models in all engines: that many, smallest first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import site
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from benchmarks.harness import print_head, print_made, print_table
+from mbds_xsim.api import validate
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.text import in_markdown
+from mbds_xsim.base.write import write_whole
+from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.models import read_model
+from mbds_xsim.studies.readers.compare import Difference, differences_of
+
+_ENGINES = ("mujoco", "pybullet", "dart")
+_MOVES = {
+    "mujoco": re.compile(r"<(joint|freejoint|include)\b"),
+    "robot": re.compile(r"<joint[^>]*type\s*=\s*.(revolute|continuous|prismatic|floating|planar)"),
+}
+_ROOT = re.compile(r"<(mujoco|robot)\b")
+_TIMEOUT = 120.0  # [s]
+
+
+class Row(msgspec.Struct):
+    """What was found of one model."""
+
+    key: str
+    package: str
+    path: str
+    format: str = ""
+    refused: str = ""
+    """Why it is not imported."""
+    bodies: int = 0
+    degrees_of_freedom: int = 0
+    import_s: float = 0.0
+    dropped: dict[str, int] = {}
+    """By element and attribute, how many; what bears on the motion alone."""
+    approximated: dict[str, int] = {}
+    from_compiled: float | None = None
+    """Largest deviation of masses, places and axes from MuJoCo's compiled model, relative."""
+    from_second: float | None = None
+    """The same from Pinocchio's reading of a URDF."""
+    readers: dict[str, str] = {}
+    """By engine: "alike", "refuses: …", or the fields that its own reader has otherwise."""
+    verdicts: dict[str, str] = {}
+    """By engine, where it was validated."""
+    validation_s: float = 0.0
+
+
+def main(words: list[str]) -> None:
+    """Survey, or print the page."""
+    if len(words) == 1:
+        page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[Row]))
+        return
+    packages, target = map(Path, words[:2])
+    known = msgspec.json.decode(target.read_bytes(), type=list[Row]) if target.exists() else []
+    rows = {row.key: row for row in known}
+    found = list(_models(packages))
+    for done, path in enumerate(found):
+        key = _key(path)
+        if key not in rows:
+            rows[key] = _surveyed(path, packages, key)
+            print(f"{done + 1}/{len(found)} {rows[key].path}", file=sys.stderr, flush=True)
+            _save(target, (rows[_key(p)] for p in found if _key(p) in rows))
+    kept = {_key(path): path for path in found}
+    if "--validate" in words:
+        _validate_some(kept, rows, target, int(words[words.index("--validate") + 1]), packages)
+    _save(target, (rows[key] for key in kept))
+
+
+def _save(target: Path, rows: Iterable[Row]) -> None:
+    write_whole(target, msgspec.json.format(msgspec.json.encode(list(rows)), indent=1))
+
+
+def _models(packages: Path) -> Iterator[Path]:
+    """Give the files that are models with joints."""
+    for path in sorted([*packages.rglob("*.xml"), *packages.rglob("*.urdf")]):
+        text = path.read_text(errors="replace")
+        root = _ROOT.search(text)
+        if root and _MOVES[root[1]].search(text):
+            yield path
+
+
+def _key(path: Path) -> str:
+    versions = "".join(version(name) for name in ("mbds-xsim", "mujoco", "pybullet", "dartpy"))
+    content = path.read_bytes() + str(path).encode() + versions.encode()
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _surveyed(path: Path, packages: Path, key: str) -> Row:
+    inside = path.relative_to(packages)
+    row = Row(key, _package(inside), str(inside), "URDF" if path.suffix == ".urdf" else "MJCF")
+    begin = time.perf_counter()
+    try:
+        imported = read_model(path, folder=packages)
+    except InputError as error:
+        row.refused = str(error).removeprefix(f"{path}: ").replace(str(packages), "…")
+        return row
+    row.import_s = round(time.perf_counter() - begin, 3)
+    mechanism = Mechanism.of(imported.scene)
+    row.bodies = mechanism.body_count
+    row.degrees_of_freedom = sum(
+        {"hinge": 1, "slider": 1, "ball": 3, "fixed": 0}[link.joint.kind] if link.joint else 6
+        for link in mechanism.links
+    )
+    row.dropped, row.approximated = (
+        _counts(imported, what) for what in ("dropped", "approximated")
+    )
+    with suppress(ValueError):  # MuJoCo refuses masses that it was not given for the import
+        row.from_compiled = _from_compiled(path, imported)
+    if row.format == "URDF":
+        with suppress(ValueError):
+            row.from_second = _from_pinocchio(path, imported, packages)
+    row.readers = {
+        engine: f"refuses: {what}" if isinstance(what, str) else _fields(what)
+        for engine, what in differences_of(imported, path, _ENGINES).items()
+    }
+    return row
+
+
+def _fields(differences: Iterable[Difference]) -> str:
+    return ", ".join(dict.fromkeys(difference.field for difference in differences)) or "alike"
+
+
+def _package(inside: Path) -> str:
+    return "example-robot-data" if inside.parts[0] == "cmeel.prefix" else inside.parts[0]
+
+
+def _counts(imported: Imported, outcome: str) -> dict[str, int]:
+    lost = (fate for fate in imported.fates if fate.outcome == outcome and fate.moves)
+    return {" ".join((fate.element, *fate.properties)): fate.count for fate in lost}
+
+
+def _sound_bodies(imported: Imported) -> set[str]:
+    """Give the bodies whose mass is what the file states."""
+    changed = {
+        place.split(":")[0]
+        for fate in imported.fates
+        if fate.outcome == "approximated" and fate.element == "inertial"
+        for place in fate.places
+    }
+    return {body.name for body in imported.scene.bodies} - changed
+
+
+def _deviation(
+    imported: Imported, told: dict[str, tuple[float, Array, Array, Array, Array]]
+) -> float:
+    """Compare bodies by the joint that holds them."""
+    scene, sound = imported.scene, _sound_bodies(imported)
+    mechanism = Mechanism.of(scene)
+    index = {body.name: k for k, body in enumerate(scene.bodies)}
+    worst = 0.0
+    for joint in scene.joints:
+        if joint.name not in told:
+            continue
+        mass, com, inertia, anchor, axis = told[joint.name]
+        apart = float(np.linalg.norm(np.array(joint.anchor) - anchor))
+        worst = max(worst, apart / scene.length)
+        if joint.axis is not None:
+            worst = max(worst, float(np.linalg.norm(np.array(joint.axis) - axis)))
+        if joint.child in sound and mass > 0:
+            k = index[joint.child]
+            scale = float(np.linalg.norm(inertia))
+            worst = max(worst, abs(float(mechanism.mass[k]) / mass - 1))
+            worst = max(worst, float(np.linalg.norm(mechanism.com[k] - com)) / scene.length)
+            worst = max(worst, float(np.linalg.norm(mechanism.inertia[k] - inertia)) / scale)
+    return worst
+
+
+def _from_compiled(path: Path, imported: Imported) -> float:
+    """Compare with what MuJoCo compiles, body by body, those fixed to each other together."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    if path.suffix == ".urdf":
+        spec.compiler.inertiafromgeom = 0
+        for item in [*spec.geoms, *spec.meshes]:
+            spec.delete(item)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    told = {}
+    for j in range(model.njnt):
+        body = model.jnt_bodyid[j]
+        last = model.body_jntadr[body] + model.body_jntnum[body] - 1 == j
+        own = np.flatnonzero(model.body_weldid == body) if last else np.array([], dtype=int)
+        mass, com, inertia = _together(model, data, own)
+        told[model.joint(j).name] = (
+            mass,
+            com,
+            inertia,
+            data.xanchor[j].copy(),
+            data.xaxis[j].copy(),
+        )
+    return _deviation(imported, told)
+
+
+def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
+    mass = model.body_mass[bodies]
+    if not mass.sum() > 0:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    com, inertia = mass @ data.xipos[bodies] / mass.sum(), np.zeros((3, 3))
+    for own, body in zip(mass, bodies, strict=True):
+        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - com
+        inertia += axes @ np.diag(model.body_inertia[body]) @ axes.T
+        inertia += own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return float(mass.sum()), com, inertia
+
+
+def _from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
+    """Compare with what Pinocchio reads of a URDF; it adds up what is fixed to a link as well."""
+    site.addsitedir(str(packages))
+    import pinocchio  # type: ignore[import-not-found]
+
+    model = pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    pose = pinocchio.neutral(model)
+    pinocchio.computeJointJacobians(model, data, pose)
+    told = {}
+    for j in range(1, model.njoints):
+        place, body = data.oMi[j], model.inertias[j]
+        columns = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
+        column = columns[:, model.joints[j].idx_v]
+        axis = column[3:] if np.linalg.norm(column[3:]) > 0 else column[:3]
+        com = place.act(body.lever)
+        inertia = place.rotation @ body.inertia @ place.rotation.T
+        told[model.names[j]] = (body.mass, com, inertia, place.translation.copy(), axis)
+    return _deviation(imported, told)
+
+
+def _validate_some(
+    paths: dict[str, Path], rows: dict[str, Row], target: Path, most: int, packages: Path
+) -> None:
+    waiting = [row for key, row in rows.items() if key in paths and row.bodies and not row.verdicts]
+    for row in sorted(waiting, key=lambda row: row.degrees_of_freedom)[:most]:
+        begin = time.perf_counter()
+        try:
+            result = validate(read_model(paths[row.key], folder=packages).scene, limit=_TIMEOUT)
+            row.verdicts = {each.engine: each.verdict for each in result.engines}
+        except InputError as error:
+            row.verdicts = {"all": str(error)}
+        row.validation_s = round(time.perf_counter() - begin, 1)
+        print(f"{row.path} {row.verdicts} {row.validation_s} s", file=sys.stderr, flush=True)
+        _save(target, (rows[key] for key in paths if key in rows))
+
+
+_HEAD = """\
+Models in the wheels of pybullet (pybullet_data), dm_control, gymnasium, gymnasium-robotics and
+example-robot-data that have joints, each imported, held against what two other readers make of it,
+and read by three engines' own readers. Nothing was copied: the files are those of the wheels.
+
+*Deviation* is the largest difference of masses, centres of mass, inertias, axes and places of the
+imported bodies and joints, over the model's own size, from MuJoCo's compiled model and from
+Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
+`mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../docs/reader-losses.md).
+"""
+
+
+def page(rows: list[Row]) -> None:
+    """Print the survey as Markdown."""
+    print_head("Models in the wild", "make reports-models-in-the-wild", _HEAD)
+    read = [row for row in rows if not row.refused]
+    print(f"{len(read)} of {len(rows)} files are imported.\n")
+    print("## In short\n")
+    print_table("what|>models", _summary(rows, read))
+    print("\n## What is lost on import, by models\n")
+    lost = Counter(what for row in read for what in row.dropped)
+    near = Counter(what for row in read for what in row.approximated)
+    told = [("dropped", *pair) for pair in lost.most_common()]
+    told += [("approximated", *pair) for pair in near.most_common()]
+    print_table("|element and attribute|>models", ((a, b, str(c)) for a, b, c in told))
+    print("\n## Model by model\n")
+    heads = "model|>dof|>lost|>deviation|>from Pinocchio|mujoco|pybullet|dart|runs in"
+    print_table(heads, (_cells(row) for row in read))
+    print("\n## Not imported\n")
+    print_table(
+        "file|why", ((_place(row), in_markdown(row.refused)) for row in rows if row.refused)
+    )
+    print_made(f"mujoco {version('mujoco')}", f"dart {version('dartpy')}")
+
+
+def _summary(rows: list[Row], read: list[Row]) -> Iterator[tuple[str, str]]:
+    yield "with joints", str(len(rows))
+    yield "imported", f"{len(read)} ({len(read) / max(len(rows), 1):.0%})"
+    yield (
+        "imported, nothing of the motion lost",
+        str(sum(not (r.dropped or r.approximated) for r in read)),
+    )
+    for name, key in (("MuJoCo's compiled model", "from_compiled"), ("Pinocchio", "from_second")):
+        held = [value for row in read if (value := getattr(row, key)) is not None]
+        near = sum(value <= 1e-9 for value in held)
+        yield f"as {name} has them to 1e-9 (of those that it reads)", f"{near} of {len(held)}"
+    for engine in _ENGINES:
+        told = [row.readers[engine] for row in read if engine in row.readers]
+        alike = told.count("alike")
+        refused = sum(what.startswith("refuses") for what in told)
+        yield f"{engine}'s own reader: as the file says", f"{alike} of {len(told)}"
+        yield f"{engine}'s own reader: refuses the file", f"{refused} of {len(told)}"
+    all_alike = sum(set(row.readers.values()) == {"alike"} for row in read)
+    yield "read alike by all three engines' own readers", f"{all_alike} of {len(read)}"
+    ran = [row for row in read if row.verdicts]
+    passed = sum(len(row.verdicts) == 4 and set(row.verdicts.values()) == {"pass"} for row in ran)
+    yield "validated", f"{len(ran)} of {len(read)}"
+    yield "pass in all four engines", f"{passed} of {len(ran)}"
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    lost = sum(row.dropped.values()) + sum(row.approximated.values())
+    told = (
+        "–" if value is None else f"{value:.0e}" for value in (row.from_compiled, row.from_second)
+    )
+    readers = (in_markdown(row.readers.get(engine, "–")) for engine in _ENGINES)
+    passed = [engine for engine, verdict in row.verdicts.items() if verdict == "pass"]
+    runs = ", ".join(passed) or ("none" if row.verdicts else "–")
+    return (_place(row), str(row.degrees_of_freedom), str(lost), *told, *readers, runs)
+
+
+def _place(row: Row) -> str:
+    return in_markdown(f"{row.package}: {Path(row.path).parent.name}/{Path(row.path).name}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
