@@ -17,7 +17,8 @@ comma = ,
 .NOTPARALLEL:
 .PHONY: validate test fuzz lint package docs clean reports reports-validate \
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
-	reports-learn-speed reports-shift reports-lite reports-models reports-data \
+	reports-learn-speed reports-shift reports-lite reports-models reports-models-in-the-wild \
+	reports-data \
 	reports-data-full reports-pages pictures readme
 
 validate: $(VENV)/ready
@@ -97,6 +98,21 @@ reports-ablation: $(VENV)/ready
 reports-overhead: $(VENV)/ready
 	mkdir -p $(REPORTS)
 	$(BIN)/python -m benchmarks.adapter_overhead > $(REPORTS)/adapter-overhead.md
+
+# Models of other packages, which stay where they are installed. It goes on where it was.
+WILD ?= out/wild
+WILD_VALIDATED ?= 1000
+$(WILD)/ready: pyproject.toml
+	$(PYTHON) -m venv $(WILD)
+	$(WILD)/bin/python -m pip install --quiet '.[wild]'
+	touch $@
+
+reports-models-in-the-wild: $(VENV)/ready $(WILD)/ready
+	mkdir -p $(REPORTS)/wild
+	$(BIN)/python -m benchmarks.models_in_the_wild $(WILD)/lib/python3.*/site-packages \
+		$(REPORTS)/wild/models.json --validate $(WILD_VALIDATED)
+	$(BIN)/python -m benchmarks.models_in_the_wild $(REPORTS)/wild/models.json \
+		> $(REPORTS)/wild/models.md
 
 reports-learn-speed: $(VENV)/ready
 	$(BIN)/python -m benchmarks.learn_speed > $(REPORTS)/learn-speed.md

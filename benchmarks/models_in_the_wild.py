@@ -2,7 +2,7 @@
 
     python -m benchmarks.models_in_the_wild PACKAGES found.json
     python -m benchmarks.models_in_the_wild PACKAGES found.json --validate 60
-    python -m benchmarks.models_in_the_wild found.json > reports/models-in-the-wild.md
+    python -m benchmarks.models_in_the_wild found.json > reports/wild/models.md
 
 PACKAGES is a folder into which the wheels of the extra `wild` are installed; nothing is copied from
 it. What was found of a model is kept by its content and the versions, so that an interrupted run
@@ -35,7 +35,7 @@ from mbds_xsim.base.write import write_whole
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.models import read_model
-from mbds_xsim.studies.readers.compare import Difference, differences_of
+from mbds_xsim.studies.readers.compare import Difference, compared
 
 _ENGINES = ("mujoco", "pybullet", "dart")
 _MOVES = {
@@ -44,6 +44,8 @@ _MOVES = {
 }
 _ROOT = re.compile(r"<(mujoco|robot)\b")
 _TIMEOUT = 120.0  # [s]
+_REVISION = 2
+"""Of what is found; raised, all models are looked at anew."""
 
 
 class Row(msgspec.Struct):
@@ -67,6 +69,8 @@ class Row(msgspec.Struct):
     """The same from Pinocchio's reading of a URDF."""
     readers: dict[str, str] = {}
     """By engine: "alike", "refuses: …", or the fields that its own reader has otherwise."""
+    moved_m: dict[str, float] = {}
+    """By engine, how far the bodies are after 1 s from where the file has them go [m]."""
     verdicts: dict[str, str] = {}
     """By engine, where it was validated."""
     validation_s: float = 0.0
@@ -108,7 +112,7 @@ def _models(packages: Path) -> Iterator[Path]:
 
 def _key(path: Path) -> str:
     versions = "".join(version(name) for name in ("mbds-xsim", "mujoco", "pybullet", "dartpy"))
-    content = path.read_bytes() + str(path).encode() + versions.encode()
+    content = path.read_bytes() + str(path).encode() + f"{versions} {_REVISION}".encode()
     return hashlib.sha256(content).hexdigest()[:16]
 
 
@@ -136,10 +140,12 @@ def _surveyed(path: Path, packages: Path, key: str) -> Row:
     if row.format == "URDF":
         with suppress(ValueError):
             row.from_second = _from_pinocchio(path, imported, packages)
-    row.readers = {
-        engine: f"refuses: {what}" if isinstance(what, str) else _fields(what)
-        for engine, what in differences_of(imported, path, _ENGINES).items()
-    }
+    for reading in compared(imported, path, _ENGINES).readings:
+        row.readers[reading.engine] = (
+            f"refuses: {reading.refused}" if reading.refused else _fields(reading.differences)
+        )
+        if reading.moved_m is not None:
+            row.moved_m[reading.engine] = reading.moved_m
     return row
 
 
@@ -199,6 +205,7 @@ def _from_compiled(path: Path, imported: Imported) -> float:
     spec = mujoco.MjSpec.from_file(str(path))
     if path.suffix == ".urdf":
         spec.compiler.inertiafromgeom = 0
+        spec.compiler.fusestatic = False  # it drops the inertia of what has no mass
         for item in [*spec.geoms, *spec.meshes]:
             spec.delete(item)
     model = spec.compile()
@@ -244,8 +251,8 @@ def _from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
     told = {}
     for j in range(1, model.njoints):
         place, body = data.oMi[j], model.inertias[j]
-        columns = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
-        column = columns[:, model.joints[j].idx_v]
+        found = pinocchio.getJointJacobian(model, data, j, pinocchio.LOCAL_WORLD_ALIGNED)
+        column = np.reshape(found, (6, -1))[:, model.joints[j].idx_v]
         axis = column[3:] if np.linalg.norm(column[3:]) > 0 else column[:3]
         com = place.act(body.lever)
         inertia = place.rotation @ body.inertia @ place.rotation.T
@@ -277,7 +284,7 @@ and read by three engines' own readers. Nothing was copied: the files are those 
 *Deviation* is the largest difference of masses, centres of mass, inertias, axes and places of the
 imported bodies and joints, over the model's own size, from MuJoCo's compiled model and from
 Pinocchio's reading of URDF. What an engine has otherwise than the file says is what
-`mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../docs/reader-losses.md).
+`mbds-xsim readers MODEL` lists; see [what engines' own readers lose](../../docs/reader-losses.md).
 """
 
 

@@ -40,7 +40,8 @@ _HEAD = """# What engines' own readers lose
 
 MuJoCo, PyBullet and DART read MJCF and URDF files themselves, and each reads other things of them.
 `mbds-xsim readers MODEL` lets each load a file, with the options that it has by itself, and holds
-what it then has against what the file says, field by field. It exits with 1 where one differs.
+what it then has against what the file says, field by field, and says how far the bodies are after a
+second from where the file has them go. It exits with 1 where one differs.
 
 Each of these losses has a minimal file in `tests/models/losses`. This page is made of them by
 `python -m benchmarks.reader_losses > docs/reader-losses.md`; a test compares the two.

@@ -9,16 +9,19 @@ from .parts import Freedom, Parts
 
 def facts_of(model: Parts, reader: str) -> ModelFacts:
     """Give the named links that can move, also those fixed to another, and the named joints."""
-    moving: list[bool] = []
+    body: list[str] = []
     for part in model.parts:
-        moving.append(bool(part.freedoms) or (part.parent >= 0 and moving[part.parent]))
-    parts = [part for part, moves in zip(model.parts, moving, strict=True) if moves]
+        above = body[part.parent] if part.parent >= 0 else ""
+        body.append(part.name if part.freedoms else above)
+    parts = [(part, own) for part, own in zip(model.parts, body, strict=True) if own]
     return ModelFacts(
         reader,
         tuple(
-            LinkFacts.of(p.name, p.mass.mass, p.mass.com, p.mass.inertia) for p in parts if p.named
+            LinkFacts.of(part.name, part.mass.mass, part.mass.com, part.mass.inertia, own)
+            for part, own in parts
+            if part.named
         ),
-        tuple(_joint(freedom) for part in parts for freedom in part.freedoms if freedom.named),
+        tuple(_joint(freedom) for part, _ in parts for freedom in part.freedoms if freedom.named),
         len(model.couplings),
     )
 

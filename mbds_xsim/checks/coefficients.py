@@ -37,6 +37,7 @@ SURE = 3e-3
 
 _ERRORS = 6.0  # standard errors (measured: 3.0)
 _ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
+_LIGHT = 1e-5  # of all mass: what methods leave looks like more or less of so small a part of it
 _UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
 _FEW = 10.0  # steps that count; fewer tell nothing
 _NEAR = 4  # steps to either side that tell how well a step is balanced
@@ -147,8 +148,9 @@ def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:
     change = np.diff(energy_of(record).by_body, axis=1)
     yield "gravity", change[..., bodies:].sum(axis=-1), _ERRORS
     whole = change[..., :bodies] + change[..., bodies:]
-    for k, body in enumerate(record.scene.bodies):
-        yield f"mass of {body.name}", whole[..., k], _ERRORS_OF_BODIES
+    mass = record.mechanism.mass
+    for k in np.flatnonzero(mass >= _LIGHT * mass.sum()):
+        yield f"mass of {record.scene.bodies[k].name}", whole[..., k], _ERRORS_OF_BODIES
 
 
 def _work(record: Record, shift: int) -> Array:

@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Literal, Self
 
 import msgspec
+import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Scene, Vector
@@ -42,12 +43,20 @@ class LinkFacts(msgspec.Struct, frozen=True):
     """[m]"""
     inertia: tuple[float, float, float, float, float, float]
     """xx, yy, zz, xy, xz, yz about the centre of mass [kg·m²]."""
+    body: str = ""
+    """Of the scene, that it is or is fixed to."""
 
     @classmethod
-    def of(cls, name: str, mass: float, com: Array, inertia: Array) -> Self:
+    def of(cls, name: str, mass: float, com: Array, inertia: Array, body: str = "") -> Self:
         """Take an inertia of shape (3, 3)."""
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
-        return cls(name, float(mass), com.tolist(), (xx, yy, zz, xy, xz, yz))
+        return cls(name, float(mass), com.tolist(), (xx, yy, zz, xy, xz, yz), body)
+
+    @property
+    def tensor(self) -> Array:
+        """The inertia, shape (3, 3)."""
+        xx, yy, zz, xy, xz, yz = self.inertia
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 class JointFacts(msgspec.Struct, frozen=True):

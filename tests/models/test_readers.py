@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from benchmarks.reader_losses import ENGINES, FOLDER, SHOWN, page, shown
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.models import read_model
 from mbds_xsim.studies.readers.compare import compare
 from tests.command_line import CommandLine
 
@@ -47,6 +54,35 @@ def test_a_solid_ball_is_read_alike_by_all(run: CommandLine, here: Path) -> None
     assert ended.code == 1
     assert "otherwise: pybullet" in ended.out
     assert '"field": "inertia"' in (here / "arm.json").read_text()
+
+
+def test_what_is_read_otherwise_moves_as_its_own_equation_says() -> None:
+    readings = compare(FOLDER / "inertia-from-shape.urdf", ["pybullet", "dart"])
+    pybullet, dart = readings.readings
+    (inertia,) = pybullet.differences
+    said, read = (2 * 0.5**2 + float(text.split()[0]) for text in (inertia.stated, inertia.read))
+
+    scene = read_model(FOLDER / "inertia-from-shape.urdf").scene
+    start = draw_batch(scene, [1, 4, 7])
+    mechanism = Mechanism.of(scene)
+    links = to_links(mechanism, BodyStates.of(mechanism, start))
+    squares = []
+    for angle, rate in zip(links.coordinate[:, 0], links.rate[:, 0], strict=True):
+        first, second = (_swung(angle, rate, moment) for moment in (said, read))
+        squares.append((2 * 0.5 * np.sin((first - second) / 2)) ** 2)  # a chord at 0.5 m
+    assert dart.moved_m == 0
+    assert pybullet.moved_m == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3)
+    assert np.mean(squares) > 0.02**2
+
+
+def _swung(angle: float, rate: float, moment: float) -> float:
+    """Angle after 1 s of a pendulum of 2 kg at 0.5 m from its pivot."""
+
+    def slope(_: float, state: Array) -> list[float]:
+        return [state[1], -2 * 9.81 * 0.5 * np.sin(state[0]) / moment]
+
+    ended = solve_ivp(slope, (0, 1), [angle, rate], rtol=1e-10, atol=1e-12)
+    return float(ended.y[0, -1])
 
 
 def test_an_engine_without_a_reader_is_one_line(run: CommandLine, here: Path) -> None:

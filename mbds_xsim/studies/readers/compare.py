@@ -12,6 +12,7 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Imported, JointFacts, LinkFacts, ModelFacts
 from mbds_xsim.simulate.models import engine_facts, read_model
+from mbds_xsim.studies.readers.motion import moved
 
 T = TypeVar("T", LinkFacts, JointFacts)
 _SAME = 1e-6
@@ -43,6 +44,9 @@ class Reading(msgspec.Struct, frozen=True):
     refused: str
     """Why it does not read the file, or ""."""
     differences: tuple[Difference, ...]
+    moved_m: float | None = None
+    """RMS distance of the bodies after 1 s from where the file has them go [m]; None where what was
+    read has no motion."""
 
     @property
     def alike(self) -> bool:
@@ -76,29 +80,26 @@ def compare(
         InputError: The file cannot be read as its format says.
     """
     imported = read_model(path, folder=folder, floating=floating)
-    answers = differences_of(imported, path, engines, floating=floating)
-    readings = tuple(
-        Reading(engine, found, ()) if isinstance(found, str) else Reading(engine, "", found)
-        for engine, found in answers.items()
-    )
+    return compared(imported, path, engines, floating=floating)
+
+
+def compared(
+    imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
+) -> Readings:
+    """Let engines read the file of a model that was imported, as in `compare`."""
+    answers = engine_facts(path, engines, floating=floating)
+    readings = tuple(_reading(engine, facts, imported) for engine, facts in answers.items())
     said = imported.facts
     return Readings(
         imported.file, imported.format, floating, len(said.links), len(said.joints), readings
     )
 
 
-def differences_of(
-    imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
-) -> dict[str, tuple[Difference, ...] | str]:
-    """Let engines read the file of a model that was imported.
-
-    Returns:
-        For each engine what it has otherwise, or why it does not read the file.
-    """
-    return {
-        engine: facts if isinstance(facts, str) else tuple(_differences(facts, imported))
-        for engine, facts in engine_facts(path, engines, floating=floating).items()
-    }
+def _reading(engine: str, facts: ModelFacts | str, imported: Imported) -> Reading:
+    if isinstance(facts, str):
+        return Reading(engine, facts, ())
+    found = tuple(_differences(facts, imported))
+    return Reading(engine, "", found, moved(imported, facts) if found else 0.0)
 
 
 def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:

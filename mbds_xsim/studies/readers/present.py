@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mbds_xsim.base.text import counted
+from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Report, Row, Table, columns_of
 from mbds_xsim.studies.readers.compare import Difference, Reading, Readings
 
@@ -42,7 +43,10 @@ def _rows(reading: Reading) -> list[Row]:
     if reading.alike:
         rest = map(Cell, ("", "0", "", "", "all that the file says", ""))
         return [Row((Cell(reading.engine, "pass"), *rest))]
-    return [_row(reading.engine, difference) for difference in reading.differences]
+    rows = [_row(reading.engine, difference) for difference in reading.differences]
+    gone = "none" if reading.moved_m is None else f"{quantity.length(reading.moved_m)} off"
+    end = map(Cell, ("motion after 1 s", "", "", "", gone, ""))
+    return [*rows, Row((Cell(reading.engine, "fail"), *end))]
 
 
 def _row(engine: str, difference: Difference) -> Row:
