@@ -178,6 +178,7 @@ class _Starter:
         modules = {str(getattr(task.function, "__module__", "")) for task in tasks}
         own = sorted(name for name in modules if name.startswith("mbds_xsim."))
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+        windows = {"MUJOCO_GL": "disable"}  # a toolkit for windows takes as long as MuJoCo itself
         self.folder, self.log = folder, folder / "starter.log"
         with self.log.open("wb") as log:
             self._popen = subprocess.Popen(
@@ -185,7 +186,7 @@ class _Starter:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env=os.environ | threads,
+                env=windows | os.environ | threads,
                 cwd=folder,  # engines drop log files where they stand
                 bufsize=0,
             )

@@ -16,8 +16,8 @@ from mbds_xsim.base.isolate import Crash, Task, core_count, run_tasks
 from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
-from mbds_xsim.measure.campaign import ProgressSink
 from mbds_xsim.measure.quick import searched
+from mbds_xsim.measure.running import Notices
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 
@@ -89,7 +89,7 @@ def plan(
     workers: int | None = None,
     seed: int = 0,
     noise: bool = True,
-    progress: ProgressSink,
+    progress: Notices,
 ) -> CostPlan:
     """Measure a few trajectories of each engine, one at a time, and tell what all would cost.
 

@@ -18,7 +18,7 @@ from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.measure.campaign import ProgressSink
+from mbds_xsim.measure.running import ProgressSink
 
 Form = Literal["npz", "csv"]
 

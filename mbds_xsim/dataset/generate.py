@@ -26,6 +26,7 @@ from mbds_xsim.dataset.layout import rejected_folder
 from mbds_xsim.dataset.shard import LOG, Crashes, claim, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.measure.quick import searched
+from mbds_xsim.reference.kernels import compile_once
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
@@ -97,6 +98,8 @@ def generate(
     if request.trajectories < 1:
         msg = f"--trajectories: got {request.trajectories}, allowed is 1 or more"
         raise InputError(msg)
+    if not all(scene.contacts for scene in request.scenes):
+        compile_once(progress.notice, workers=workers)
     variants, left_out = _variants(request, workers, progress)
     for scene in {variant.scene.name: variant.scene for variant in variants}.values():
         _check_drawn(scene, request)
@@ -161,6 +164,9 @@ class _Found:
     def advance(self, what: str) -> None:
         del what
         self._progress.advance(1, 0)
+
+    def notice(self, line: str) -> None:
+        self._progress.notice(line)
 
 
 def _forewarnings(items: list[Item], workers: int | None) -> list[str]:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,16 +23,17 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
+from mbds_xsim.measure.running import Piece, Spent, Watch, carry_out
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.cache import key_of, load
-from mbds_xsim.reference.kernels import compile_once
+from mbds_xsim.reference.kernels import compilation, compile_once
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
-from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Contender
-from mbds_xsim.simulate.registry import load_adapter
+from mbds_xsim.simulate.claims import Method
+from mbds_xsim.simulate.registry import REFERENCE, load_adapter
 from mbds_xsim.simulate.timed import Simulation, Work, forewarnings, simulate
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
@@ -41,55 +42,6 @@ _TIMEOUT = 3600.0
 RTOL = 1e-11
 """Of the reference."""
 _SAMPLE = 3  # trajectories that run at other steps too
-
-
-class ProgressSink(Protocol):
-    """Where progress is told."""
-
-    def begin(self, total: int) -> None:
-        """Say how many tasks there are."""
-
-    def advance(self, what: str) -> None:
-        """Count one task as done."""
-
-
-class Watch(ProgressSink, Protocol):
-    """Where is told, too, what is under way."""
-
-    def doing(self, what: str) -> None:
-        """Say what is being done now."""
-
-    def notice(self, line: str) -> None:
-        """Say what is to stay and be read."""
-
-
-@dataclass
-class Running:
-    """Names the tasks that are under way, the one that was begun first before all others.
-
-    Args:
-        watch: Where it is told.
-        names: Of all tasks.
-    """
-
-    watch: Watch
-    names: list[str]
-    _now: list[int] = field(default_factory=list)
-
-    def started(self, place: int) -> None:
-        """Note that a task begins."""
-        self._now.append(place)
-        self.watch.doing(self._told())
-
-    def finished(self, place: int, _answer: Any) -> None:
-        """Note that a task has ended."""
-        self._now.remove(place)
-        self.watch.advance(self._told() or self.names[place])
-
-    def _told(self) -> str:
-        names = list(dict.fromkeys(self.names[place] for place in self._now))
-        others = f" and {len(names) - 1} more" if names[1:] else ""
-        return names[0] + others if names else ""
 
 
 @dataclass
@@ -160,6 +112,11 @@ class ReferenceOutcome:
     cached: int
     wall_s: float
 
+    @property
+    def busy_s(self) -> float:
+        """Time that it took [s]."""
+        return self.wall_s
+
     def __getitem__(self, rows: list[int]) -> ReferenceOutcome:
         """Take some of the trajectories."""
         return dataclasses.replace(self, trajectory=self.trajectory[rows], growth=self.growth[rows])
@@ -173,39 +130,50 @@ def run_campaign(
     cache: bool,
     workers: int | None,
     progress: Watch,
+    spent: Spent,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
-    """Simulate everything.
+    """Simulate everything; engines while the reference is compiled, where it has to be.
+
+    What it takes is added to `spent`, the seconds of processes by what they did.
 
     Raises:
         InputError: The reference could not be had; without it nothing can be judged.
     """
     outcomes = [Outcome(contender) for contender in contenders]
-    work: list[tuple[str, Task, Callable[[Any], None]]] = []
     references: list[Any] = []
-    for rows in _chunks(len(batch)):
-        task = Task(reference_of, (scene, batch[rows], cache), _TIMEOUT)
-        work.append(("reference", task, references.append))
+    before: list[Piece] = []
+    work = [
+        Piece(
+            REFERENCE,
+            REFERENCE,
+            Task(reference_of, (scene, batch[rows], cache), _TIMEOUT),
+            references.append,
+        )
+        for rows in _chunks(len(batch))
+    ]
+    compiling = None if scene.contacts else compilation(progress.notice)
+    if compiling is not None:
+        before.append(Piece("compiler", "compiler", *compiling))
     for outcome in outcomes:
-        work += _engine_work(scene, batch, outcome)
-    progress.begin(len(work))
+        waits = compiling is None or _method(outcome.contender).is_truth
+        (work if waits else before).extend(_engine_work(scene, batch, outcome))
+    progress.begin(len(before) + len(work))
     progress.doing("costs of the runs")
     costs = [_work_of(scene, batch, outcome) for outcome in outcomes]
     for line in forewarnings(scene, batch[[0]], costs, workers=workers):
         progress.notice(line)
-    running = Running(progress, [label for label, _, _ in work])
-    answers = run_tasks(
-        [task for _, task, _ in work],
-        workers=workers,
-        started=running.started,
-        finished=running.finished,
-    )
-    for (_, _, store), answer in zip(work, answers, strict=True):
-        store(answer)
+    for pieces in filter(None, (before, work)):
+        carry_out(pieces, progress, spent, workers=workers)
     return outcomes, _joined(references)
 
 
 def run_references(
-    scene: Scene, batch: Batch, *, cache: bool, workers: int | None
+    scene: Scene,
+    batch: Batch,
+    *,
+    cache: bool,
+    workers: int | None,
+    notice: Callable[[str], None] | None = None,
 ) -> ReferenceOutcome:
     """Solve the reference of every trajectory, or take it from the cache.
 
@@ -213,28 +181,24 @@ def run_references(
         InputError: The reference could not be had; without it nothing can be judged.
     """
     if not scene.contacts:
-        compile_once(Silent().notice, workers=workers)
+        compile_once(notice or Silent().notice, workers=workers)
     parts = [
         Task(reference_of, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
     ]
     return _joined(run_tasks(parts, workers=workers))
 
 
-def _engine_work(
-    scene: Scene, batch: Batch, outcome: Outcome
-) -> list[tuple[str, Task, Callable[[Any], None]]]:
-    contender = outcome.contender
-    label = partial("{}, step {:.3g} s".format, contender.name)
-    work: list[tuple[str, Task, Callable[[Any], None]]] = []
+def _engine_work(scene: Scene, batch: Batch, outcome: Outcome) -> list[Piece]:
+    contender, work = outcome.contender, []
+    name = _step_name(contender, contender.settings.step)
     for rows in _chunks(len(batch)):
         arguments = (scene, batch[rows], contender.engine, contender.settings)
         outcome.rows.append(rows)
         task = Task(simulate, arguments, contender.limit)
-        work.append((label(contender.settings.step), task, outcome.parts.append))
+        work.append(Piece(name, contender.engine, task, outcome.parts.append))
     outcome.sample = list(range(min(_SAMPLE, len(batch))))
     for step in other_steps(scene, contender.engine, contender.settings):
-        task = step_task(scene, batch, outcome, step)
-        work.append((label(step), task, partial(outcome.keep_step, step, batch)))
+        work.append(_step_piece(scene, batch, outcome, step))
     return work
 
 
@@ -247,13 +211,22 @@ def _work_of(scene: Scene, batch: Batch, outcome: Outcome) -> Work:
     return Work(contender.name, contender.engine, contender.settings, sum(steps))
 
 
-def step_task(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Task:
+def _step_piece(scene: Scene, batch: Batch, outcome: Outcome, step: float) -> Piece:
     """Run the sample of an engine at another step [s]."""
     contender = outcome.contender
     settings = Settings(contender.settings.method, step, contender.settings.options)
-    return Task(
-        simulate, (scene, batch[outcome.sample], contender.engine, settings), contender.limit
-    )
+    arguments = (scene, batch[outcome.sample], contender.engine, settings)
+    task = Task(simulate, arguments, contender.limit)
+    keep = partial(outcome.keep_step, step, batch)
+    return Piece(_step_name(contender, step), contender.engine, task, keep)
+
+
+def _step_name(contender: Contender, step: float) -> str:
+    return f"{contender.name}, step {step:.3g} s"
+
+
+def _method(contender: Contender) -> Method:
+    return load_adapter(contender.engine).methods[contender.settings.method]
 
 
 def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
@@ -351,6 +324,7 @@ def refine(
     *,
     workers: int | None,
     progress: Watch,
+    spent: Spent,
 ) -> None:
     """Run samples at further steps until they show how each engine converges."""
     while True:
@@ -359,12 +333,8 @@ def refine(
         if not asked:
             return
         progress.begin(len(asked))
-        names = [f"{o.contender.name}, step {step:.3g} s" for o, step in asked]
-        tasks = [step_task(scene, batch, outcome, step) for outcome, step in asked]
-        now = Running(progress, names)
-        answers = run_tasks(tasks, workers=workers, started=now.started, finished=now.finished)
-        for (outcome, step), answer in zip(asked, answers, strict=True):
-            outcome.keep_step(step, batch, answer)
+        pieces = [_step_piece(scene, batch, outcome, step) for outcome, step in asked]
+        carry_out(pieces, progress, spent, workers=workers)
 
 
 def _given(
@@ -380,7 +350,7 @@ def _given(
         return None
     runs = {step: run[smooth_ones] for step, run in outcome.other_steps.items()}
     runs[contender.settings.step] = trajectory[rows]
-    method = registry.load_adapter(contender.engine).methods[contender.settings.method]
+    method = _method(contender)
     ordered = [runs[step] for step in sorted(runs, reverse=True)]
     growth = reference.growth[rows]
     return Consistency(scene, batch[rows], ordered, truth[rows], method, growth)

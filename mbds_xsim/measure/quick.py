@@ -21,7 +21,8 @@ import numpy as np
 from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
-from mbds_xsim.measure.campaign import ProgressSink, ReferenceOutcome, run_references
+from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
+from mbds_xsim.measure.running import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
 from mbds_xsim.scene.fingerprint import fingerprint
@@ -57,7 +58,7 @@ def searched(
     *,
     cache: bool = True,
     workers: int | None = None,
-    progress: ProgressSink,
+    progress: Notices,
 ) -> Choice:
     """Give a choice with matched settings for every engine that has none stored for the scene.
 
@@ -78,7 +79,9 @@ def searched(
     if missing:
         batch = draw_batch(scene, range(distinct_starts(scene, len(INTERVALS))))
         progress.begin(len(missing))
-        reference = run_references(scene, batch, cache=cache, workers=workers)
+        reference = run_references(
+            scene, batch, cache=cache, workers=workers, notice=progress.notice
+        )
 
         def finished(place: int, _: Any) -> None:
             progress.advance(f"settings of {missing[place]}")

@@ -138,6 +138,9 @@ class Validation(msgspec.Struct, frozen=True):
     """Pairs that no longer agree at the end, with 20 trajectories or more."""
     fingerprint: str = ""
     """Stands for the scene's physics and starts; empty in results of earlier versions."""
+    spent_s: dict[str, float] = {}
+    """Where the time went, in seconds of processes: engines, the reference, its compiler, the
+    search of settings, checks, and the start of processes with all that they import."""
 
     def to_frame(self) -> Any:
         """Give a `pandas.DataFrame` with a row for each engine at each settings."""

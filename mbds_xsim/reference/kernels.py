@@ -41,12 +41,25 @@ def compile_once(notice: Callable[[str], None], *, workers: int | None) -> None:
         notice: Told, before it begins, that this takes a while.
         workers: 0 where it is to be done in this process.
     """
+    found = compilation(notice)
+    if found is not None:
+        task, then = found
+        then(*run_tasks([task], workers=workers and 1))
+
+
+def compilation(
+    notice: Callable[[str], None],
+) -> tuple[Task, Callable[[object], None]] | None:
+    """Give what compiles, and what hears of its answer; None where the machine code is there."""
     if (kernel_folder() / _READY).exists():
-        return
+        return None
     notice("the reference is compiled for this machine, once: some 30 s of one core")
-    (answer,) = run_tasks([Task(_compile, ())], workers=workers and 1)
-    if isinstance(answer, Crash):  # the work itself will meet it, and say where
-        notice(f"the reference could not be compiled: {answer.reason}")
+
+    def then(answer: object) -> None:
+        if isinstance(answer, Crash):  # the work itself will meet it, and say where
+            notice(f"the reference could not be compiled: {answer.reason}")
+
+    return Task(_compile, ()), then
 
 
 def _compile() -> None:

@@ -56,6 +56,11 @@ class Simulation:
     cpu_s: float
     """Processor time of that [s]."""
 
+    @property
+    def busy_s(self) -> float:
+        """Time of the engine in all [s]."""
+        return self.setup_s + self.rollout_s
+
 
 def simulate(scene: Scene, batch: Batch, engine: str, settings: Settings) -> Simulation:
     """Run a batch in this process.

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from mbds_xsim.base.isolate import Crash
+from mbds_xsim.base.isolate import Crash, Silent
 from mbds_xsim.commands.generate import plan_blocks
 from mbds_xsim.dataset.estimate import STAGES, CostPlan, ShardCost, estimate, measure, plan
 from mbds_xsim.dataset.variant import Variant
@@ -31,12 +31,14 @@ KNOWN = ShardCost(
 )
 
 
-class Silence:
-    def begin(self, total: int) -> None:
+class Silence(Silent):
+    def begin(self, total: int, done: int = 0) -> None:
+        del done
         self.total, self.names = total, list[str]()
 
-    def advance(self, what: str) -> None:
-        self.names.append(what)
+    def advance(self, what: object, rejected: int = 0) -> None:
+        del rejected
+        self.names.append(str(what))
 
 
 @pytest.fixture(scope="module")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import re
 import time
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from mbds_xsim.base.isolate import Silent
-from mbds_xsim.measure.campaign import Running
+from mbds_xsim.measure.running import Running
+from mbds_xsim.reference import kernels
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate import timed
@@ -155,3 +158,35 @@ def test_quaternions_keep_their_sign_in_every_engine(adapter: Adapter) -> None:
 
     frames = np.concatenate([batch.orientation[:, None], turn.orientation], axis=1)
     assert not (np.sum(frames[:, 1:] * frames[:, :-1], axis=-1) < 0).any()
+
+
+def test_the_account_of_the_time_adds_up() -> None:
+    """One process at a time: what they spent is nearly all of the time that it took."""
+    validation, _ = validate_with_evidence(
+        _SCENE, choice=Choice.parse(engines="mujoco"), workers=1, cache=False
+    )
+
+    spent = validation.spent_s
+    assert {"mujoco", "reference", "processes", "checks"} <= set(spent)
+    assert list(spent.values()) == sorted(spent.values(), reverse=True)
+    assert 0.5 * validation.wall_s < sum(spent.values()) <= validation.wall_s
+
+
+def test_engines_run_while_the_reference_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    importlib.import_module("mbds_xsim.reference.compiled")  # with the machine code that is there
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kernels, "kernel_folder", kernels.kernel_folder.__wrapped__)
+    monkeypatch.setattr(kernels, "_compile", list)
+    notes = _Notes()
+
+    validate_with_evidence(
+        _SCENE, choice=Choice.parse(engines="mujoco,reference"), workers=0, progress=notes
+    )
+
+    told = [line.split(",")[0] for line in notes.done if not line.startswith("then")]
+    assert "compiled for this machine" in notes.done[0] + notes.done[1]
+    order = [told.index(name) for name in ("compiler", "mujoco (matched)", "reference")]
+    assert order == sorted(order)
+    assert told.index("reference (matched)") > order[1]

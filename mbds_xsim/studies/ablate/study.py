@@ -13,9 +13,9 @@ from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.checks import agreement
-from mbds_xsim.measure.campaign import ProgressSink, Watch
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
+from mbds_xsim.measure.running import ProgressSink, Watch
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
-from mbds_xsim.measure.campaign import ProgressSink
+from mbds_xsim.measure.running import ProgressSink
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile

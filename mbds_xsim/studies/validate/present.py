@@ -68,6 +68,7 @@ def _summary(validation: Validation) -> Iterator[Block]:
             *((f"{name} left out", reason) for name, reason in validation.left_out.items()),
             ("reference", words.reference_line(validation)),
             ("odd one out", words.odd_one_out(validation)),
+            *([("time", words.spent_line(validation))] if validation.spent_s else []),
         ]
     )
 

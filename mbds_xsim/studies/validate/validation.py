@@ -5,17 +5,18 @@ from __future__ import annotations
 import os
 import platform
 import time
+from typing import Any
 
 import numpy as np
 
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
-from mbds_xsim.measure.campaign import ReferenceOutcome, Watch, refine, run_campaign
+from mbds_xsim.measure.campaign import ReferenceOutcome, refine, run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
-from mbds_xsim.reference.kernels import compile_once
+from mbds_xsim.measure.running import Spent, Watch
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
@@ -30,6 +31,7 @@ __all__ = ["Choice", "validate_with_evidence"]
 
 
 _ONE_SECOND = 1.0
+_SEEN = 0.01  # shorter work is no part of the account [s]
 _HIGH = INTERVALS.index("high")
 
 
@@ -52,22 +54,24 @@ def validate_with_evidence(
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
     begin, progress = time.perf_counter(), progress or Silent()
-    if not scene.contacts:
-        compile_once(progress.notice, workers=workers)
+    spent = Spent(float)
+    how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
     choice = searched(scene, choice, cache=cache, workers=workers, progress=progress)
+    spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = choice.contenders(scene)
     count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
     batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
-    outcomes, reference = run_campaign(
-        scene, batch, contenders, cache=cache, workers=workers, progress=progress
-    )
-    refine(scene, batch, outcomes, reference, workers=workers, progress=progress)
-    rows = []
+    outcomes, reference = run_campaign(scene, batch, contenders, cache=cache, **how)
+    refine(scene, batch, outcomes, reference, **how)
+    rows, checking = [], time.perf_counter()
     for outcome in outcomes:
         progress.doing(f"{outcome.contender.name}: checks")
         rows.append(judge(scene, batch, outcome, reference, native=readback))
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
+    ensembles = _ensembles(scene, batch, rows, reference)
+    judged = reference_result(scene, batch, reference)
+    spent["checks"] = time.perf_counter() - checking
     failed = any(result.verdict == "fail" for result in results)
     warned = any(result.verdict == "warn" for result in results)
     validation = Validation(
@@ -83,13 +87,16 @@ def validate_with_evidence(
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
         engines=tuple(results),
         left_out=left_out,
-        reference=reference_result(scene, batch, reference),
+        reference=judged,
         names=names,
         matrix_m=matrix,
         odd_one_out=odd,
         versions=_versions(results),
         machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
-        ensembles=_ensembles(scene, batch, rows, reference),
+        ensembles=ensembles,
+        spent_s={
+            k: spent[k] for k in sorted(spent, key=spent.__getitem__)[::-1] if spent[k] >= _SEEN
+        },
         fingerprint=fingerprint(scene),
     )
     return validation, _evidence(scene, batch, rows, reference)
