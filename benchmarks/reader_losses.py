@@ -33,7 +33,11 @@ SHOWN: dict[str, dict[str, str]] = {
     "geometry.xml": {"dart": "inertia"},
     "ends.xml": {"dart": "anchor"},
     "degrees.xml": {"dart": "limits"},
+    "degrees-unsaid.xml": {"pybullet": "limits", "dart": "limits"},
+    "off-centre.xml": {"pybullet": "centre of mass", "dart": "centre of mass"},
     "no-type.xml": {"pybullet": "existence"},
+    "default-range.xml": {"pybullet": ""},
+    "site.xml": {"dart": ""},
 }
 
 _HEAD = """# What engines' own readers lose

@@ -33,6 +33,7 @@ CASES = {
     "csv": 60,
     "model": 30,
     "scene": 40,
+    "robot": 40,
     "plugin": 20,
     "dask": 5,
 }
