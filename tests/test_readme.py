@@ -95,7 +95,7 @@ def test_charts_and_maps_are_those_of_the_stored_results() -> None:
 
 
 def test_the_pictures_of_pages_show_what_is_stored() -> None:
-    """But for pictures of trainings and rollouts, and those of contact, which are not stored."""
+    """But for pictures of trainings and rollouts, of contact and of costs, which are not stored."""
     kept = {picture_of(result) for result in stored_results(_ROOT / "reports")}
     pages = [_ROOT / "README.md", *(_ROOT / "docs").glob("*.md")]
     shown = {
@@ -110,6 +110,7 @@ def test_the_pictures_of_pages_show_what_is_stored() -> None:
         "6pendulum-curves.png",
         "contact-friction.png",
         "contact-restitution.png",
+        "growth-of-cost.png",
         "validate-3ladder.png",
     }
 

@@ -24,6 +24,7 @@ from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION, var
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.simulate.claims import RTOL, TRUTH
 
 CARD = "README.md"
 CROISSANT = "croissant.json"
@@ -131,7 +132,7 @@ in the speed interval low, medium or high by i mod 3.
 {valid.sum()} of {len(valid)} are published in all of them (`{joint.name}`). *Certified*: every
 check of every trajectory held, and the engine's model read back as the scene. *Uncertified*: what
 an ordinary user of the engine gets; the figures of the checks are stored all the same.
-{rejected}
+{_truth(sets)}{rejected}
 ## Split
 
 By index, so the same in every file: the first 80 % train, then 10 % validation, 10 % test.
@@ -176,8 +177,32 @@ def _row(data: Dataset) -> str:
     attrs = in_markdown(data.attributes)
     return (
         f"| `{data.path.name}` | {attrs['engine']} {attrs['engine_version']} | {attrs['method']} "
-        f"| {attrs['step_s']:.6g} | {attrs['certification']} | {attrs['count']} "
+        f"| {_pace(data)} | {attrs['certification']} | {attrs['count']} "
         f"| {attrs['published']} | {attrs['rejected']} |\n"
+    )
+
+
+def _pace(data: Dataset) -> str:
+    """Give the step, or the tolerance of a method that chooses its steps."""
+    options = json.loads(data.attributes["options"])
+    if _is_truth(data):
+        return f"{RTOL} {options[RTOL]:g}"
+    return f"{data.attributes['step_s']:.6g}"
+
+
+def _is_truth(data: Dataset) -> bool:
+    return bool(data.attributes["method_family"] == TRUTH)
+
+
+def _truth(sets: Sequence[Dataset]) -> str:
+    """Say of data that no engine made what they are; nothing where there are none."""
+    names = " and ".join(f"`{data.path.name}`" for data in sets if _is_truth(data))
+    return (
+        f"{names}: made by the reference of mbds-xsim, which engines are held against, and not by "
+        "an engine. All checks were made all the same; the distance to the reference, of three "
+        "trajectories, is that of two tolerances there.\n"
+        if names
+        else ""
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import pytest
 
 from mbds_xsim.dataset.card import CARD, CROISSANT
@@ -53,6 +54,22 @@ def test_the_card_tells_what_each_file_is(two: Path) -> None:
         ]
     assert "6 of 6 are published in all of them (`joint.h5`)" in text
     assert str(two) not in text
+
+
+def test_data_that_no_engine_made_are_told_apart(make: Make, tmp_path: Path) -> None:
+    """Gated all the same: the reference keeps every budget of the rod."""
+    made = make(tmp_path, engines="mujoco,reference", trajectories=FEW)
+    text = " ".join((tmp_path / "1pendulum" / CARD).read_text("utf-8").split())
+    data = load_dataset(tmp_path / "1pendulum" / "reference-matched.h5")
+
+    assert [count.published for count in made.variants] == [FEW, FEW]
+    assert "| adaptive | rtol 1e-09 | certified |" in text
+    assert "`reference-matched.h5`: made by the reference of mbds-xsim" in text
+    assert "`mujoco-matched.h5`: made" not in text
+    own = np.array(data["check/figure"])[
+        :3, list(data["check/name"]).index("error growth-weighted")
+    ]
+    assert np.all(own < 1e-9)
 
 
 def test_what_a_publisher_added_stays(make: Make, tmp_path: Path) -> None:
