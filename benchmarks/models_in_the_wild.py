@@ -28,6 +28,7 @@ import numpy as np
 
 from benchmarks.harness import print_head, print_made, print_table
 from mbds_xsim.api import validate
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.text import in_markdown
@@ -231,9 +232,13 @@ def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
     mass = model.body_mass[bodies]
     if not mass.sum() > 0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
-    com, inertia = mass @ data.xipos[bodies] / mass.sum(), np.zeros((3, 3))
-    for own, body in zip(mass, bodies, strict=True):
-        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - com
+    turns = [data.xmat[body].reshape(3, 3) for body in bodies]
+    # `data.xipos` would round a centre of mass near the frame's origin to it.
+    arms = [turn @ model.body_ipos[body] for turn, body in zip(turns, bodies, strict=True)]
+    places = data.xpos[bodies] + np.array(arms)
+    com, inertia = mass @ places / mass.sum(), np.zeros((3, 3))
+    for own, body, turn, arm in zip(mass, bodies, turns, places - com, strict=True):
+        axes = turn @ rotation.matrix(model.body_iquat[body])
         inertia += axes @ np.diag(model.body_inertia[body]) @ axes.T
         inertia += own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return float(mass.sum()), com, inertia

@@ -75,12 +75,12 @@ class Closing:
     """What closes a loop."""
 
     name: str
-    kind: Literal["fixed", "hinge", "ball"]
+    kind: Literal["fixed", "hinge", "slider", "ball"]
     parts: tuple[int, int]
     anchor: Array
     """In W at the reference pose [m], shape (3,)."""
     axis: Array | None = None
-    """Of a hinge."""
+    """Of a hinge or slider."""
 
 
 @dataclass(frozen=True, eq=False)

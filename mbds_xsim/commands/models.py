@@ -9,7 +9,7 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.commands import shared
 
-Model = Annotated[Path, Argument(metavar="MODEL", help="An MJCF (.xml) or URDF (.urdf) file.")]
+Model = Annotated[Path, Argument(metavar="MODEL", help="A file: .xml (MJCF), .urdf or .usda.")]
 Floating = Annotated[
     bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")
 ]

@@ -147,7 +147,7 @@ SceneName = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf).",
+        help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf, .usda).",
         autocompletion=_complete_scene,
     ),
 ]
@@ -229,12 +229,22 @@ def check_torch(command: str) -> None:
 
 
 def scene_named(name: str) -> Scene:
-    """Load a built-in scene, a family at a size, or a file: a large one takes a while."""
+    """Load a built-in scene, a family at a size, or a file: a large one takes a while.
+
+    What a model of another format loses is said in a line.
+    """
+    from mbds_xsim.report.losses import conclusion
+    from mbds_xsim.simulate.models import is_model, read_model
     from mbds_xsim.simulate.registry import load_scene
 
     with progress_on(console_for(None)) as progress:
         progress.begin(1, f"reading {name}")
-        return load_scene(name)
+        if not is_model(name):
+            return load_scene(name)
+        imported = read_model(Path(name))
+    text = f"{imported.file}: {conclusion(imported)}; mbds-xsim import {shlex.quote(name)} tells"
+    console_for(Path("-")).print(text, highlight=False, soft_wrap=True)
+    return imported.scene
 
 
 def console_for(json: Path | None) -> Console:

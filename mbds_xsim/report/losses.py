@@ -65,19 +65,22 @@ def present(imported: Imported, command: str) -> Report:
         f"{counted(row.bodies, 'body')}, {row.mass_kg:g} kg, "
         f"{counted(row.degrees_of_freedom, 'degree of freedom', 'degrees of freedom')}"
     )
-    lost = row.dropped + row.approximated
     return Report(
         title=imported.file,
         what="imported",
         description=f"{imported.format}, read by {imported.reader}: {size}",
-        conclusion=(
-            f"{row.dropped} of what bears on the motion dropped, {row.approximated} approximated"
-            if lost
-            else "all that bears on the motion is kept"
-        ),
+        conclusion=conclusion(imported),
         blocks=tuple(loss_blocks(imported)),
         command=command,
     )
+
+
+def conclusion(imported: Imported) -> str:
+    """Say in a clause how much of what bears on the motion is lost."""
+    dropped, approximated = (imported.count(what) for what in ("dropped", "approximated"))
+    if not dropped and not approximated:
+        return "all that bears on the motion is kept"
+    return f"{dropped} of what bears on the motion dropped, {approximated} approximated"
 
 
 def loss_blocks(imported: Imported | Written) -> Iterator[Block]:

@@ -84,7 +84,7 @@ def test_what_is_not_there_or_of_no_known_format_is_one_line(run: CommandLine, h
 
     assert "no such file" in run("import", "gone.urdf").refusal
     assert "no such file" in run("show", "gone.xml").refusal
-    assert "there are: urdf, xml" in run("import", "model.step").refusal
+    assert "there are: urdf, usd, usda, usdc, xml" in run("import", "model.step").refusal
     assert "is for URDF" in _refused_floating(run, here)
 
 
@@ -132,4 +132,8 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     (damping,) = (fate for fate in told["fates"] if fate["properties"] == ["damping"])
     assert damping["outcome"] in ("kept", "dropped")
     assert "as the compiler resolves it" in (here / "leg.md").read_text()
-    assert run("show", "leg.xml", "--toml").out == (here / "leg.toml").read_text()
+    shown = run("show", "leg.xml", "--toml")
+    assert shown.out == (here / "leg.toml").read_text()
+    lost = sum(fate["moves"] and fate["outcome"] == "dropped" for fate in told["fates"])
+    kept = "all that bears on the motion is kept"
+    assert (f"{lost} of what bears" if lost else kept) in shown.err

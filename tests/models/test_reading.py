@@ -199,11 +199,16 @@ def _row(values: Array) -> str:
 
 
 def _together(model: Any, data: Any, bodies: list[int]) -> tuple[Array, Array]:
+    """Add up bodies; `data.xipos` would round a centre of mass near the frame's origin to it."""
     mass = model.body_mass[bodies]
-    com = mass @ data.xipos[bodies] / mass.sum()
+    turns = [data.xmat[b].reshape(3, 3) for b in bodies]
+    places = np.array(
+        [data.xpos[b] + t @ model.body_ipos[b] for b, t in zip(bodies, turns, strict=True)]
+    )
+    com = mass @ places / mass.sum()
     tensor = np.zeros((3, 3))
-    for b in bodies:
-        axes, arm = data.ximat[b].reshape(3, 3), data.xipos[b] - com
+    for b, turn, arm in zip(bodies, turns, places - com, strict=True):
+        axes = turn @ rotation.matrix(model.body_iquat[b])
         tensor += axes @ np.diag(model.body_inertia[b]) @ axes.T
         tensor += model.body_mass[b] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return com, tensor

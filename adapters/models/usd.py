@@ -1,0 +1,218 @@
+"""USD Physics, as the library of OpenUSD parses it: composition, masses and joints are its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.scene.imported import Fate, Imported
+
+from .assembling import assemble
+from .graph import Node, Tie, tree_of
+from .parts import Freedom, Line, Mass, Parts
+from .usd_fates import fates_of
+from .usd_masses import mass_of
+
+_LARGEST_FILE = 64 * 10**6  # bytes
+_MET = 1e-5  # gap of a joint's two frames over the model's extent: places are of single precision
+_LABELS = {"limits": ("Physics…Joint", "physics:lowerLimit")}
+_KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint": "ball",
+          "FixedJoint": "fixed", "D6Joint": "several"}  # fmt: skip
+
+
+def read(path: Path, folder: Path, floating: bool) -> Imported:
+    """Read a USD file; see `mbds_xsim.simulate.models`."""
+    try:
+        from pxr import Sdf, Tf, Usd
+    except ImportError as error:
+        msg = "USD is read by OpenUSD, which is not installed: pip install 'mbds-xsim[usd]'"
+        raise EngineMissing(msg) from error
+    if floating:
+        msg = "--floating is for URDF; USD says itself which of its bodies are free"
+        raise InputError(msg)
+    try:
+        _check_layers(Sdf, path, folder.resolve())
+        stage = Usd.Stage.Open(str(path))
+        reading = _Reading(stage)
+        parts = reading.model(path.stem)
+    except Tf.ErrorException as error:
+        reason = str(error).strip().splitlines()[-1].rpartition(": ")[2].strip("' ")
+        raise InputError(f"OpenUSD does not read it: {reason}") from error
+    had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
+    fates = [*fates_of(stage, limited="limits" in had), *reading.fates]
+    version = ".".join(map(str, Usd.GetVersion()))
+    return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
+
+
+def _check_layers(sdf: Any, path: Path, folder: Path) -> None:
+    """Raise where a file that is referred to is not there, or out of the folder."""
+    waiting, seen = [path], set()
+    while waiting:
+        file = waiting.pop().resolve()
+        if file in seen:
+            continue
+        seen.add(file)
+        if not file.is_relative_to(folder):
+            msg = (
+                f"refers to {str(file)!r}, which is not in {folder}; where that is meant, "
+                "`mbds-xsim import` takes a --folder with all files of the model"
+            )
+            raise InputError(msg)
+        if not file.is_file():
+            msg = f"refers to {file.name!r}, which is not there"
+            raise InputError(msg)
+        if file.stat().st_size > _LARGEST_FILE:
+            msg = f"{file.name} is larger than {_LARGEST_FILE // 10**6} MB"
+            raise InputError(msg)
+        layer = sdf.Layer.FindOrOpen(str(file))
+        for name in filter(None, layer.GetCompositionAssetDependencies()):
+            found = Path(layer.ComputeAbsolutePath(name))
+            waiting.append(found if found.exists() else file.parent / name)
+
+
+class _Reading:
+    """A stage in SI units and z up."""
+
+    def __init__(self, stage: Any) -> None:
+        from pxr import UsdGeom, UsdPhysics
+
+        self._stage, self._physics = stage, UsdPhysics
+        self._metre = UsdGeom.GetStageMetersPerUnit(stage)
+        self._kilogram = UsdPhysics.GetStageKilogramsPerUnit(stage)
+        upright = UsdGeom.GetStageUpAxis(stage) == "Z"
+        turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up to z up
+        self._up = np.eye(3) if upright else turn
+        self._places = UsdGeom.XformCache()
+        self._found = UsdPhysics.UsdPhysicsLoadStageFromPrimRange(stage, ["/"])
+        self.fates: list[Fate] = []
+
+    def model(self, name: str) -> Parts:
+        bodies = [desc for desc in self._all("RigidBody") if desc.rigidBodyEnabled]
+        moving = [desc for desc in bodies if not desc.kinematicBody]
+        index = {desc.primPath: k for k, desc in enumerate(moving)}
+        nodes = [self._node(desc) for desc in moving]
+        places = np.array([node.position for node in nodes] or [np.zeros(3)])
+        extent = float(np.linalg.norm(np.ptp(places, axis=0))) or 1.0
+        ties = [
+            tie
+            for what in _KINDS
+            for desc in self._all(what)
+            if desc.jointEnabled and (tie := self._tie(desc, what, index, extent)) is not None
+        ]
+        parts, closings = tree_of(nodes, ties)
+        place = {part.name: k for k, part in enumerate(parts)}
+        lines = tuple(self._lines(index, [place[node.name] for node in nodes]))
+        return Parts(name, parts, self._gravity(), closings, (), lines, _LABELS)
+
+    def _all(self, what: str) -> list[Any]:
+        kind = getattr(self._physics.ObjectType, what)
+        return list(self._found.get(kind, ((), ()))[1])
+
+    def _gravity(self) -> Array:
+        for scene in self._all("Scene"):
+            return np.asarray(
+                self._up @ np.array(scene.gravityDirection) * scene.gravityMagnitude * self._metre
+            )
+        return np.zeros(3)
+
+    def _node(self, desc: Any) -> Node:
+        prim = self._stage.GetPrimAtPath(desc.primPath)
+        place, turn = self._frame(desc.primPath)
+        stated = mass_of(prim, self._all, desc, self._metre, self._kilogram)
+        mass = Mass(stated.mass, place + turn @ stated.com, turn @ stated.inertia @ turn.T)
+        return Node(self._name(desc.primPath), place, rotation.from_matrix(turn), mass)
+
+    def _name(self, path: Any) -> str:
+        """Give the last part of a path where no other has it."""
+        return str(path).removeprefix("/").replace("/", " ")
+
+    def _frame(self, path: Any) -> tuple[Array, Array]:
+        """Place and axes of a prim in W."""
+        if path.isEmpty or str(path) == "/":
+            return np.zeros(3), self._up
+        matrix = np.array(self._places.GetLocalToWorldTransform(self._stage.GetPrimAtPath(path)))
+        axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)
+        return self._up @ matrix[3, :3] * self._metre, self._up @ axes.T
+
+    def _side(self, body: Any, place: Any, turn: Any) -> tuple[Array, Array]:
+        """Place and axes of a joint's frame on one side, in W."""
+        if body.isEmpty:
+            point = np.array(place, dtype=float)
+        else:
+            prim = self._stage.GetPrimAtPath(body)
+            point = np.array(self._places.GetLocalToWorldTransform(prim).Transform(place))
+        quaternion = np.array([turn.GetReal(), *turn.GetImaginary()], dtype=float)
+        quaternion /= np.linalg.norm(quaternion)
+        return self._up @ point * self._metre, self._frame(body)[1] @ rotation.matrix(quaternion)
+
+    def _sides(self, desc: Any) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        first = self._side(desc.body0, desc.localPose0Position, desc.localPose0Orientation)
+        second = self._side(desc.body1, desc.localPose1Position, desc.localPose1Orientation)
+        return first, second
+
+    def _tie(self, desc: Any, what: str, index: dict[Any, int], extent: float) -> Tie | None:
+        (point, axes), (other, turned) = self._sides(desc)
+        name, kind = self._name(desc.primPath), _KINDS[what]
+        ends = (index.get(desc.body0, -1), index.get(desc.body1, -1))
+        if ends[0] == ends[1]:
+            reason = "it joins what does not move"
+            self.fates.append(Fate("Joint", (), "dropped", reason, False, (name,)))
+            return None
+        if kind == "several":
+            return Tie(name, ends, tuple(self._freedoms(desc, name, point, axes)), point)
+        column = "XYZ".index(desc.axis.name) if kind in ("hinge", "slider") else 0
+        axis = axes[:, column]
+        gap, start = other - point, 0.0
+        if kind == "slider":
+            start = float(gap @ axis)
+            gap = gap - start * axis
+        tilt = float(np.linalg.norm(np.cross(axis, turned[:, column])))
+        if kind == "hinge":
+            side, now = axes[:, column - 2], turned[:, column - 2]
+            start = math.atan2(float(np.cross(side, now) @ axis), float(side @ now))
+        if np.linalg.norm(gap) > _MET * extent or (kind != "ball" and tilt > _MET):
+            msg = f"the joint {name!r} is {np.linalg.norm(gap):.3g} m apart where the bodies stand"
+            raise InputError(msg)
+        if kind == "fixed":
+            return Tie(name, ends, (), point)
+        limits = self._limits(getattr(desc, "limit", None), kind, start)
+        freedom = Freedom(name, kind, point, axis if kind != "ball" else np.zeros(3), limits)  # type: ignore[arg-type]
+        return Tie(name, ends, (freedom,), point)
+
+    def _freedoms(self, desc: Any, name: str, point: Array, axes: Array) -> Iterator[Freedom]:
+        """Give the degrees of freedom that a general joint does not lock."""
+        limits = {pair.first.name: pair.second for pair in desc.jointLimits}
+        for kind, letter in (("slider", "Trans"), ("hinge", "Rot")):
+            for k, axis in enumerate("XYZ"):
+                limit = limits.get(f"{letter}{axis}")
+                if limit is not None and limit.enabled and limit.lower > limit.upper:
+                    continue
+                own = f"{name} {letter.lower()} {axis.lower()}"
+                yield Freedom(own, kind, point, axes[:, k], self._limits(limit, kind, 0.0))  # type: ignore[arg-type]
+
+    def _limits(self, limit: Any, kind: str, start: float) -> dict[str, tuple[float, float]]:
+        if limit is None or not limit.enabled or kind == "ball":
+            return {}
+        unit = math.pi / 180 if kind == "hinge" else self._metre
+        low, high = limit.lower * unit - start, limit.upper * unit - start
+        return {"limits": (low, high)} if math.isfinite(low) and math.isfinite(high) else {}
+
+    def _lines(self, index: dict[Any, int], order: list[int]) -> Iterator[Line]:
+        for desc in self._all("DistanceJoint"):
+            name = self._name(desc.primPath)
+            (point, _), (other, _) = self._sides(desc)
+            low, high = desc.limit.lower * self._metre, desc.limit.upper * self._metre
+            if not (desc.minEnabled and desc.maxEnabled and low == high):
+                reason = "distances that may vary are not in the scene description"
+                self.fates.append(Fate("DistanceJoint", (), "dropped", reason, True, (name,)))
+                continue
+            ends = [index.get(body, -1) for body in (desc.body0, desc.body1)]
+            first, second = (order[k] if k >= 0 else -1 for k in ends)
+            yield Line(name, (first, second), (point, other), low, rigid=True)

@@ -1,0 +1,80 @@
+"""What becomes of every attribute of USD Physics, as one table; `fates` has those of XML."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import Any
+
+from mbds_xsim.scene.imported import Fate, Outcome
+
+_Row = tuple[Outcome, bool, str]
+_TABLE: dict[str, _Row] = {}
+for _outcome, _moves, _reason, _names in (
+    (
+        "kept",
+        True,
+        "as the library of OpenUSD parses it",
+        "physics:mass physics:density physics:centerOfMass physics:diagonalInertia "
+        "physics:principalAxes physics:gravityDirection physics:gravityMagnitude physics:axis "
+        "physics:localPos0 physics:localRot0 physics:localPos1 physics:localRot1 physics:body0 "
+        "physics:body1 physics:rigidBodyEnabled physics:jointEnabled physics:kinematicEnabled "
+        "physics:excludeFromArticulation physics:minDistance physics:maxDistance "
+        "limit:physics:low limit:physics:high",
+    ),
+    (
+        "dropped",
+        True,
+        "bodies do not collide in the scene description",
+        "physics:collisionEnabled physics:staticFriction physics:dynamicFriction "
+        "physics:restitution",
+    ),
+    ("dropped", False, "bodies do not collide in the scene description",
+     "physics:approximation physics:filteredPairs physics:simulationOwner"),
+    ("dropped", True, "the model starts in the reference pose, at rest",
+     "physics:velocity physics:angularVelocity"),
+    ("dropped", True, "servos are not yet in the scene description", "drive"),
+    ("dropped", True, "joints do not break", "physics:breakForce physics:breakTorque"),
+    ("dropped", False, "a setting of an engine, not of the mechanism", "physics:startsAsleep"),
+    ("dropped", True, "not yet in the scene description",
+     "physics:coneAngle0Limit physics:coneAngle1Limit"),
+):  # fmt: skip
+    _TABLE |= dict.fromkeys(_names.split(), (_outcome, _moves, _reason))  # type: ignore[arg-type]
+_LIMITS = ("physics:lowerLimit", "physics:upperLimit")
+_SIMULATORS = ("physx", "mjc", "newton", "isaac")
+
+
+def fates_of(stage: Any, *, limited: bool) -> Iterator[Fate]:
+    """Walk a stage, and say of each authored property what becomes of it.
+
+    Args:
+        stage: The stage.
+        limited: Whether limits are told joint by joint.
+    """
+    found: dict[tuple[str, _Row], list[tuple[str, str]]] = defaultdict(list)
+    for prim in stage.Traverse():
+        kind = str(prim.GetTypeName()) or "Prim"
+        for attribute in prim.GetAuthoredProperties():
+            name = attribute.GetName()
+            if name in _LIMITS and limited:
+                continue
+            found[kind, _fate(name)].append((name, prim.GetName()))
+    for (kind, (outcome, moves, reason)), pairs in found.items():
+        names = tuple(dict.fromkeys(name for name, _ in pairs))
+        places = tuple(dict.fromkeys(place for _, place in pairs))
+        yield Fate(kind, names, outcome, reason, moves, places, len(places))
+
+
+def _fate(name: str) -> _Row:
+    first, _, rest = name.partition(":")
+    general = f"{first}:{rest.partition(':')[2]}"  # limit:rotX:physics:low
+    for key in (name, general, first):
+        if key in _TABLE:
+            return _TABLE[key]
+    if name in _LIMITS:
+        return ("kept", True, "none, or without bounds")
+    if first in ("physics", "limit") or first.startswith(_SIMULATORS):
+        return ("dropped", True, "unknown to this reader")
+    if first == "xformOp" or name == "xformOpOrder":
+        return ("kept", True, "as the library of OpenUSD composes it")
+    return ("dropped", False, "drawn only")

@@ -1,0 +1,109 @@
+"""Masses of USD bodies: stated, or by the density of their shapes, as the schema rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError
+
+from .parts import Mass
+
+_SHAPES = ("SphereShape", "CubeShape", "CapsuleShape", "CylinderShape", "ConeShape")
+
+
+def mass_of(
+    prim: Any, listed: Callable[[str], list[Any]], body: Any, metre: float, kilogram: float
+) -> Mass:
+    """Give mass, centre and inertia in the body's frame, in SI.
+
+    Args:
+        prim: Of the body.
+        listed: Gives all shapes of a kind.
+        body: As the library describes it.
+        metre: Length of a unit [m].
+        kilogram: Mass of a unit [kg].
+    """
+    from pxr import UsdPhysics
+
+    stated = UsdPhysics.MassAPI(prim)
+    scale = np.array(body.scale, dtype=float)
+    mass, moments = (get().Get() for get in (stated.GetMassAttr, stated.GetDiagonalInertiaAttr))
+    if mass and moments is not None and any(moments):
+        com = stated.GetCenterOfMassAttr()
+        centre = np.array(com.Get(), dtype=float) if com.IsAuthored() else np.zeros(3)
+        axes = stated.GetPrincipalAxesAttr()
+        turn = _matrix(axes.Get()) if axes.IsAuthored() else np.eye(3)
+        inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
+        return Mass(mass * kilogram, centre * scale * metre, inertia * kilogram * metre**2)
+    shapes = {shape.primPath: (kind, shape) for kind in _SHAPES for shape in listed(kind)}
+    if not body.collisions:
+        return Mass(float(mass or 0.0) * kilogram, np.zeros(3), np.zeros((3, 3)))
+
+    def solid(shape_prim: Any) -> Any:
+        if shape_prim.GetPath() not in shapes:
+            msg = (
+                f"the mass of {body.primPath} depends on the mesh {shape_prim.GetPath()}; state "
+                "its mass and diagonalInertia"
+            )
+            raise InputError(msg)
+        return _information(UsdPhysics, *shapes[shape_prim.GetPath()])
+
+    found, moments, centre, axes = UsdPhysics.RigidBodyAPI(prim).ComputeMassProperties(solid)
+    turn = _matrix(axes)
+    inertia = turn @ np.diag(np.array(moments, dtype=float)) @ turn.T
+    centre = np.array(centre, dtype=float)
+    return Mass(found * kilogram, centre * metre, inertia * kilogram * metre**2)
+
+
+def _information(physics: Any, kind: str, shape: Any) -> Any:
+    """Give volume and inertia of unit density of a shape, about its centre of mass."""
+    from pxr import Gf
+
+    volume, moments, centre = _solid(kind, shape)
+    if kind in ("CapsuleShape", "CylinderShape", "ConeShape"):  # given along z
+        order = {"X": [2, 1, 0], "Y": [0, 2, 1], "Z": [0, 1, 2]}[shape.axis.name]
+        moments, centre = moments[order], centre[order]
+    told = physics.RigidBodyAPI.MassInformation()
+    told.volume = volume
+    told.inertia = Gf.Matrix3f(*np.diag(moments).ravel().tolist())
+    told.centerOfMass = Gf.Vec3f(*centre.tolist())
+    told.localPos, told.localRot = shape.localPos, shape.localRot
+    return told
+
+
+def _solid(kind: str, shape: Any) -> tuple[float, Array, Array]:
+    """Volume, moments along x, y and z, and centre of mass of a solid of density 1."""
+    if kind == "CubeShape":
+        a, b, c = (2 * float(half) for half in shape.halfExtents)
+        volume = a * b * c
+        sides = np.array([b * b + c * c, a * a + c * c, a * a + b * b])
+        return volume, volume / 12 * sides, np.zeros(3)
+    r = float(shape.radius)
+    if kind == "SphereShape":
+        volume = 4 / 3 * np.pi * r**3
+        return volume, np.full(3, 0.4 * volume * r * r), np.zeros(3)
+    h = 2 * float(shape.halfHeight)
+    volume = np.pi * r * r * h
+    if kind == "CylinderShape":
+        across = volume * (3 * r * r + h * h) / 12
+        return volume, np.array([across, across, volume * r * r / 2]), np.zeros(3)
+    if kind == "ConeShape":  # its tip is up, its centre of mass a quarter of the way up
+        volume /= 3
+        across = volume * (3 / 20 * r * r + 3 / 80 * h * h)
+        return volume, np.array([across, across, 0.3 * volume * r * r]), np.array([0, 0, -h / 4])
+    ball = 4 / 3 * np.pi * r**3
+    across = volume * (3 * r * r + h * h) / 12
+    across += ball * (0.4 * r * r + h * h / 4 + 3 / 8 * h * r)
+    along = volume * r * r / 2 + 0.4 * ball * r * r
+    return volume + ball, np.array([across, across, along]), np.zeros(3)
+
+
+def _matrix(turn: Any) -> Array:
+    quaternion = np.array([turn.GetReal(), *turn.GetImaginary()], dtype=float)
+    size = float(np.linalg.norm(quaternion))
+    return rotation.matrix(quaternion / size) if size > 0 else np.eye(3)

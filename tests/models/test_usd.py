@@ -1,0 +1,210 @@
+"""USD Physics is read with the masses, frames and units that its schema rules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.models import read_model
+from tests.command_line import CommandLine
+
+pytest.importorskip("pxr")
+
+_HEAD = '#usda 1.0\n(\n    metersPerUnit = {}\n    kilogramsPerUnit = {}\n    upAxis = "{}"\n)\n'
+_SCENE = 'def PhysicsScene "scene"\n{\n}\n'
+_MASS = """        float physics:mass = 2
+        point3f physics:centerOfMass = (0, 0, -0.5)
+        float3 physics:diagonalInertia = (0.5, 0.5, 0.25)
+"""
+_ORDER = '        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]\n'
+_APIS = '(prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])'
+
+
+def _body(name: str, place: str, turn: str = "(1, 0, 0, 0)", inside: str = _MASS) -> str:
+    return (
+        f'def Xform "{name}" {_APIS}\n{{\n        double3 xformOp:translate = {place}\n'
+        f"        quatd xformOp:orient = {turn}\n{_ORDER}{inside}}}\n"
+    )
+
+
+def _joint(kind: str, name: str, ends: tuple[str, str], inside: str = "") -> str:
+    first, second = (
+        f"    rel physics:body{k} = </{end}>\n" if end else "" for k, end in enumerate(ends)
+    )
+    return f'def Physics{kind}Joint "{name}"\n{{\n{first}{second}{inside}}}\n'
+
+
+def _read(here: Path, *parts: str, units: tuple[float, float, str] = (1, 1, "Z")) -> Imported:
+    (here / "model.usda").write_text(_HEAD.format(*units) + _SCENE + "".join(parts))
+    return read_model(here / "model.usda")
+
+
+_PLACE = "    point3f physics:localPos0 = (1, 2, 3)\n"
+_ARM = (
+    _body("upper", "(1, 2, 3)", "(0.8, 0, 0.6, 0)"),
+    _body("fore", "(1.96, 2, 3.28)", "(0.8, 0, 0.6, 0)"),
+    _joint(
+        "Revolute",
+        "shoulder",
+        ("", "upper"),
+        '    uniform token physics:axis = "Y"\n    point3f physics:localPos0 = (1, 2, 3)\n'
+        "    quatf physics:localRot0 = (1, 0, 0, 0)\n"
+        "    float physics:lowerLimit = -90\n    float physics:upperLimit = 180\n",
+    ),
+    _joint("Prismatic", "rail", ("upper", "fore"), '    uniform token physics:axis = "Z"\n'),
+)
+
+
+def test_a_chain_stands_where_its_prims_do(here: Path) -> None:
+    scene = _read(here, *_ARM).scene
+
+    mechanism = Mechanism.of(scene)
+    turn = rotation.matrix(np.array([0.8, 0, 0.6, 0]))
+    np.testing.assert_allclose(mechanism.com[0], [1 - 0.48, 2, 3 - 0.14], atol=1e-7)
+    inertia = turn @ np.diag([0.5, 0.5, 0.25]) @ turn.T
+    np.testing.assert_allclose(mechanism.inertia[0], inertia, atol=1e-7)
+    shoulder, rail = scene.joints
+    np.testing.assert_allclose(shoulder.axis or (), [0, 1, 0], atol=1e-7)
+    np.testing.assert_allclose(shoulder.anchor, [1, 2, 3], atol=1e-7)
+    np.testing.assert_allclose(rail.axis or (), [0.96, 0, 0.28], atol=1e-7)
+    assert (rail.parent, rail.child) == ("upper", "fore")
+    assert scene.gravity == pytest.approx((0, 0, -9.81), abs=1e-6)
+
+
+def test_limits_count_from_where_the_bodies_stand(here: Path) -> None:
+    (shoulder, _) = _read(here, *_ARM).facts.joints
+
+    standing = 2 * np.arccos(0.8)  # turned about y
+    low, high = shoulder.limits or (0, 0)
+    np.testing.assert_allclose([low, high], [-np.pi / 2 - standing, np.pi - standing], atol=1e-6)
+
+
+def test_centimetres_grams_and_y_up_become_si_and_z_up(here: Path) -> None:
+    parts = (
+        _body("rod", "(100, 200, 300)"),
+        _joint(
+            "Spherical", "ball", ("", "rod"), "    point3f physics:localPos0 = (100, 200, 300)\n"
+        ),
+    )
+    scene = _read(here, *parts, units=(0.01, 0.001, "Y")).scene
+
+    mechanism = Mechanism.of(scene)
+    np.testing.assert_allclose(scene.joints[0].anchor, [1, -3, 2], atol=1e-7)
+    np.testing.assert_allclose(mechanism.com[0], [1, -3 + 0.005, 2], atol=1e-7)
+    np.testing.assert_allclose(mechanism.mass, [0.002], rtol=1e-7)
+    # Its z is our −y: the smallest moment is along y.
+    expected = np.diag([0.5, 0.25, 0.5]) * 1e-3 * 1e-4
+    np.testing.assert_allclose(mechanism.inertia[0], expected, rtol=1e-6, atol=1e-15)
+    assert scene.gravity == pytest.approx((0, 0, -9.81), rel=1e-6)
+
+
+_R, _H = 0.3, 0.8
+_BALL, _ROD = 4 / 3 * np.pi * _R**3, np.pi * _R**2 * _H
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume", "moments"),
+    [
+        ("Cube", 0.008, np.full(3, 0.008 * 2 / 12 * 0.04)),
+        ("Sphere", _BALL, np.full(3, 0.4 * _BALL * _R**2)),
+        (
+            "Cylinder",
+            _ROD,
+            np.array([_R**2 / 2, *[(3 * _R**2 + _H**2) / 12] * 2]) * _ROD,
+        ),
+        (
+            "Cone",
+            _ROD / 3,
+            np.array([0.3 * _R**2, *[0.15 * _R**2 + 3 / 80 * _H**2] * 2]) * _ROD / 3,
+        ),
+        (
+            "Capsule",
+            _ROD + _BALL,
+            np.array([
+                _ROD * _R**2 / 2 + 0.4 * _BALL * _R**2,
+                *[
+                    _ROD * (3 * _R**2 + _H**2) / 12
+                    + _BALL * (0.4 * _R**2 + _H**2 / 4 + 3 / 8 * _H * _R)
+                ] * 2,
+            ]),
+        ),
+    ],
+)  # fmt: skip
+def test_shapes_weigh_by_their_density(
+    here: Path, shape: str, volume: float, moments: list[float]
+) -> None:
+    size = {
+        "Cube": "double size = 0.2",
+        "Sphere": f"double radius = {_R}",
+    }.get(shape, f'double radius = {_R}\ndouble height = {_H}\nuniform token axis = "X"')
+    inside = (
+        f'def {shape} "solid" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMassAPI"])\n'
+        f"{{\n{size}\nfloat physics:density = 500\n}}\n"
+    )
+    scene = _read(here, _body("solid", "(0, 0, 1)", inside=inside)).scene
+
+    mechanism = Mechanism.of(scene)
+    np.testing.assert_allclose(mechanism.mass[0], 500 * volume, rtol=1e-6)
+    np.testing.assert_allclose(np.diag(mechanism.inertia[0]), 500 * np.array(moments), rtol=2e-6)
+    assert degrees_of_freedom(mechanism) == 6
+
+
+def test_a_joint_from_the_hand_to_the_base_is_turned_around(here: Path) -> None:
+    forward = _read(here, *_ARM).scene
+    swapped = _joint(
+        "Prismatic", "rail", ("fore", "upper"), '    uniform token physics:axis = "Z"\n'
+    )
+    backward = _read(here, *_ARM[:3], swapped).scene
+
+    np.testing.assert_allclose(backward.joints[1].axis or (), -np.array(forward.joints[1].axis))
+    assert backward.joints[1].child == "fore"
+
+
+def test_what_is_lost_is_named(here: Path) -> None:
+    inside = "    float drive:angular:physics:stiffness = 3\n    float physxJoint:armature = 0.1\n"
+    imported = _read(
+        here, _body("rod", "(1, 2, 3)"), _joint("Revolute", "hip", ("", "rod"), inside + _PLACE)
+    )
+
+    lost = {name for f in imported.fates if f.outcome == "dropped" for name in f.properties}
+    assert {"drive:angular:physics:stiffness", "physxJoint:armature"} <= lost
+
+
+_MESH = 'def Mesh "shell" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n{\n}\n'
+_BAD = {
+    "text": ("#usda 1.0\ndef {", "OpenUSD does not read it"),
+    "apart": (
+        _body("rod", "(1, 2, 3)") + _joint("Revolute", "hip", ("", "rod")),
+        "'hip' is 3.74 m apart",
+    ),
+    "mesh": (_body("rod", "(0, 0, 0)", inside=_MESH), "state its mass and diagonalInertia"),
+    "reference": ('def "a" (references = @gone.usda@)\n{\n}\n', "'gone.usda', which is not there"),
+    "outside": ('def "a" (references = @../outside.usda@)\n{\n}\n', "takes a --folder"),
+    "nothing": ('def Xform "a"\n{\n}\n', "nothing in it moves"),
+}
+
+
+@pytest.mark.parametrize("name", _BAD)
+def test_a_bad_stage_is_one_line(name: str, run: CommandLine, here: Path) -> None:
+    text, part = _BAD[name]
+    head = "" if text.startswith("#") else _HEAD.format(1, 1, "Z")
+    (here / "model.usda").write_text(head + text)
+    (here.parent / "outside.usda").write_text("#usda 1.0\n")
+
+    refusal = run("import", "model.usda").refusal
+
+    assert refusal.startswith("mbds-xsim: model.usda: ")
+    assert part in refusal
+
+
+def test_a_loop_that_no_joint_closes_is_refused(here: Path) -> None:
+    general = _joint("", "loose", ("upper", ""))
+    with pytest.raises(InputError, match="too many freedoms"):
+        _read(here, *_ARM, general)
