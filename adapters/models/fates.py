@@ -102,11 +102,34 @@ _URDF: tuple[_Row, ...] = (
     ("dropped", True, "an extension of one simulator", "gazebo contact self_collision_checking"),
     ("dropped", False, "read by MuJoCo's compiler alone", "mujoco"),
 )
-_TABLES = {"mujoco": _MJCF, "robot": _URDF}
-_TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon"}, "robot": {"mimic"}}
+_SDF: tuple[_Row, ...] = (
+    (
+        "kept",
+        True,
+        "as DART's parser reads it",
+        "sdf@version world@name model@name link@name link inertial mass inertia ixx ixy ixz iyy "
+        "iyz izz pose joint@name joint@type parent child xyz use_parent_model_frame static",
+    ),
+    ("kept", True, "it names no frame", "pose@frame"),
+    ("dropped", False, _DRAWN, "visual light scene gui material"),
+    ("dropped", True, _COLLISION, "collision contact"),
+    ("dropped", False, _COLLISION, "self_collide"),
+    ("dropped", False, "a limit of the drive", "effort velocity"),
+    ("dropped", False, _SOLVER, "physics"),
+    ("dropped", True, "an extension of one simulator", "plugin"),
+    ("dropped", False, "data for other programs", "sensor audio"),
+    ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
+    ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
+    ("kept", True, "as DART's parser reads it", "gravity"),
+    ("dropped", True, "couplings are not yet in the scene description",
+     "gearbox_ratio gearbox_reference_body"),
+)  # fmt: skip
+_TABLES = {"mujoco": _MJCF, "robot": _URDF, "sdf": _SDF}
+_TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon"}, "robot": {"mimic"}, "sdf": set()}
 """Elements of which the compiled model says more."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
-          "material", "extension", "plugin", "skin", "ros2_control"}  # fmt: skip
+          "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",
+          "velocity_decay", "light", "gui", "scene"}  # fmt: skip
 """Elements whose children have their fate."""
 _NONE_AT_ZERO = {"density", "viscosity", "wind", "magnetic", "gravcomp"}
 
@@ -124,7 +147,7 @@ def fates_of(root: Element, told: Mapping[tuple[str, str], bool]) -> Iterator[Fa
     for element in _walk(root):
         for attribute in element.attrib or ("",):
             if (said := told.get((element.tag, attribute))) is None:
-                fate = _look_up(table, element, attribute, exact=root.tag == "robot")
+                fate = _look_up(table, element, attribute, exact=root.tag != "mujoco")
             elif said:
                 continue
             else:

@@ -56,7 +56,7 @@ class _Reader:
         root = _parse(path)
         for element in list(root.iter()):
             for k, child in reversed(list(enumerate(element))):
-                if child.tag == "include" and root.tag != "robot":
+                if child.tag == "include" and root.tag not in ("robot", "sdf"):
                     element[k : k + 1] = list(self._included(child, path, above))
                 elif child.tag == "model" and "file" in child.attrib:
                     child.extend(self._included(child, path, above))
@@ -122,7 +122,7 @@ def _parse(path: Path) -> Element:
         raise InputError(msg)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.EntityDeclHandler = refuse
+    parser.EntityDeclHandler, parser.CharacterDataHandler = refuse, builder.data
     try:
         parser.Parse(content, True)
     except (expat.ExpatError, ValueError) as error:

@@ -9,7 +9,9 @@ from typer import Argument, Exit, Option
 
 from mbds_xsim.commands import shared
 
-Model = Annotated[Path, Argument(metavar="MODEL", help="A file: .xml (MJCF), .urdf or .usda.")]
+Model = Annotated[
+    Path, Argument(metavar="MODEL", help="A file: .xml (MJCF), .urdf, .sdf or .usda.")
+]
 Floating = Annotated[
     bool, Option("--floating", help="Leave a URDF's root link free, not fixed in the world.")
 ]

@@ -147,7 +147,7 @@ SceneName = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf, .usda).",
+        help="A built-in name, a family with a size, or a file (.toml, .xml, .urdf, .sdf, .usda).",
         autocompletion=_complete_scene,
     ),
 ]

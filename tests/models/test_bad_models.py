@@ -84,7 +84,7 @@ def test_what_is_not_there_or_of_no_known_format_is_one_line(run: CommandLine, h
 
     assert "no such file" in run("import", "gone.urdf").refusal
     assert "no such file" in run("show", "gone.xml").refusal
-    assert "there are: urdf, usd, usda, usdc, xml" in run("import", "model.step").refusal
+    assert "there are: sdf, urdf, usd, usda, usdc, xml" in run("import", "model.step").refusal
     assert "is for URDF" in _refused_floating(run, here)
 
 

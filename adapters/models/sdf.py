@@ -1,0 +1,179 @@
+"""SDF, as DART parses it: poses, masses and joints are its reader's."""
+
+from __future__ import annotations
+
+import copy
+import math
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, tostring
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.scene.imported import Imported
+
+from .assembling import assemble
+from .fates import fates_of
+from .parts import Freedom, Mass, Part, Parts, Property
+from .source import read_source
+
+_LABELS = {
+    "stiffness": ("spring_stiffness", ""),
+    "rest": ("spring_reference", ""),
+    "damping": ("damping", ""),
+    "friction": ("friction", ""),
+    "limits": ("lower", ""),
+}
+_KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "BallJoint": "ball",
+          "FreeJoint": "free"}  # fmt: skip
+_FAR = 1e10  # a limit beyond is none
+_VERSIONS = ("1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11")
+"""Until 1.4 axes were in the frame of the model, which DART does not tell apart."""
+_FRAMES = ("relative_to", "expressed_in", "frame", "degrees", "rotation_format")
+_NOT_READ = ("include", "frame", "experimental:params")
+
+
+def read(path: Path, folder: Path, floating: bool) -> Imported:
+    """Read an SDF file; see `mbds_xsim.simulate.models`."""
+    try:
+        import dartpy
+    except ImportError as error:
+        msg = "SDF is read by DART, which is not installed: pip install 'mbds-xsim[dart]'"
+        raise EngineMissing(msg) from error
+    if floating:
+        msg = "--floating is for URDF; SDF says itself which of its models are fixed"
+        raise InputError(msg)
+    root = read_source(path, folder)
+    _refuse(root)
+    try:
+        skeletons, gravity = _skeletons(dartpy.utils.SdfParser, root)
+    except RuntimeError as error:
+        raise InputError(f"DART's parser refuses it: {error}") from error
+    parts: list[Part] = []
+    for skeleton, element in zip(skeletons, root.iter("model"), strict=True):
+        skeleton.setPositions(np.zeros(skeleton.getNumDofs()))
+        turns = {link.get("name", ""): _inertial_turn(link) for link in element.findall("link")}
+        parts += _parts(skeleton, len(parts), turns)
+    named = next(iter(root.iter("model"))).get("name") or path.stem
+    model = Parts(named, tuple(parts), gravity, labels=_LABELS)
+    had = {key for part in parts for freedom in part.freedoms for key in freedom.properties}
+    told = {label: key in had for key, label in _LABELS.items()}
+    told["upper", ""] = told["lower", ""]
+    from importlib.metadata import version
+
+    reader = f"DART {version('dartpy')}"
+    fates = fates_of(root, told)
+    return assemble(model, file=path.name, kind="SDF", reader=reader, fates=fates)
+
+
+def _skeletons(parser: Any, root: Element) -> tuple[list[Any], Array]:
+    """Let DART read the models, without shapes: it crashes on meshes that it does not find."""
+    bare = copy.deepcopy(root)
+    for link in list(bare.iter("link")):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    gravity = np.array([0.0, 0.0, -9.81])
+    with tempfile.NamedTemporaryFile("w", suffix=".sdf", encoding="utf-8") as file:
+        file.write(tostring(bare, encoding="unicode"))
+        file.flush()
+        if root.find("world") is None:
+            skeletons = [parser.readSkeleton(file.name)]
+        else:
+            world = parser.readWorld(file.name)
+            count = world.getNumSkeletons() if world is not None else 0
+            skeletons = [world.getSkeleton(k) for k in range(count)]
+            gravity = np.array(world.getGravity()) if world is not None else gravity
+    if not skeletons or None in skeletons:
+        msg = "DART's parser gives no model of it"
+        raise InputError(msg)
+    return skeletons, gravity
+
+
+def _refuse(root: Element) -> None:
+    """Raise where DART's parser would pass over what moves things."""
+    if root.tag != "sdf":
+        msg = f"its outermost element is <{root.tag}>, allowed is <sdf>"
+        raise InputError(msg)
+    if (number := root.get("version", "")) not in _VERSIONS:
+        msg = f"it is of version {number or 'unsaid'}; DART's parser reads {', '.join(_VERSIONS)}"
+        raise InputError(msg)
+    for element in root.iter():
+        framed = [key for key in _FRAMES if element.get(key)]
+        nested = element.tag == "model" and element.find("model") is not None
+        if element.tag in _NOT_READ or framed or nested:
+            what = f"{framed[0]}=" if framed else "a model in a model" if nested else element.tag
+            msg = f"<{element.tag}> has what DART's parser does not read ({what}); resolve it first"
+            raise InputError(msg)
+
+
+def _inertial_turn(link: Element) -> Array:
+    """Give the axes in which a link's inertia is stated, in the link's frame: DART drops them."""
+    words = (link.findtext("inertial/pose") or "").split()
+    roll, pitch, yaw = map(float, words[3:6]) if len(words) == 6 else (0.0, 0.0, 0.0)
+    turns = (rotation.from_vector(v) for v in np.diag([roll, pitch, yaw]))
+    about_x, about_y, about_z = map(rotation.matrix, turns)
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def _parts(skeleton: Any, first: int, turns: Mapping[str, Array]) -> Iterator[Part]:
+    order = list(_downwards(skeleton))
+    place = {node.getName(): first + k for k, node in enumerate(order)}
+    for node in order:
+        above = node.getParentBodyNode()
+        frame, inertia = node.getTransform(), node.getInertia()
+        axes = np.array(frame.rotation()) @ turns.get(node.getName(), np.eye(3))
+        yield Part(
+            name=node.getName(),
+            parent=place[above.getName()] if above is not None else -1,
+            position=np.array(frame.translation()),
+            orientation=rotation.from_matrix(np.array(frame.rotation())),
+            mass=Mass(
+                inertia.getMass(), np.array(node.getCOM()), axes @ inertia.getMoment() @ axes.T
+            ),
+            freedoms=tuple(_freedoms(node)) if skeleton.isMobile() else (),
+        )
+
+
+def _downwards(skeleton: Any) -> Iterator[Any]:
+    waiting = [node for node in skeleton.getBodyNodes() if node.getParentBodyNode() is None]
+    while waiting:
+        node = waiting.pop(0)
+        yield node
+        waiting += [node.getChildBodyNode(k) for k in range(node.getNumChildBodyNodes())]
+
+
+def _freedoms(node: Any) -> Iterator[Freedom]:
+    joint = node.getParentJoint()
+    kind = joint.getType()
+    place = node.getTransform().multiply(joint.getTransformFromChildBodyNode())
+    anchor, axes = np.array(place.translation()), np.array(place.rotation())
+    name = joint.getName()
+    if kind in ("BallJoint", "FreeJoint"):
+        yield Freedom(name, _KINDS[kind], anchor, np.zeros(3), _properties(joint, 0))  # type: ignore[arg-type]
+    elif kind in _KINDS:
+        yield Freedom(name, _KINDS[kind], anchor, axes @ joint.getAxis(), _properties(joint, 0))  # type: ignore[arg-type]
+    elif kind == "UniversalJoint":
+        for k, axis in enumerate((joint.getAxis1(), joint.getAxis2())):
+            yield Freedom(f"{name} {k + 1}", "hinge", anchor, axes @ axis, _properties(joint, k))
+    elif kind != "WeldJoint":
+        msg = f"the joint {name!r} is a {kind}, which is not in the scene description"
+        raise InputError(msg)
+
+
+def _properties(joint: Any, k: int) -> dict[str, Property]:
+    found: dict[str, Property] = {
+        "stiffness": float(joint.getSpringStiffness(k)),
+        "damping": float(joint.getDampingCoefficient(k)),
+        "friction": float(joint.getCoulombFriction(k)),
+    }
+    if found["stiffness"]:
+        found["rest"] = float(joint.getRestPosition(k))
+    limits = (float(joint.getPositionLowerLimit(k)), float(joint.getPositionUpperLimit(k)))
+    if all(map(math.isfinite, limits)) and max(map(abs, limits)) < _FAR:
+        found["limits"] = limits
+    return {key: value for key, value in found.items() if value}

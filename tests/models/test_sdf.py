@@ -1,0 +1,96 @@
+"""SDF is read with the poses, masses and axes that its specification rules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.imported import Imported
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.simulate.models import read_model
+from tests.command_line import CommandLine
+
+pytest.importorskip("dartpy")
+
+_INERTIA = (
+    "<inertial><pose>0.1 0.2 0.3 0 0 {}</pose><mass>2</mass><inertia><ixx>1</ixx><iyy>2</iyy>"
+    "<izz>2.5</izz><ixy>0.1</ixy><ixz>0</ixz><iyz>0</iyz></inertia></inertial>"
+)
+_ARM = (
+    '<link name="arm"><pose>1 2 3 0 0 0.5</pose>' + _INERTIA.format(0.3) + "{}</link>"
+    '<joint name="pivot" type="{}"><parent>world</parent><child>arm</child>'
+    "<pose>0 0 1 0 0 0.2</pose><axis><xyz>1 0 0</xyz>{}</axis></joint>"
+)
+
+
+def _read(here: Path, inside: str, version: str = "1.6", name: str = "model.sdf") -> Imported:
+    text = f'<sdf version="{version}"><model name="robot">{inside}</model></sdf>'
+    (here / name).write_text(text)
+    return read_model(here / name)
+
+
+def test_a_link_has_the_inertia_that_is_stated_in_its_poses(here: Path) -> None:
+    scene = _read(here, _ARM.format("", "revolute", "")).scene
+
+    mechanism = Mechanism.of(scene)
+    link, inertial = (
+        rotation.matrix(rotation.from_vector(np.array([0, 0, a]))) for a in (0.5, 0.8)
+    )
+    stated = np.array([[1, 0.1, 0], [0.1, 2, 0], [0, 0, 2.5]])
+    np.testing.assert_allclose(mechanism.inertia[0], inertial @ stated @ inertial.T, atol=1e-12)
+    place = np.array([1, 2, 3]) + link @ [0.1, 0.2, 0.3]
+    np.testing.assert_allclose(mechanism.com[0], place, atol=1e-12)
+    np.testing.assert_allclose(scene.joints[0].anchor, [1, 2, 4], atol=1e-12)
+    np.testing.assert_allclose(
+        scene.joints[0].axis or (), [np.cos(0.7), np.sin(0.7), 0], atol=1e-12
+    )
+
+
+def test_an_axis_may_be_in_the_frame_of_the_model(here: Path) -> None:
+    told = "<use_parent_model_frame>1</use_parent_model_frame>"
+    scene = _read(here, _ARM.format("", "prismatic", told)).scene
+
+    assert scene.joints[0].kind == "slider"
+    np.testing.assert_allclose(scene.joints[0].axis or (), [1, 0, 0], atol=1e-12)
+
+
+def test_what_is_lost_is_named(here: Path) -> None:
+    limit = "<limit><lower>-1</lower><upper>2</upper></limit>"
+    more = f"<dynamics><damping>0.4</damping></dynamics>{limit}"
+    mesh = "<collision name='c'><geometry><mesh><uri>gone.stl</uri></mesh></geometry></collision>"
+    imported = _read(here, _ARM.format(mesh + "<spring>3</spring>", "revolute", more))
+
+    lost = {fate.element: fate for fate in imported.fates if fate.outcome == "dropped"}
+    assert {"collision", "spring"} <= lost.keys()
+    told = {fate.element: fate.places for fate in imported.fates}
+    assert told["damping"] == ("pivot: 0.4",)
+    assert told["lower"] == ("pivot: -1 to 2",)
+    assert imported.facts.joints[0].limits == (-1, 2)
+
+
+_BAD = {
+    "frames": (_ARM.format("", "revolute", "").replace("<pose>1", '<pose relative_to="b">1'),
+               "does not read (relative_to=)"),
+    "include": ("<include><uri>model://a</uri></include>", "does not read (include)"),
+    "nested": ('<model name="b"/>', "a model in a model"),
+    "screw": (_ARM.format("", "screw", ""), "ScrewJoint"),
+    "nothing": (_ARM.format("", "fixed", ""), "nothing in it moves"),
+    "old": (None, "version 1.4"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", _BAD)
+def test_a_bad_file_is_one_line(name: str, run: CommandLine, here: Path) -> None:
+    inside, part = _BAD[name]
+    version = "1.6" if inside else "1.4"
+    inside = inside or _ARM.format("", "revolute", "")
+    text = f'<sdf version="{version}"><model name="robot">{inside}</model></sdf>'
+    (here / "model.sdf").write_text(text)
+
+    refusal = run("import", "model.sdf").refusal
+
+    assert refusal.startswith("mbds-xsim: model.sdf: ")
+    assert part in refusal
