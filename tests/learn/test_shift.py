@@ -7,11 +7,13 @@ import itertools
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
 
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.particles import (
     EXPLODED,
@@ -22,7 +24,15 @@ from mbds_xsim.learn.particles import (
     one_step_error,
 )
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
-from mbds_xsim.learn.shift.domains import Paired, Recorded, ReferenceFrames
+from mbds_xsim.learn.shift.domains import (
+    REFERENCE,
+    Domain,
+    Paired,
+    Recorded,
+    ReferenceFrames,
+    load_paired,
+    solve_domain,
+)
 from mbds_xsim.learn.shift.evaluation import (
     ENGINE,
     Evaluation,
@@ -47,6 +57,8 @@ from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.trivial import ConstantVelocity
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 
 Analytic = Callable[..., Motions]
@@ -644,3 +656,21 @@ def test_the_papers_figures_are_there_as_printed() -> None:
     assert paper_errors("no scene of the paper") == {}
     sound = paper_errors("6pendulum", flagged=False)
     assert set(errors) - set(sound) == {("lgnn", 50)}  # less than at t = 40
+
+
+def test_the_truth_is_one_more_domain(tmp_path: Path) -> None:
+    """The data that the reference made are the motions of the domain that nobody made."""
+    scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(0.02, 20))
+    choice = Choice.parse(engines=f"mujoco,{REFERENCE}")
+    generate(Request((scene,), choice, 60, tmp_path), workers=0)
+
+    test = load_paired(tmp_path, "2pendulum")
+    solved, _ = solve_domain(test, 10, cache=False, workers=0)
+
+    assert [domain.name for domain in test.domains] == ["mujoco-matched", "reference-matched"]
+    assert solved is not None
+    domains: list[Domain] = [*test.domains, solved]
+    motions = [each.motions(torch.float64).body for each in domains]
+    engine, own, truth = (body[:, :16, :, :3] for body in motions if body is not None)
+    assert float((own - truth).abs().max()) < 1e-10
+    assert float((engine - truth).abs().max()) > 1e-9

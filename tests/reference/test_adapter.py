@@ -19,6 +19,7 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.simulator import EngineMethod
+from mbds_xsim.studies.diff.read import read_views
 from mbds_xsim.studies.tradeoff.study import tradeoff
 from mbds_xsim.studies.tradeoff.sweep import curves_of
 from tests.command_line import CommandLine
@@ -97,6 +98,9 @@ def test_its_curve_goes_over_tolerances(scene: Scene, here: Path) -> None:
     errors = [point.error_m or 0.0 for point in alone.points]
     assert errors[0] > 1e2 * errors[-1] > 0.0
     assert all(point.kind == "done" and not point.broken for point in alone.points)
+    Path("study.json").write_bytes(msgspec.json.encode(study))
+    (view,) = read_views(Path("study.json"))[1].values()
+    assert "reference adaptive, rtol 1e-12" in view.entries
     # Eight lanes of a batch are filled, alone one.
     one, share = ([point.cpu_s or 0.0 for point in each.points] for each in (alone, batch))
     assert np.median(np.divide(one, share)) > 2.0

@@ -144,7 +144,8 @@ def _curve_entries(study: rows.Tradeoff) -> Iterator[tuple[str, Entry]]:
     for curve, cost in itertools.zip_longest(study.curves, costs[: len(study.curves)]):
         yield curve.name, _curve_entry(curve, cost, scales["error_m"])
         for point in curve.points:
-            name = f"{curve.name}, {point.step_s:.12g} s"
+            pace = f"{point.step_s:.12g} s" if point.rtol is None else f"rtol {point.rtol:g}"
+            name = f"{curve.name}, {pace}"
             yield name, _point_entry(point, curve.name, scales)
 
 
