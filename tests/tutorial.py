@@ -12,7 +12,7 @@ from mbds_xsim import __main__ as cli
 __all__ = ["PAGES", "walk"]
 
 PAGES = Path(__file__).parents[1] / "docs" / "tutorials"
-_BLOCK = re.compile(r"^(?:`([\w.-]+)`:\n\n)?```(toml|sh|python)\n(.*?)^```$", re.M | re.S)
+_BLOCK = re.compile(r"^(?:`([\w.-]+)`:\n\n)?```(toml|xml|sh|python)\n(.*?)^```$", re.M | re.S)
 _FAILS = "# exit code 1"
 
 
@@ -20,7 +20,7 @@ def walk(page: str) -> None:
     """Do all that a tutorial says, in order, in the current folder."""
     names: dict[str, object] = {}
     for name, kind, text in _BLOCK.findall((PAGES / page).read_text("utf-8")):
-        if kind == "toml":
+        if kind in ("toml", "xml"):
             Path(name).write_text(text, "utf-8")
         elif kind == "sh":
             for line in text.splitlines():

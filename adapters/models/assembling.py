@@ -31,6 +31,7 @@ PROPERTIES = {
 }
 """Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""
 
+_SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
 _TIES_NOTHING = "it holds what does not move, or is not there"
 _TOGETHER = 1e-9  # [m], between anchors that are one
@@ -201,7 +202,8 @@ class _Builder:
     def _join(self, freedom: Freedom, parent: str, child: str) -> None:
         kept: dict[str, Any] = {}
         for key, value in freedom.properties.items():
-            reason = PROPERTIES[key]
+            scalar = freedom.kind in ("hinge", "slider")
+            reason = PROPERTIES[key] or ("" if scalar else _SCALAR)
             if not reason:
                 kept[key] = value
             element, attribute = self._model.labels[key]
