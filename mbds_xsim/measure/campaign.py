@@ -37,6 +37,7 @@ from mbds_xsim.simulate.registry import REFERENCE, load_adapter
 from mbds_xsim.simulate.timed import Simulation, Work, forewarnings, simulate
 
 _CHUNKS = 6  # an engine's trajectories are spread over at most so many processes
+_LANES = 8  # trajectories that take the compiled reference as long as one
 _REFINEMENT = (2, 4)  # the consistency check compares with steps so many times longer, or shorter
 _TIMEOUT = 3600.0
 RTOL = 1e-11
@@ -149,7 +150,7 @@ def run_campaign(
             Task(reference_of, (scene, batch[rows], cache), _TIMEOUT),
             references.append,
         )
-        for rows in _chunks(len(batch))
+        for rows in _reference_chunks(scene, len(batch))
     ]
     compiling = None if scene.contacts else compilation(progress.notice)
     if compiling is not None:
@@ -183,7 +184,8 @@ def run_references(
     if not scene.contacts:
         compile_once(notice or Silent().notice, workers=workers)
     parts = [
-        Task(reference_of, (scene, batch[rows], cache), _TIMEOUT) for rows in _chunks(len(batch))
+        Task(reference_of, (scene, batch[rows], cache), _TIMEOUT)
+        for rows in _reference_chunks(scene, len(batch))
     ]
     return _joined(run_tasks(parts, workers=workers))
 
@@ -244,8 +246,15 @@ def other_steps(scene: Scene, engine: str, settings: Settings) -> list[float]:
     ]
 
 
-def _chunks(count: int) -> list[list[int]]:
-    return [rows.tolist() for rows in np.array_split(np.arange(count), min(_CHUNKS, count))]
+def _chunks(count: int, *, least: int = 1) -> list[list[int]]:
+    """Part rows evenly, into as many pieces as there would be of so many rows at the most."""
+    parts = min(_CHUNKS, -(-count // least))
+    return [rows.tolist() for rows in np.array_split(np.arange(count), parts)]
+
+
+def _reference_chunks(scene: Scene, count: int) -> list[list[int]]:
+    """Let the compiled reference have as many as it does at once."""
+    return _chunks(count, least=1 if scene.contacts else _LANES)
 
 
 def reference_of(scene: Scene, batch: Batch, cache: bool) -> ReferenceOutcome:

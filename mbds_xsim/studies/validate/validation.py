@@ -56,8 +56,10 @@ def validate_with_evidence(
     begin, progress = time.perf_counter(), progress or Silent()
     spent = Spent(float)
     how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
-    choice = searched(scene, choice, cache=cache, workers=workers, progress=progress)
-    spent["search of settings"] = time.perf_counter() - begin
+    given = choice
+    choice = searched(scene, given, cache=cache, workers=workers, progress=progress)
+    if choice.given != given.given:
+        spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = choice.contenders(scene)
     count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
     batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
