@@ -17,11 +17,11 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.process import redirected
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize, Readback, Run, Settings, recorded
-from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import ContactSolver, centers, contact_failures, pairs
 from .model import SkeletonModel
@@ -142,6 +142,7 @@ class DartRun(Run):
             sphere=centers(model.shapes),
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
+            law=joint_laws(self._mechanism, self._law),
         )
 
     def _axis(self, link: Link) -> Array:
@@ -156,19 +157,22 @@ class DartRun(Run):
         below = joint.getTransformFromChildBodyNode().translation()
         return above, body.getWorldTransform().multiply(below)
 
+    def _law(self, link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
+        joint = self._model.joints[link.body]
+        stiffness, damping = joint.getSpringStiffness(0), joint.getDampingCoefficient(0)
+        return stiffness, damping, joint.getRestPosition(0)
+
     def _damping(self) -> Array:
-        return np.array(
-            [
-                value
-                for joint in self._model.joints
-                for k in range(joint.getNumDofs())
-                for value in (
-                    joint.getDampingCoefficient(k),
-                    joint.getCoulombFriction(k),
-                    joint.getSpringStiffness(k),
-                )
-            ]
-        )
+        carried = {link.body: link.joint for link in self._mechanism.links}
+        found = []
+        for body, joint in enumerate(self._model.joints):
+            asked = carried[body]
+            for k in range(joint.getNumDofs()):
+                stiffness, damping = joint.getSpringStiffness(k), joint.getDampingCoefficient(k)
+                if asked is not None:
+                    stiffness, damping = stiffness - asked.stiffness, damping - asked.damping
+                found += [damping, joint.getCoulombFriction(k), stiffness]
+        return np.array(found)
 
     def native(self, batch: Batch) -> str:
         q, u = self._start(batch)

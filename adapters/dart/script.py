@@ -125,6 +125,10 @@ def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
         yield f"joints[{k}].setTransformFrom{end}BodyNode(at({x!r}, {y!r}, {z!r}))"
     if joint.kind in ("hinge", "slider"):
         yield f"joints[{k}].setAxis({_vector(joint.axis)})"
+    if joint.complies:
+        yield f"joints[{k}].setSpringStiffness(0, {joint.stiffness!r})"
+        yield f"joints[{k}].setDampingCoefficient(0, {joint.damping!r})"
+        yield f"joints[{k}].setRestPosition(0, {joint.rest!r})"
 
 
 def _pin(joint: PlacedJoint, point: Array) -> str:

@@ -158,6 +158,8 @@ class ForwardDynamicsRK4(DartStepper):
 
     def __init__(self, model: SkeletonModel, loads: FrameLoads, step: float) -> None:
         super().__init__(model, loads, step)
+        # Springs and dampers of joints are implicit over the skeleton's own step.
+        model.skeleton.setTimeStep(_TINY)
         # A ball's increments stand on the right of its rotation, a free body's on the left.
         self._turns = np.concatenate([model.turning_at, model.free_turn_at])
         self._side = np.repeat([1.0, -1.0], [len(model.turning_at), len(model.free_turn_at)])

@@ -29,7 +29,7 @@ from exudyn.utilities import RigidBodyInertia, TreeLink
 container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
-bodies, joints, frames, springs, forces, torques = [], [], [], [], [], []"""
+bodies, joints, frames, springs, laws, forces, torques = [], [], [], [], [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
@@ -110,6 +110,10 @@ class Formulation(ABC):
         """Anchors in the parent and in the child, in W as the bodies are, shape (joint, 2, 3)."""
 
     @abstractmethod
+    def laws(self, names: Mapping[str, Any]) -> Array:
+        """Read back what `Readback.law` tells."""
+
+    @abstractmethod
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         """Axes of hinges and sliders in W, with the bodies' rotations (body, 3, 3) as they are."""
 
@@ -128,6 +132,8 @@ class RigidBodies(Formulation):
             yield from _joint(joint)
         for link in mechanism.distances:
             yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
+        for joint in mechanism.compliant:
+            yield (_turning_law if joint.kind == "hinge" else _sliding_law)(joint)
 
     def ends(self, pair: PointPair) -> str:
         first, second = (point.tolist() for point in pair.in_body)
@@ -187,6 +193,12 @@ class RigidBodies(Formulation):
         ends = [[mbs.GetMarkerOutput(end, place) for end in pair] for pair in joints]
         return np.array(ends).reshape(-1, 2, 3)
 
+    def laws(self, names: Mapping[str, Any]) -> Array:
+        objects = [names["mbs"].GetObject(number) for number in names["laws"]]
+        keys = ("stiffness", "damping", "offset")
+        told = [[np.ravel(each[key])[0] for key in keys] for each in objects]
+        return np.array(told).reshape(-1, len(keys))
+
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         mbs, axes = names["mbs"], []
         for placed, number in zip(self.mechanism.joints, names["joints"], strict=True):
@@ -219,6 +231,31 @@ def _joint(joint: PlacedJoint) -> Iterator[str]:
         f"joints.append(mbs.{_CALLS[joint.kind]}("
         f"itemNumbers=[{_item(joint.parent)}, {_item(joint.child)}], "
         f"position={joint.anchor.tolist()!r}{axis}))"
+    )
+
+
+def _turning_law(joint: PlacedJoint) -> str:
+    return (
+        f"laws.append(mbs.CreateTorsionalSpringDamper("
+        f"itemNumbers=[{_item(joint.parent)}, {_item(joint.child)}], "
+        f"position={joint.anchor.tolist()!r}, axis={joint.axis.tolist()!r}, "
+        f"stiffness={joint.stiffness!r}, damping={joint.damping!r}, offset={joint.rest!r}))"
+    )
+
+
+def _sliding_law(joint: PlacedJoint) -> str:
+    frame = np.column_stack([joint.axis, *rotation.normal_to(joint.axis)]).tolist()
+    markers = ", ".join(
+        f"mbs.AddMarker(items.MarkerBodyRigid(bodyNumber={_item(body)}, "
+        f"localPosition={point.tolist()!r}))"
+        for body, point in ((joint.parent, joint.in_parent), (joint.child, joint.in_child))
+    )
+    return (
+        f"laws.append(mbs.AddObject(items.ObjectConnectorRigidBodySpringDamper("
+        f"markerNumbers=[{markers}], rotationMarker0={frame}, rotationMarker1={frame}, "
+        f"stiffness=np.diag([{joint.stiffness!r}, 0, 0, 0, 0, 0]), "
+        f"damping=np.diag([{joint.damping!r}, 0, 0, 0, 0, 0]), "
+        f"offset=[{joint.rest!r}, 0, 0, 0, 0, 0])))"
     )
 
 

@@ -96,9 +96,15 @@ class ExudynRun(Run):
             data.SetODE2Coordinates_t(velocities, configuration)
             data.SetODE2Coordinates_tt(np.zeros_like(velocities), configuration)
         if self._spheres is not None:
-            memory = self._spheres.memory()
+            memory = self._memory()
             data.SetDataCoordinates(memory, exudyn.ConfigurationType.Initial)
             data.SetDataCoordinates(memory, exudyn.ConfigurationType.Current)
+
+    def _memory(self) -> Array:
+        """What springs of hinges hold, which are listed first and count turns, and contacts."""
+        assert self._spheres is not None
+        memory = self._spheres.memory()
+        return np.concatenate([np.zeros(self._mbs.systemData.DataSize() - len(memory)), memory])
 
     def _record(self, row: Batch, positions: Array, velocities: Array) -> str | None:
         """Step through one trajectory; tell what the solver stumbled over, if it did.
@@ -158,6 +164,7 @@ class ExudynRun(Run):
             sphere=self._spheres.centers() if self._spheres is not None else None,
             anchor=self._model.anchors(self._names, com, turn),
             spring=self._springs(),
+            law=self._model.laws(self._names),
         )
 
     def _springs(self) -> Array:
@@ -178,7 +185,7 @@ class ExudynRun(Run):
         self._put(coordinates, velocities)
         start = _START.format(coordinates=coordinates.tolist(), velocities=velocities.tolist())
         if self._spheres is not None:
-            start += _MEMORY.format(memory=self._spheres.memory().tolist())
+            start += _MEMORY.format(memory=self._memory().tolist())
         shapes = "\n".join(self._model.graphics())
         run = _RUN.format(count=self._mechanism.scene.clock.steps)
         return f"{self._listing}\n{shapes}\n{start}{run}"

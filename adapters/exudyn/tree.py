@@ -11,7 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
-from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .model import Formulation, MassProperties, inertia_text
 
@@ -35,7 +35,9 @@ class KinematicTree(Formulation):
         for link in mechanism.links:
             yield from self._link(link)
         gravity = list(mechanism.scene.gravity)
-        yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r})"
+        rest = [_joint(link).rest for link in mechanism.links]
+        offsets = f", jointPositionOffsetVector={rest!r}" if mechanism.compliant else ""
+        yield f"tree = mbs.CreateKinematicTree(listOfTreeLinks=links, gravity={gravity!r}{offsets})"
         for k in range(mechanism.body_count):
             yield f"frames.append({self.marker(k, np.zeros(3))})"
 
@@ -49,11 +51,12 @@ class KinematicTree(Formulation):
             above, offset = _frame(holder), joint.anchor - holder.anchor
         inertia = frame.T @ mechanism.inertia[link.body] @ frame
         com = frame.T @ -joint.in_child
+        law = f", PDcontrol=[{joint.stiffness!r}, {joint.damping!r}]" if joint.complies else ""
         yield f"# {mechanism.scene.bodies[link.body].name!r} on {joint.name!r}"
         yield (
             f"links.append(TreeLink({inertia_text(mechanism.mass[link.body], inertia, com)}, "
             f"jointType=exu.JointType.{_TYPES[joint.kind]}, parent={parent}, "
-            f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]))"
+            f"jointHT={_placed(above.T @ frame, above.T @ offset)}, graphicsDataList=[]{law}))"
         )
 
     def graphics(self) -> Iterator[str]:
@@ -116,6 +119,16 @@ class KinematicTree(Formulation):
             return above, origin[link.body]
 
         return joint_anchors(self.mechanism, ends)
+
+    def laws(self, names: Mapping[str, Any]) -> Array:
+        tree = names["mbs"].GetObject(names["tree"])
+
+        def law(link: Link, _joint: PlacedJoint) -> tuple[float, float, float]:
+            k = self._order.index(link.body)
+            stiffness, damping = tree["jointPControlVector"][k], tree["jointDControlVector"][k]
+            return stiffness, damping, tree["jointPositionOffsetVector"][k]
+
+        return joint_laws(self.mechanism, law)
 
     def joint_axes(self, names: Mapping[str, Any], turn: Array) -> Array:
         link_frames = turn @ np.swapaxes(self._back(names), -1, -2)

@@ -119,6 +119,8 @@ class MuJoCo(Adapter):
     limits: ClassVar = {
         Feature.LOOP_SLIDER: "MuJoCo has no equality constraint that leaves a sliding direction "
         "free; close the loop at another joint",
+        Feature.CLOSING_LOAD: "MuJoCo's springs and dampers of joints act on coordinates, and a "
+        "joint that closes a loop has none",
     }
     coordinates = "reduced"
     contact_law = CONTACT_LAW

@@ -145,8 +145,8 @@ def _idle(mechanism: Mechanism) -> list[str]:
     """Name the parts of a step that have nothing to do; a tenth of the time of a short chain."""
     parts = {
         "actuation": mechanism.hinges,
-        "spring": mechanism.springs,
-        "damper": mechanism.springs,
+        "spring": (*mechanism.springs, *mechanism.compliant),
+        "damper": (*mechanism.springs, *mechanism.compliant),
         "contact": mechanism.scene.contacts,
         "constraint": (*mechanism.loops, *mechanism.distances, *mechanism.scene.contacts),
         "limit": (),
@@ -185,14 +185,18 @@ def _body(above: Element, mechanism: Mechanism, link: Link, axis: Array) -> Elem
         for k, cross in enumerate(rotation.normal_to(axis)):
             _joint(body, f"{joint.name} {k}", "hinge", joint.in_child, cross)
     elif joint.kind != "fixed":
-        _joint(body, joint.name, _JOINT_TYPES[joint.kind], joint.in_child, joint.axis)
+        element = _joint(body, joint.name, _JOINT_TYPES[joint.kind], joint.in_child, joint.axis)
+        if joint.complies:
+            law = {"stiffness": joint.stiffness, "damping": joint.damping, "springref": joint.rest}
+            element.attrib.update({key: repr(value) for key, value in law.items()})
     return body
 
 
-def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> None:
+def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:
     element = SubElement(body, "joint", name=name, type=kind, pos=numbers(anchor))
     if axis.any():
         element.set("axis", numbers(axis))
+    return element
 
 
 def _softness(tau: float) -> dict[str, str]:

@@ -24,7 +24,7 @@ from mbds_xsim.simulate.adapter import (
     recorded,
     too_fast,
 )
-from mbds_xsim.simulate.readback import joint_anchors, joint_axes
+from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from .contact import SphereGeoms
 from .model import CLOSING_POINTS, StepOptions, closing_point, mjcf, text, with_start
@@ -175,6 +175,7 @@ class ModelRun(Run):
             sphere=self._spheres.centers(data),
             anchor=self._anchors(),
             spring=self._springs(),
+            law=joint_laws(self._mechanism, self._law),
         )
 
     def _twist(self, body: int) -> Array:
@@ -220,6 +221,11 @@ class ModelRun(Run):
         constants = (model.tendon_stiffness[first:], model.tendon_damping[first:], rest, length)
         return np.stack(constants, axis=1)
 
+    def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
+        model, number = self._model, self._model.joint(joint.name).id
+        damping = model.dof_damping[model.jnt_dofadr[number]]
+        return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
+
     def _place(self, body: int, point: Array) -> Array:
         """Place a point of MuJoCo's body in W."""
         turn = self._data.xmat[body].reshape(3, 3)
@@ -229,13 +235,16 @@ class ModelRun(Run):
         model = self._model
         asked = [0.0] * len(self._mechanism.distances)
         asked += [spring.damping for spring in self._mechanism.springs]
+        damping = model.dof_damping.copy()
+        for joint in self._mechanism.compliant:
+            damping[model.jnt_dofadr[model.joint(joint.name).id]] -= joint.damping
         return np.concatenate(
             [
                 model.tendon_damping - asked,
+                damping,
                 *(
                     getattr(model, name).ravel()
                     for name in (
-                        "dof_damping",
                         "dof_dampingpoly",
                         "dof_frictionloss",
                         "tendon_dampingpoly",

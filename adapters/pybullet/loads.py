@@ -20,6 +20,7 @@ class StepLoads:
         self._model = model
         self._springs = mechanism.springs
         self._hinges = mechanism.hinges
+        self._compliant = mechanism.compliant
         self._closures = {joint.index for joint in model.closures}
         self._address = model.address
         self._apply_force = client.function("applyExternalForce")
@@ -29,6 +30,8 @@ class StepLoads:
         self._as_torque = int(Constant("TORQUE_CONTROL"))
         tree = [link for link in mechanism.links if link.joint is not None]
         self._driven = {link.joint.index: link.body for link in tree if link.joint is not None}
+        self._tell = client.function("getJointState")
+        self._sprung = sprung(model)
 
     def change_within_frame(self, torque: Array) -> bool:
         """Whether something follows the motion, so that each step needs it anew.
@@ -37,7 +40,7 @@ class StepLoads:
         of one call.
         """
         loops = [joint.index in self._closures for joint in self._hinges]
-        return bool(self._springs) or bool(torque[..., loops].any())
+        return bool(self._springs or self._compliant) or bool(torque[..., loops].any())
 
     def apply(self, force: Array, torque: Array, reading: Array) -> None:
         """Apply a frame's inputs, shapes (body, 3) and (hinge,), and the springs.
@@ -59,6 +62,9 @@ class StepLoads:
                 # exchanged, which leaves the torque as it is.
                 number, link = self._address(self._driven[joint.index])
                 self._drive(number, link, self._as_torque, force=float(torque[k]))
+        for number, link, stiffness, rest in self._sprung:
+            effort = -stiffness * (self._tell(number, link)[0] - rest)
+            self._drive(number, link, self._as_torque, force=effort)
         if turning or self._springs:
             state = self._model.states(reading)
             for joint, moment in turning:
@@ -89,6 +95,25 @@ class StepLoads:
         force = spring.pull(second - first, faster)
         self._push(spring.bodies[0], force, first)
         self._push(spring.bodies[1], -force, second)
+
+
+def sprung(model: Multibodies) -> list[tuple[int, int, float, float]]:
+    """Give number, link, stiffness and rest of the joints with springs, which Bullet has not."""
+    joints = [(link.joint, link.body) for part in model.parts for link in part.links]
+    return [
+        (*model.address(body), joint.stiffness, joint.rest)
+        for joint, body in joints
+        if joint is not None and joint.stiffness
+    ]
+
+
+def spring_calls(model: Multibodies) -> list[str]:
+    """Write what `StepLoads.apply` does about them in each step."""
+    return [
+        f"p.setJointMotorControl2({number}, {link}, p.TORQUE_CONTROL, "
+        f"force=-{stiffness!r} * (p.getJointState({number}, {link})[0] - {rest!r}))"
+        for number, link, stiffness, rest in sprung(model)
+    ]
 
 
 def _ends(pair: PointPair, state: BodyStates) -> tuple[tuple[Array, Array], Array]:

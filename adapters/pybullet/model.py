@@ -211,7 +211,10 @@ class Multibodies:
         return anchors
 
     def damping(self) -> Array:
-        """Damping and friction of every joint; Bullet does not tell the drag on its links."""
+        """Damping and friction of every joint; Bullet does not tell the drag on its links.
+
+        Nor does it tell damping that was set after the joint was made, as it is here.
+        """
         info = self.client.function("getJointInfo")
         joints = [self.address(link.body) for part in self.parts for link in part.links]
         return np.array([info(*address)[6:8] for address in joints]).reshape(-1)
@@ -263,18 +266,19 @@ class Multibodies:
         name = [body.name for body in mechanism.scene.bodies]
         if part.base != WORLD_INDEX:
             self.client.note(f"{name[part.base]!r} is the base of {number}")
-            self._set_dynamics(number, -1, part.base)
+            self._set_dynamics(number, -1, part.base, 0.0)
         for k, (link, joint) in enumerate(zip(part.links, joints, strict=True)):
             self.client.note(f"{name[link.body]!r} on {joint.name!r} is link {k} of {number}")
-            self._set_dynamics(number, k, link.body)
+            self._set_dynamics(number, k, link.body, joint.damping)
             self._switch_motor_off(number, k, joint)
         return int(number)
 
-    def _set_dynamics(self, number: int, link: int, body: int) -> None:
+    def _set_dynamics(self, number: int, link: int, body: int, damping: float) -> None:
         moments, _ = _principal_axes(self.mechanism.inertia[body])
         self.client.build(
-            "changeDynamics", number, link, localInertiaDiagonal=moments.tolist(), jointDamping=0.0
-        )
+            "changeDynamics", number, link,
+            localInertiaDiagonal=moments.tolist(), jointDamping=damping,
+        )  # fmt: skip
         if self._contact:
             self._contact.set_pair(number, link, body)
 

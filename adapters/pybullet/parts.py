@@ -35,7 +35,7 @@ def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoin
     its own: a constraint then works on few coordinates. Larger ones are cut further.
 
     Raises:
-        Unsupported: A body carries more sliders than a multibody can hold.
+        Unsupported: A body carries more joints that cannot be cut than a multibody can hold.
     """
     cut = _cuts(mechanism)
     root: dict[int, int] = {}
@@ -79,12 +79,17 @@ def _cuts(mechanism: Mechanism) -> set[int]:
 
 
 def _best_cut(mechanism: Mechanism, link: Link, outer: list[Link], load: dict[int, int]) -> Link:
-    choices = [child for child in outer if child.joint and child.joint.kind in _CUT_ORDER]
+    choices = [
+        child
+        for child in outer
+        if child.joint and child.joint.kind in _CUT_ORDER and not child.joint.complies
+    ]
     if not choices:
         name = mechanism.scene.bodies[link.body].name
         msg = (
-            f"pybullet: body {name!r} carries more sliders than the {COORDINATE_LIMIT} coordinates "
-            "that a multibody can hold, and Bullet has no constraint to replace one"
+            f"pybullet: body {name!r} carries more sliders, or joints with springs or dampers, "
+            f"than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and Bullet has no "
+            "constraint to replace one"
         )
         raise Unsupported(msg)
     return min(

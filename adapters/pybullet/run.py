@@ -19,7 +19,7 @@ from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, 
 
 from .client import Client
 from .contact import BulletContact
-from .loads import StepLoads
+from .loads import StepLoads, spring_calls
 from .model import RATES, SPEED_CAP, Multibodies
 
 _BLOW_UP = 0.5 * SPEED_CAP
@@ -188,7 +188,8 @@ class PyBulletRun(Run):
         self._start(batch, 0)
         if self._contact:
             self._contact.turn(self._model.states(self._model.read()), self._frame)
-        calls = self._substeps if self._mechanism.springs else 1
+        follows = self._loads.change_within_frame(batch.torque[:0])
+        calls = self._substeps if follows else 1
         self._set_stepping(self._substeps // calls)
         count = calls * self._mechanism.scene.clock.steps
         return self._client.listing() + _script(self._model, count)
@@ -201,6 +202,7 @@ def _script(model: Multibodies, count: int) -> str:
     """Write the end of a script: springs, calls of the engine's step, and what came of it."""
     pulls = [_pull(spring, model) for spring in model.mechanism.springs]
     springs = [_SPRINGS] if pulls else [""]
+    pulls += [f"    {call}" for call in spring_calls(model)]
     loop = [f"for _ in range({count}):", *pulls, "    p.stepSimulation()"]
     return "\n".join([*springs, *loop, _RESULT])
 

@@ -5,7 +5,15 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 import numpy as np
@@ -194,10 +202,19 @@ class Neutral(
     Fields say in their types what they allow: `Annotated[float, bounds.positive]`.
     """
 
+    added: ClassVar[tuple[str, ...]] = ()
+    """Keys that came later, whose default says nothing. It is left out of texts and fingerprints,
+    so that those of scenes without the key stay as they were."""
+
     def __post_init__(self) -> None:
         """Hold every value against the bounds that its type names."""
         for key, check in _bounds_of(type(self)):
             check(key, getattr(self, key))
+
+    def decisive(self) -> dict[str, Any]:
+        """Give all keys, but those that came later where they say nothing."""
+        kept = ((key, getattr(self, key)) for key in self.__struct_fields__)
+        return {key: value for key, value in kept if value or key not in self.added}
 
 
 @functools.cache

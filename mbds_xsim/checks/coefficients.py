@@ -20,6 +20,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.conservation import (
+    coordinate_of,
     damper_loss,
     energy_of,
     flights_of,
@@ -31,6 +32,7 @@ from mbds_xsim.checks.conservation import (
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.joints import pair_distance, pair_rate
+from mbds_xsim.scene.joint_space import joint_rate
 
 SURE = 3e-3
 """Share that methods and solvers may leave."""
@@ -192,6 +194,9 @@ def _power_gained(record: Record) -> Array:
         tension = stretch * [spring.stiffness for spring in springs]
         tension = tension + rate * [spring.damping for spring in springs]
         gained -= np.diff((tension * rate).sum(axis=-1), axis=1)
+    for joint in mechanism.compliant:
+        rate = joint_rate(joint, record.bodies.with_world())
+        gained += np.diff(joint.effort(coordinate_of(record, joint), rate) * rate, axis=1)
     return gained
 
 

@@ -11,7 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check, summed
 from mbds_xsim.checks.joints import pair_distance, pair_rate
-from mbds_xsim.scene.joint_space import joint_coordinate
+from mbds_xsim.scene.joint_space import joint_coordinate, joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
 
 _FLOOR = 1e-3  # of Σ m·g·length, and of Σ m·√(g·length)
@@ -59,7 +59,7 @@ def energy_balance(record: Record) -> Figures | None:
     if record.scene.contacts:
         balance[:, 1:] = summed(np.diff(balance, axis=1)[..., None], flights)[..., 0]
     note = ""
-    if record.mechanism.springs and np.nanmax(error, initial=0.0) > 0:
+    if np.nanmax(error, initial=0.0) > 0:
         note = f"damper work known to {np.nanmax(error / energy.scale):.1g} of the scale"
     parts = (np.abs(balance) / energy.scale[:, None])[..., None]
     return Figures(parts, note=note, uncertainty=error / energy.scale)
@@ -79,6 +79,8 @@ def energy_of(record: Record) -> Energy:
         stretch = pair_distance(bodies.with_world(), mechanism.springs)
         stretch = stretch - [spring.length for spring in mechanism.springs]
         stored = 0.5 * stretch**2 @ np.array([spring.stiffness for spring in mechanism.springs])
+    for joint in mechanism.compliant:
+        stored = stored + 0.5 * joint.stiffness * (coordinate_of(record, joint) - joint.rest) ** 2
     floor = _FLOOR * float(mechanism.mass.sum()) * record.usual_pull * record.scene.length
     return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
 
@@ -113,15 +115,24 @@ def hinge_turns(record: Record) -> Array:
     return np.stack(turns, axis=-1)
 
 
+def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
+    """Give a joint's coordinate [rad or m], shape (trajectory, frame).
+
+    A hinge's angle is in (−π, π] at the start, and counts whole turns from then on.
+    """
+    bodies = record.bodies
+    found = joint_coordinate(joint, bodies.position, bodies.native)
+    if joint.kind == "hinge":
+        turns = hinge_turns(record)[..., record.mechanism.hinges.index(joint)]
+        found[:, 1:] = found[:, :1] + np.cumsum(turns, axis=1)
+    return found
+
+
 @functools.lru_cache(maxsize=1)
 def hinge_rates(record: Record) -> Array:
     """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world, rates = record.bodies.with_world(), []
-    for joint in record.mechanism.hinges:
-        axis = rotation.rotate(world.native[..., joint.parent, :], joint.axis)
-        spin = world.angular_velocity
-        rates.append(np.sum((spin[..., joint.child, :] - spin[..., joint.parent, :]) * axis, -1))
-    return np.stack(rates, axis=-1)
+    world = record.bodies.with_world()
+    return np.stack([joint_rate(joint, world) for joint in record.mechanism.hinges], axis=-1)
 
 
 @functools.lru_cache(maxsize=1)
@@ -130,12 +141,17 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
 
     Simpson's rule on the frames; the error is its change when every other frame is left out.
     """
-    damping = np.array([spring.damping for spring in record.mechanism.springs])
-    if not damping.any():
+    mechanism, damping = record.mechanism, [spring.damping for spring in record.mechanism.springs]
+    joints = [joint for joint in mechanism.compliant if joint.damping]
+    if not (any(damping) or joints):
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
     from scipy.integrate import cumulative_simpson  # takes long to import
 
-    power = pair_rate(record.bodies.with_world(), record.mechanism.springs) ** 2 @ damping
+    world, power = record.bodies.with_world(), np.zeros(record.finite.shape)
+    if any(damping):
+        power = pair_rate(world, mechanism.springs) ** 2 @ np.array(damping)
+    for joint in joints:
+        power = power + joint.damping * joint_rate(joint, world) ** 2
     loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
     if record.steps < 4:
         return loss, np.nanmax(np.abs(loss), axis=1, initial=0.0)
@@ -315,12 +331,15 @@ def balances_of(mechanism: Mechanism) -> list[Balance]:
 
     A free group has all of them, angular ones about its centre of mass. Ball joints, distance
     links and springs to the world pull at points, and have no moment about a line through all of
-    them; nor has a hinge along it. Sliders leave the momentum along them.
+    them; nor has a hinge along it. Sliders leave the momentum along them. Where a joint to the
+    world has a spring or damper none is looked for.
     """
     found: list[Balance] = []
     for group in _groups(mechanism):
         name = mechanism.scene.bodies[group[0]].name
         joints, points = _supports(mechanism, set(group))
+        if any(joint.complies for joint in joints):
+            continue
         sliders = [joint for joint in joints if joint.kind == "slider"]
         if not joints and not points:
             found.append(Balance(f"linear momentum, {name}", group, np.eye(3)))

@@ -128,6 +128,7 @@ def axles_of(mechanism: Mechanism, push: Push) -> list[Axle]:
 def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
     mine = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
+    tied = tied or any(joint.complies for joint in mine)
     spheres = np.flatnonzero(mechanism.sphere_body[push.spheres] == body)
     if tied or len(mine) != 1 or mine[0].kind != "hinge" or len(spheres) > 1:
         return None

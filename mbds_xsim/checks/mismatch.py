@@ -18,7 +18,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 EVERY_SECOND = (0, 2)
@@ -129,8 +129,11 @@ def mismatch_of(
     flow = Flow(mechanism, _MOMENT * frame)
     free = flying[:, first]
     # Both ends of all steps at once: calls cost as much as numbers here.
-    ends, count = bodies[:, np.concatenate([first, first + 1])], len(first)
+    both, count = np.concatenate([first, first + 1]), len(first)
+    ends = bodies[:, both]
     free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
+    if mechanism.compliant:
+        torque = torque + _wound(mechanism, bodies)[:, both]
     points = _points_at(flow, ends, free, force, torque, lag)
     halves = slice(0, count), slice(count, None)
     begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)
@@ -160,6 +163,15 @@ def mismatch_of(
         jerk_each=np.maximum(found.each(begin.jerk), found.each(end.jerk)),
         blur_each=_blur(*map(found.each, gaps)),
     )
+
+
+def _wound(mechanism: Mechanism, bodies: BodyStates) -> Array:
+    """Torques of springs for whole turns, which states do not show [N·m], (…, frame, hinge)."""
+    torque = np.zeros((*bodies.position.shape[:2], len(mechanism.hinges)))
+    for k, joint in enumerate(mechanism.hinges):
+        angle = joint_coordinate(joint, bodies.position, bodies.native)
+        torque[..., k] = joint.stiffness * (angle - np.unwrap(angle, axis=1))
+    return torque
 
 
 def _blur(coarse: Array, fine: Array) -> Array:

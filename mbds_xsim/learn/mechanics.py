@@ -111,7 +111,8 @@ def _saddle(
 class Mechanics(nn.Module):
     """Nodes, constraints, mass matrix and known forces of one scene.
 
-    Of one with contact there are none (Unsupported): these coordinates' equations are smooth.
+    Of one with contact there are none (Unsupported): these coordinates' equations are smooth. Nor
+    are there of one with springs or dampers in joints.
     """
 
     fixed: Tensor
@@ -144,6 +145,12 @@ class Mechanics(nn.Module):
             )
             raise Unsupported(msg)
         self.mechanism = Mechanism.of(scene)
+        if self.mechanism.compliant:
+            msg = (
+                f"joint {self.mechanism.compliant[0].name!r}: got a spring or damper, allowed is "
+                "none: HGNN and LGNN know points and no joint coordinates; take gns or sgnn"
+            )
+            raise Unsupported(msg)
         self.points = points = points_of(self.mechanism)
         self.free, springs = points.free, self.mechanism.springs
         rows = rows_of(self.mechanism, points)

@@ -79,7 +79,7 @@ _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 def accelerate(t: Tree, work: Workspace, y, rate, first):
     """Write the time derivative of states."""
     move(t, work, y)
-    act(t, work)
+    act(t, work, y)
     weigh(t, work)
     gather(t, work)
     spread_out(t, work, True)

@@ -69,7 +69,7 @@ def march_compiled(
             again = Inputs(inputs.force[lost], inputs.torque[lost])
             slow = marching.march(
                 dynamics, start[lost], again, frame, rtol=rtol, companions=companions
-            )
+            ).within_half_turns(mechanism, dynamics)
             marched.states[lost] = slow.states
             for row, failure in zip(lost.tolist(), slow.failures, strict=True):
                 marched.failures[row] = failure

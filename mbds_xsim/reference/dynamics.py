@@ -21,7 +21,7 @@ from mbds_xsim.reference.singular import interpolated, projected_onto_branch, ty
 from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.assembly import assemble
 from mbds_xsim.scene.constraints import Moving, evaluate, motion_of
-from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates, joint_loads
 from mbds_xsim.scene.mechanism import Mechanism
 
 # Rows that are left out may be off by what a stage is off the constraints; else they count.
@@ -57,9 +57,12 @@ class Dynamics:
     """Equations of motion of one mechanism, vectorised over a batch."""
 
     def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism = mechanism
         self.topology = topology_of(mechanism)
         self.length = mechanism.scene.length
         self._multipliers = Multipliers(self.topology)
+        damping = [joint.damping for joint in mechanism.compliant]
+        self.damped = bool(np.any(self.topology.damping) or any(damping))
         self._constrains = bool(self.topology.layout.row_count)
         self._inverse_mass_root = self.topology.weight / self.topology.mass_root[:, None]
         self._inverse_inertia_root = self.topology.weight / self.topology.inertia_root
@@ -189,6 +192,10 @@ class Dynamics:
             )
         if len(top.stiffness):
             self._add_springs(motion, push, twist)
+        if self._mechanism.compliant:
+            loads = joint_loads(self._mechanism, self.unpack(state))
+            push[:, :-1] += loads[0]
+            twist[:, :-1] += loads[1]
         spin = _times(motion.turn.swapaxes(-1, -2), state[..., _W])
         moment = _times(motion.turn.swapaxes(-1, -2), twist)
         moment -= rotation.cross(spin, top.inertia_root**2 * spin)

@@ -22,7 +22,7 @@ from mbds_xsim.reference.lanes import (
     sub,
     times,
 )
-from mbds_xsim.reference.tree import Tree
+from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
 
@@ -35,34 +35,66 @@ def still(t: Tree, work: Workspace):
 
 
 @compiled
-def act(t: Tree, work: Workspace):
-    """Let springs and torques act on the bodies."""
+def act(t: Tree, work: Workspace, y):
+    """Let springs, laws of joints and torques act on the bodies."""
     a = work.link
     still(t, work)
     for k in range(len(t.spring)):
         p, c = t.spring_ends[0, k] * PLACES, t.spring_ends[1, k] * PLACES
         first = apply(load9(a, p + R), number3(t.spring_points[0], k))
         second = apply(load9(a, c + R), number3(t.spring_points[1], k))
-        line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
-        rate = sub(
-            add(load3(a, c + V), cross(load3(a, c + W), second)),
-            add(load3(a, p + V), cross(load3(a, p + W), first)),
-        )
+        line, rate = _between(a, p, c, first, second)
         length = root(dot(line, line))
         tension = t.spring[k, 1] * (length - t.spring[k, 0])
         tension = tension + t.spring[k, 2] * (dot(line, rate) / length)
-        pull = times(tension / length, line)
-        back = times(-1.0, pull)
-        add_to3(a, p + F, pull)
-        add_to3(a, c + F, back)
-        add_to3(a, p + N, cross(first, pull))
-        add_to3(a, c + N, cross(second, back))
+        _pull(a, p, c, first, second, times(tension / length, line))
+    for k in range(len(t.law)):
+        p, c = t.law_ends[0, k] * PLACES, t.law_ends[1, k] * PLACES
+        axis = apply(load9(a, p + R), number3(t.law_axis, k))
+        rest, stiffness, damping = number3(t.law, k)
+        if t.law_kind[k] == SLIDER:
+            first = apply(load9(a, p + R), number3(t.law_points[0], k))
+            second = apply(load9(a, c + R), number3(t.law_points[1], k))
+            line, rate = _between(a, p, c, first, second)
+            # The line is along the axis, which what turns with the parent leaves as it is.
+            tension = stiffness * (dot(axis, line) - rest) + damping * dot(axis, rate)
+            _pull(a, p, c, first, second, times(tension, axis))
+        else:
+            rate = dot(axis, sub(load3(a, c + W), load3(a, p + W)))
+            moment = stiffness * (load(y, t.angle_at[k]) - rest) + damping * rate
+            _turn(a, p, c, times(-1.0 * moment, axis))
     for k in range(len(t.hinge_axis)):
         p, c = t.hinge_ends[0, k] * PLACES, t.hinge_ends[1, k] * PLACES
         axis = apply(load9(a, p + R), number3(t.hinge_axis, k))
-        twist = times(load(work.torque, k), axis)
-        add_to3(a, c + N, twist)
-        add_to3(a, p + N, times(-1.0, twist))
+        _turn(a, p, c, times(load(work.torque, k), axis))
+
+
+@compiled
+def _between(a, p, c, first, second):
+    """Give the line from a point of one body to one of another, and its rate."""
+    line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
+    rate = sub(
+        add(load3(a, c + V), cross(load3(a, c + W), second)),
+        add(load3(a, p + V), cross(load3(a, p + W), first)),
+    )
+    return line, rate
+
+
+@compiled
+def _pull(a, p, c, first, second, pull):
+    """Pull a point of one body to that of another, and this one back."""
+    back = times(-1.0, pull)
+    add_to3(a, p + F, pull)
+    add_to3(a, c + F, back)
+    add_to3(a, p + N, cross(first, pull))
+    add_to3(a, c + N, cross(second, back))
+
+
+@compiled
+def _turn(a, p, c, moment):
+    """Turn the second body, and the first one back."""
+    add_to3(a, c + N, moment)
+    add_to3(a, p + N, times(-1.0, moment))
 
 
 @compiled

@@ -17,6 +17,8 @@ from mbds_xsim.reference.dop853 import error_ratio, next_step, try_step
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
 from mbds_xsim.reference.singular import BIFURCATION, has_branch
+from mbds_xsim.scene.joint_space import joint_coordinate
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
 Progress = Callable[[int, int], None]
@@ -25,6 +27,10 @@ FIRST_STEP = 0.1  # of a frame
 SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
+_WOUND = (
+    "the sprung hinge {!r} passes a half turn; with contact, stiff dampers or singular poses the "
+    "reference does not count whole turns"
+)
 _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
 # Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
 # a step costs tens of others, and a motion that passes a singular pose is through it in a few.
@@ -53,6 +59,22 @@ class Marched:
         states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
         states[:, 0] = start
         return Marched(states, [None] * batch)
+
+    def within_half_turns(self, mechanism: Mechanism, dynamics: Dynamics) -> Marched:
+        """End trajectories where a sprung hinge passes a half turn and its spring would jump.
+
+        Maximal coordinates lose whole turns, which the compiled kernels count.
+        """
+        bodies = dynamics.unpack(self.states)
+        for joint in mechanism.compliant:
+            if joint.kind == "hinge" and joint.stiffness:
+                angle = joint_coordinate(joint, bodies.position, bodies.native)
+                passed = np.abs(np.diff(angle, axis=1)) > np.pi
+                for row in np.flatnonzero(passed.any(axis=1)).tolist():
+                    frame = int(passed[row].argmax()) + 1
+                    self.failures[row] = Failure(frame, _WOUND.format(joint.name))
+                    self.states[row, frame:] = np.nan
+        return self
 
 
 def march(

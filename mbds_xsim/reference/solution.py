@@ -141,9 +141,10 @@ def integrate(
     stiff = is_stiff(dynamics, start, inputs, frame)
     if stiff or scene.contacts:
         method = march_stiff if stiff else march
-        return method(
+        found = method(
             dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress
         )
+        return found.within_half_turns(mechanism, dynamics)
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     return march_compiled(

@@ -29,7 +29,7 @@ _FIRST_STEP = 0.01  # of a frame
 
 def is_stiff(dynamics: Dynamics, start: Array, inputs: Inputs, frame: float) -> bool:
     """Whether some motion decays much faster than frames follow each other, at the start."""
-    if not np.any(dynamics.topology.damping):
+    if not dynamics.damped:
         return False
     rate = _Rate(dynamics, inputs.force[:1, 0], inputs.torque[:1, 0])
     jacobian = rate.jacobian(0.0, start[:1].reshape(-1))

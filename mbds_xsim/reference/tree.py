@@ -11,7 +11,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.scene.constraints import layout_of
-from mbds_xsim.scene.joint_space import to_links
+from mbds_xsim.scene.joint_space import joint_coordinate, to_links
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 FIXED, HINGE, SLIDER, BALL, FREE = range(5)
@@ -67,6 +67,18 @@ class Tree(NamedTuple):
     """In the frames of the two ends, shape (2, spring, 3)."""
     spring: Array
     """Rest length, stiffness and damping, shape (spring, 3)."""
+    law_kind: Index
+    """Of the joints with a spring or damper, `HINGE` or `SLIDER`."""
+    law_ends: Index
+    law_axis: Array
+    """In the parents' frames, shape (law, 3)."""
+    law_points: Array
+    """Anchors in the frames of the two ends, shape (2, law, 3)."""
+    law: Array
+    """Coordinate at rest, stiffness and damping, shape (law, 3)."""
+    angle_at: Index
+    """Where the angles of these hinges stand in a state; −1 of sliders, shape (law,). They count
+    whole turns, and stand behind the links' places."""
     row_kind: Index
     row_ends: Index
     row_points: Array
@@ -115,15 +127,17 @@ def tree_of(mechanism: Mechanism) -> Tree:
 
     yielding = np.mean(1.0 / top.inertia_root[body] ** 2, axis=1)
     row_kind, row_ends, row_points, row_way, row_length = _rows(mechanism, inwards, link_of)
-    hinges, springs = mechanism.hinges, mechanism.springs
+    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.compliant
+    turning = np.array([joint.kind == "hinge" for joint in laws], dtype=np.int64)
+    place_count = int(places.sum() + turning.sum())
     bare = Tree(
         kind=kind,
         parent=link_of[parent_body],
         body=body,
         at=np.cumsum(places) - places,
-        speed_at=places.sum() + np.cumsum([0, *speeds]),
-        place_count=int(places.sum()),
-        size=int(places.sum() + speeds.sum()),
+        speed_at=place_count + np.cumsum([0, *speeds]),
+        place_count=place_count,
+        size=int(place_count + speeds.sum()),
         in_parent=joint_vectors("in_parent", inwards[parent_body]),
         in_child=joint_vectors("in_child", inwards[body]),
         axis=joint_vectors("axis", inwards[parent_body]),
@@ -142,6 +156,17 @@ def tree_of(mechanism: Mechanism) -> Tree:
             [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
         ),
         spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
+        law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
+        law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
+        law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
+        law_points=np.stack(
+            [
+                _turned(inwards, [(joint.parent, joint.in_parent) for joint in laws]),
+                _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
+            ]
+        ),
+        law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
+        angle_at=np.where(turning, places.sum() + np.cumsum(turning) - 1, -1),
         row_kind=row_kind,
         row_ends=row_ends,
         row_points=row_points,
@@ -186,7 +211,8 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
 def to_tree(mechanism: Mechanism, states: Array) -> Array:
     """Coordinates of states (batch, body + world, 13) of the reference, shape (batch, number)."""
     tree = tree_of(mechanism)
-    links = to_links(mechanism, dynamics_of(mechanism).unpack(states))
+    bodies = dynamics_of(mechanism).unpack(states)
+    links = to_links(mechanism, bodies)
     y = np.zeros((len(states), tree.size))
     for k, (kind, body) in enumerate(zip(tree.kind, tree.body, strict=True)):
         at, fast = tree.at[k], tree.speed_at[k]
@@ -199,6 +225,9 @@ def to_tree(mechanism: Mechanism, states: Array) -> Array:
             y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]
         elif kind == SLIDER:
             y[:, at], y[:, fast] = links.coordinate[:, k], links.rate[:, k]
+    for joint, at in zip(mechanism.compliant, tree.angle_at, strict=True):
+        if at >= 0:
+            y[:, at] = joint_coordinate(joint, bodies.position, bodies.native)
     return y
 
 

@@ -328,6 +328,11 @@ def rates(t: Tree, work: Workspace, y, rate, first):
         elif kind == BALL:
             _turning_rate(y, at, fast, rate, first)
             store3(rate, first + fast, load3(a, b + ALPHA))
+    for k in range(len(t.law)):
+        if t.law_kind[k] == HINGE:
+            p, c = t.law_ends[0, k] * PLACES, t.law_ends[1, k] * PLACES
+            axis = apply(load9(a, p + R), number3(t.law_axis, k))
+            store(rate, first + t.angle_at[k], dot(axis, sub(load3(a, c + W), load3(a, p + W))))
 
 
 @compiled

@@ -182,7 +182,7 @@ def _pose_rows(
         _wrapped(joint, float(joint_coordinate(joint, position, native)) - target)
         for joint, target in led
     ]
-    rates = [_rate_row(mechanism, joint, position, native) for joint, _ in led]
+    rates = [rate_row(mechanism, joint, position, native) for joint, _ in led]
     return (
         np.concatenate([rows.residual, ahead]),
         vstack([sparse_jacobian(rows, mechanism.body_count), *rates], format="csr"),
@@ -203,7 +203,7 @@ def _complete_velocities(
     names = [_owner_name(mechanism, int(owner)) for owner in rows.owner]
     for placed, joint in zip(mechanism.joints, scene.joints, strict=True):
         if joint.rate is not None:
-            jacobian.append(_rate_row(mechanism, placed, position, native))
+            jacobian.append(rate_row(mechanism, placed, position, native))
             wanted.append(joint.rate)
             names.append(f"joints[{joint.name!r}].rate")
     unit = eye_array(6 * mechanism.body_count, format="csr")
@@ -278,10 +278,8 @@ def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:
     return bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
 
 
-def _rate_row(
-    mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array
-) -> csr_array:
-    """Row that gives a hinge's or slider's rate from the twists, shape (1, 6 · body)."""
+def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> csr_array:
+    """Give the row that makes a hinge's or slider's rate of the twists, shape (1, 6 · body)."""
     from scipy.sparse import csr_array
 
     held = joint.parent == WORLD_INDEX

@@ -20,6 +20,7 @@ import tomli_w
 from msgspec import inspect
 
 from mbds_xsim.base import bounds
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.base.write import path_of, read_file, write_whole
 from mbds_xsim.scene.sampling import draw_batch
@@ -139,12 +140,12 @@ def _explicit(value: Any) -> Any:
     """Plain values of a scene, with all keys but those that say nothing."""
     if isinstance(value, tuple):
         return [_explicit(item) for item in value]
-    if not isinstance(value, msgspec.Struct):
+    if not isinstance(value, Neutral):
         return value
     config = value.__struct_config__
     tag = {config.tag_field: config.tag} if config.tag_field else {}
-    fields = {key: getattr(value, key) for key in value.__struct_fields__}
-    return tag | {key: _explicit(item) for key, item in fields.items() if item is not None}
+    fields = value.decisive().items()
+    return tag | {key: _explicit(item) for key, item in fields if item is not None}
 
 
 def _compact(text: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.scene.scene import Scene
 
 _SAID = ("name", "description", "source", "budget", "anchors", "edges")
@@ -19,15 +20,14 @@ def fingerprint(scene: Scene) -> str:
     Numbers count to nine digits, so that a scene that is made by a formula has the same
     fingerprint on every machine.
     """
-    decisive = [key for key in scene.__struct_fields__ if key not in _SAID]
-    plain = {key: _plain(getattr(scene, key)) for key in decisive}
+    plain = {key: _plain(value) for key, value in scene.decisive().items() if key not in _SAID}
     return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()[:16]
 
 
 def _plain(value: Any) -> Any:
     """Spell out tables, defaults too, as these decide the motion as well."""
-    if isinstance(value, msgspec.Struct):
-        parts = {key: _plain(getattr(value, key)) for key in value.__struct_fields__}
+    if isinstance(value, Neutral):
+        parts = {key: _plain(part) for key, part in value.decisive().items()}
         return [type(value).__name__, parts]
     if isinstance(value, list | tuple):
         return [_plain(part) for part in value]

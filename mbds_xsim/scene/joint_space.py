@@ -19,7 +19,7 @@ from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
 from mbds_xsim.scene.state import Batch, Trajectory
 
-Bodies = list[int] | Index
+Bodies = int | list[int] | Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +105,42 @@ def joint_coordinate(joint: PlacedJoint, position: Array, native: Array) -> Arra
         apart = xc + rotation.rotate(qc, joint.in_child) - xp - rotation.rotate(qp, joint.in_parent)
         return np.asarray(np.sum(apart * rotation.rotate(qp, joint.axis), axis=-1))
     return rotation.angle_about(rotation.multiply(rotation.conjugate(qp), qc), joint.axis)
+
+
+def joint_rate(joint: PlacedJoint, world: BodyStates) -> Array:
+    """Give the rate of that coordinate [rad/s or m/s], of states with the world."""
+    parent, child = joint.parent, joint.child
+    axis = world.arms(parent, joint.axis)
+    moving = world.angular_velocity[..., child, :] - world.angular_velocity[..., parent, :]
+    if joint.kind == "slider":
+        anchor = world.points(child, joint.in_child)
+        arm = anchor - world.position[..., parent, :]
+        carried = rotation.cross(world.angular_velocity[..., parent, :], arm)
+        moving = world.speeds(child, joint.in_child) - world.velocity[..., parent, :] - carried
+    return np.asarray(np.sum(moving * axis, axis=-1))
+
+
+def joint_loads(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
+    """Give what springs and dampers of joints do to the bodies.
+
+    Hinge angles count as in (−π, π].
+
+    Returns:
+        Forces on centres of mass [N] and moments about them [N·m], in W, shapes (…, body, 3).
+    """
+    world = bodies.with_world()
+    force, moment = np.zeros_like(world.position), np.zeros_like(world.position)
+    for joint in mechanism.compliant:
+        coordinate = joint_coordinate(joint, bodies.position, bodies.native)
+        effort = joint.effort(coordinate, joint_rate(joint, world))[..., None]
+        load = effort * world.arms(joint.parent, joint.axis)
+        slides = joint.kind == "slider"
+        anchor = world.points(joint.child, joint.in_child)
+        for body, sign in ((joint.child, 1.0), (joint.parent, -1.0)):
+            arm = anchor - world.position[..., body, :]
+            force[..., body, :] += sign * load if slides else 0.0
+            moment[..., body, :] += sign * (rotation.cross(arm, load) if slides else load)
+    return force[..., :-1, :], moment[..., :-1, :]
 
 
 def to_links(mechanism: Mechanism, bodies: BodyStates) -> LinkStates:

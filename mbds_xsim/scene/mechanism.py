@@ -20,8 +20,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Joint, Scene, SpringDamper
+from mbds_xsim.scene.mass import mass_properties
+from mbds_xsim.scene.scene import WORLD, DistanceLink, Joint, Scene, SpringDamper
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
@@ -52,6 +52,23 @@ class PlacedJoint:
     """Anchor in the child's native frame [m]."""
     index: int
     """Position in `scene.joints`."""
+    stiffness: float = 0.0
+    """Of the coordinate's spring [N·m/rad or N/m], as the next two of the scene's joint."""
+    damping: float = 0.0
+    rest: float = 0.0
+
+    @property
+    def complies(self) -> bool:
+        """Whether a spring or damper acts on the coordinate."""
+        return self.stiffness > 0.0 or self.damping > 0.0
+
+    def effort(self, coordinate: Array, rate: Array) -> Array:
+        """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
+
+        The parent gets the opposite.
+        """
+        spring = self.stiffness * (coordinate - self.rest)
+        return np.asarray(-spring - self.damping * rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +146,11 @@ class Mechanism:
     hinges: tuple[PlacedJoint, ...]
     """The joints that torques can drive, in scene order; the order of `Batch.torque`."""
 
+    @functools.cached_property
+    def compliant(self) -> tuple[PlacedJoint, ...]:
+        """The joints with a spring or damper, in scene order."""
+        return tuple(joint for joint in self.joints if joint.complies)
+
     @property
     def body_count(self) -> int:
         """Number of bodies."""
@@ -180,7 +202,7 @@ class Mechanism:
 @functools.lru_cache(maxsize=64)
 def _build(scene: Scene) -> Mechanism:
     index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
-    masses, coms, inertias = zip(*(_mass_properties(body) for body in scene.bodies), strict=True)
+    masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
     joints = tuple(_place(joint, k, index, com) for k, joint in enumerate(scene.joints))
     links, loops = _spanning_tree(len(scene.bodies), joints)
@@ -225,36 +247,6 @@ def _build(scene: Scene) -> Mechanism:
     )
 
 
-def _mass_properties(body: Body) -> tuple[float, Array, Array]:
-    """Mass, centre of mass in W and inertia about it in W's axes, at the reference pose."""
-    turn = rotation.matrix(np.array(body.orientation))
-    if body.inertia is not None:
-        (xx, yy, zz), (xy, xz, yz) = body.inertia.moments, body.inertia.products
-        local = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return (
-            body.inertia.mass,
-            np.array(body.position) + turn @ np.array(body.inertia.com),
-            turn @ local @ turn.T,
-        )
-    masses = np.array([particle.mass for particle in body.particles])
-    points = np.array([particle.position for particle in body.particles])
-    com = masses @ points / masses.sum()
-    arms = points - com
-    # Parallel axes: each particle keeps its own isotropic inertia.
-    tensor = (
-        np.eye(3) * (masses @ np.sum(arms**2, axis=1) + sum(p.inertia for p in body.particles))
-        - (arms.T * masses) @ arms
-    )
-    low, high = np.linalg.eigvalsh(tensor)[[0, 2]]
-    if not high > 0 or low < 1e-9 * high:
-        msg = (
-            f"bodies[{body.name!r}].particles: got smallest principal inertia {low:.3g} kg·m², "
-            "allowed is above 0: give a particle an inertia, or the body particles off one line"
-        )
-        raise SceneError(msg)
-    return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T
-
-
 def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
     return np.array(point) - (com[body] if body != WORLD_INDEX else 0.0)
 
@@ -273,6 +265,9 @@ def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         in_parent=_native(joint.anchor, parent, com),
         in_child=_native(joint.anchor, child, com),
         index=k,
+        stiffness=joint.stiffness,
+        damping=joint.damping,
+        rest=joint.rest,
     )
 
 
@@ -315,7 +310,8 @@ def _spanning_tree(
 ) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
-    Of joints of one kind, the last listed closes the loop.
+    Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
+    the tree if any can, as reduced coordinates have them there.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -326,7 +322,7 @@ def _spanning_tree(
         return k
 
     tree, loops = [], []
-    for joint in sorted(joints, key=lambda joint: _CUT_LAST[joint.kind]):
+    for joint in sorted(joints, key=lambda joint: (_CUT_LAST[joint.kind], not joint.complies)):
         a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
         if a == b:
             loops.append(joint)

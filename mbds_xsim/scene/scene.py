@@ -118,6 +118,14 @@ class Joint(Neutral):
     """Initial coordinate of a hinge [rad] or slider [m]; left out, it follows from the others."""
     rate: Finite | None = None
     """Initial rate of a hinge [rad/s] or slider [m/s]; left out, it follows from the others."""
+    stiffness: NotNegative = 0.0
+    """Of a spring on the coordinate of a hinge [N·m/rad] or slider [N/m]."""
+    damping: NotNegative = 0.0
+    """Of a damper on it [N·m·s/rad] or [N·s/m]."""
+    rest: Finite = 0.0
+    """Coordinate at which the spring is slack [rad] or [m]."""
+
+    added = ("stiffness", "damping", "rest")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,8 +133,10 @@ class Joint(Neutral):
         if has_axis and self.axis is None:
             msg = f"a {self.kind} joint needs an axis, got none"
             raise SceneError(msg)
-        if not has_axis and not (self.axis is None and self.start is None and self.rate is None):
-            msg = f"axis, start and rate are for hinge and slider, got one on a {self.kind} joint"
+        given = [key for key in ("axis", "start", "rate") if getattr(self, key) is not None]
+        given += [key for key in self.added if getattr(self, key)]
+        if not has_axis and given:
+            msg = f"{given[0]}: got it on a {self.kind} joint, allowed is it on a hinge or slider"
             raise SceneError(msg)
         if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
             msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"

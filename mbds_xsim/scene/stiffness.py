@@ -8,7 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.assembly import assemble, inverse_mass_root
+from mbds_xsim.scene.assembly import assemble, inverse_mass_root, rate_row
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
@@ -42,18 +42,28 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     nothing would move. Both are 0 without springs.
     """
     mechanism = Mechanism.of(scene)
-    if not mechanism.springs:
+    if not (mechanism.springs or mechanism.compliant):
         return 0.0, 0.0
     start = assemble(mechanism)
     root = inverse_mass_root(mechanism, start.native).toarray()
     still = np.zeros_like(start.position)
     rows = constraint_rows(mechanism, start.position, start.native, still, still)
-    apart = np.concatenate([_apart(mechanism, start, spring) for spring in mechanism.springs])
+    pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
+    turns = [
+        rate_row(mechanism, joint, start.position, start.native).toarray()
+        for joint in mechanism.compliant
+    ]
+    apart = np.concatenate([*pairs, *turns])
     loops = [joint.index for joint in mechanism.loops]
     tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
     free = _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, apart @ root)
     stiffness, damping = (
-        np.repeat([getattr(spring, key) for spring in mechanism.springs], 3)
+        np.concatenate(
+            [
+                np.repeat([getattr(spring, key) for spring in mechanism.springs], 3),
+                [getattr(joint, key) for joint in mechanism.compliant],
+            ]
+        )
         for key in ("stiffness", "damping")
     )
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)

@@ -90,7 +90,8 @@ class Readback:
     """Of hinges and sliders in scene order, in W at that start, shape (joint, 3); NaN where a
     loop joint has no native counterpart."""
     damping: Array | None
-    """Every damping coefficient the engine reports; all must be 0, shape (any,)."""
+    """Every damping coefficient the engine reports, less what the scene asks for; all must be 0,
+    shape (any,)."""
     contact: Array | None = None
     """Radius [m], friction and restitution of each contact sphere on the ground, in scene order;
     NaN where the engine has no such coefficient. Shape (sphere, 3)."""
@@ -103,6 +104,9 @@ class Readback:
     """Stiffness [N/m], damping [N·s/m], rest length [m] and length at that start [m] of the
     springs in scene order, shape (spring, 4). Where an engine has none, what the adapter that
     applies them goes by."""
+    law: Array | None = None
+    """Stiffness, damping and coordinate at rest of `Mechanism.compliant` [N·m/rad or N/m,
+    N·m·s/rad or N·s/m, rad or m], shape (joint, 3); likewise."""
 
 
 @dataclass(frozen=True)

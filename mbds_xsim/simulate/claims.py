@@ -38,6 +38,9 @@ class Feature(Enum):
     LOOP_FIXED = "loop closed by a fixed joint"
     DISTANCE_LINK = "distance link"
     SPRING_DAMPER = "spring–damper"
+    JOINT_SPRING = "spring in a joint"
+    JOINT_DAMPER = "damper in a joint"
+    CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
     FULL_INERTIA = "inertia not along the body frame"
@@ -63,6 +66,9 @@ def features_of(scene: Scene) -> frozenset[Feature]:
         Feature.FREE_BODY: None in tree,
         Feature.DISTANCE_LINK: bool(scene.distance_links),
         Feature.SPRING_DAMPER: bool(scene.springs),
+        Feature.JOINT_SPRING: any(joint.stiffness for joint in scene.joints),
+        Feature.JOINT_DAMPER: any(joint.damping for joint in scene.joints),
+        Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
         Feature.HINGE_TORQUE: bool(scene.torques) or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),

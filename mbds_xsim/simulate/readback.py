@@ -25,6 +25,7 @@ _Quantity = tuple[str, Array | None, Array, float, list[str]]
 _TOLERANCE = 1e-9
 _MISSING = 1e-6
 _PAIR = ("radius of contact [m]", "friction", "restitution")
+_LAW = ("stiffness", "damping", "coordinate at rest")
 _SPRING = ("stiffness [N/m]", "damping [N·s/m]", "rest length [m]", "length at the start [m]")
 
 
@@ -89,6 +90,23 @@ def joint_anchors(
     return anchors
 
 
+def joint_laws(
+    mechanism: Mechanism, of_link: Callable[[Link, PlacedJoint], tuple[float, float, float]]
+) -> Array:
+    """Give what `Readback.law` tells; NaN of loops, shape (joint, 3).
+
+    Args:
+        mechanism: Of the scene.
+        of_link: Stiffness, damping and coordinate at rest of a link's joint.
+    """
+    laws = np.full((len(mechanism.compliant), len(_LAW)), np.nan)
+    links = {link.joint.index: link for link in mechanism.links if link.joint}
+    for law, joint in zip(laws, mechanism.compliant, strict=True):
+        if joint.index in links:
+            law[:] = of_link(links[joint.index], joint)
+    return laws
+
+
 def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Iterator[_Quantity]:
     """Give everything that both sides hold."""
     scene, length = mechanism.scene, mechanism.scene.length
@@ -106,6 +124,9 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield "gravity [m/s²]", gravity, np.array([scene.gravity]), 1.0, ["W"]
     yield from _of_joints(mechanism, batch, readback)
     yield from _of_springs(mechanism, batch, readback)
+    laws = np.array([(j.stiffness, j.damping, j.rest) for j in mechanism.compliant]).reshape(-1, 3)
+    names = [joint.name for joint in mechanism.compliant]
+    yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
     yield from _of_contact(mechanism, batch, readback)
 
 

@@ -32,6 +32,7 @@ from mbds_xsim.testing.case import (
     solve,
     swing,
 )
+from mbds_xsim.testing.joint_cases import JOINT_CASES
 from mbds_xsim.testing.loop_cases import LOOPS
 
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
@@ -263,5 +264,6 @@ CASES: tuple[Case, ...] = (
     _spring(),
     _flywheel(),
     _spin_up_in_flight(),
+    *JOINT_CASES,
     *LOOPS,
 )

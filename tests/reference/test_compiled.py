@@ -26,7 +26,7 @@ KINDS = st.lists(
 
 
 def with_springs(rng: np.random.Generator, scene: Scene) -> Scene:
-    """Add a soft spring with a damper between two bodies, and one to the world."""
+    """Add soft springs with dampers between two bodies, to the world, and in half of the joints."""
     names = [body.name for body in scene.bodies]
     ends = [("world", names[0]), ("world" if len(names) == 1 else names[0], names[-1])]
     springs = tuple(
@@ -40,7 +40,13 @@ def with_springs(rng: np.random.Generator, scene: Scene) -> Scene:
         )
         for k, pair in enumerate(ends)
     )
-    return msgspec.structs.replace(scene, springs=springs)
+    joints = tuple(
+        msgspec.structs.replace(joint, stiffness=2.0, damping=0.3, rest=0.4)
+        if joint.kind in ("hinge", "slider") and rng.random() < 0.5
+        else joint
+        for joint in scene.joints
+    )
+    return msgspec.structs.replace(scene, springs=springs, joints=joints)
 
 
 def _point(rng: np.random.Generator) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mbds_xsim.scene.file import read_scene, save_scene
+from mbds_xsim.scene.file import read_scene, save_scene, write_scene
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.scene import Budget, Clock, Scene
 from mbds_xsim.simulate.registry import load_scene, scene_names
@@ -58,6 +58,15 @@ def test_names_budgets_and_rounding_are_the_same(same: Callable[[Scene], Scene])
     scene = load_scene("3ladder")
 
     assert fingerprint(same(scene)) == fingerprint(scene)
+
+
+def test_keys_that_came_later_leave_scenes_without_them_as_they_were() -> None:
+    scene = load_scene("workbench")
+    sprung = tuple(replace(j, damping=0.1) if j.kind == "hinge" else j for j in scene.joints)
+
+    assert fingerprint(scene) == "ecc927a0dd760293"
+    assert "damping" not in write_scene(replace(scene, springs=()), defaults=True)
+    assert fingerprint(replace(scene, joints=sprung)) != fingerprint(scene)
 
 
 def test_a_file_of_the_scene_is_the_same(tmp_path: Path) -> None:

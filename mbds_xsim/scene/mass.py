@@ -1,0 +1,40 @@
+"""Mass properties of a body at the reference pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.scene import Body
+
+
+def mass_properties(body: Body) -> tuple[float, Array, Array]:
+    """Give a body's mass [kg], centre of mass in W [m] and inertia about it in W's axes [kg·m²]."""
+    turn = rotation.matrix(np.array(body.orientation))
+    if body.inertia is not None:
+        (xx, yy, zz), (xy, xz, yz) = body.inertia.moments, body.inertia.products
+        local = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return (
+            body.inertia.mass,
+            np.array(body.position) + turn @ np.array(body.inertia.com),
+            turn @ local @ turn.T,
+        )
+    masses = np.array([particle.mass for particle in body.particles])
+    points = np.array([particle.position for particle in body.particles])
+    com = masses @ points / masses.sum()
+    arms = points - com
+    # Parallel axes: each particle keeps its own isotropic inertia.
+    tensor = (
+        np.eye(3) * (masses @ np.sum(arms**2, axis=1) + sum(p.inertia for p in body.particles))
+        - (arms.T * masses) @ arms
+    )
+    low, high = np.linalg.eigvalsh(tensor)[[0, 2]]
+    if not high > 0 or low < 1e-9 * high:
+        msg = (
+            f"bodies[{body.name!r}].particles: got smallest principal inertia {low:.3g} kg·m², "
+            "allowed is above 0: give a particle an inertia, or the body particles off one line"
+        )
+        raise SceneError(msg)
+    return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T

@@ -1,0 +1,82 @@
+"""Cases of springs and dampers in joints, with closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.scene import Joint
+from mbds_xsim.testing.case import NONE, Case, G, case_of, even
+
+_UP = (0.0, 0.0, 1.0)
+
+
+def settling(
+    stiffness: float, damping: float, inertia: float, start: float, rate: float, time: Array
+) -> Array:
+    """Solve I x'' = −k x − d x', which oscillates."""
+    decay = damping / (2.0 * inertia)
+    omega = np.sqrt(stiffness / inertia - decay**2)
+    swing = start * np.cos(omega * time) + (rate + decay * start) / omega * np.sin(omega * time)
+    return np.asarray(np.exp(-decay * time) * swing)
+
+
+def _sprung_hinge() -> Case:
+    """A wheel winds a spring up by more than half a turn, whose other end is on its free carrier.
+
+    The axle's parent is the wheel; the tip on an arm shows the carrier.
+    """
+    stiffness, damping, rest, rate = 3.0, 0.05, 0.7, 20.0
+    wheel, arm = 0.1, 0.5
+    carrier = 0.4 + 0.01 + 0.5 * arm**2
+    reduced = carrier * wheel / (carrier + wheel)
+
+    def exact(time: Array) -> Array:
+        angle = rest + settling(stiffness, damping, reduced, -rest, rate, time)
+        # No momentum but what the start has, which is the wheel's alone.
+        turned = wheel * (rate * time - angle) / (carrier + wheel)
+        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
+        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+
+    return case_of(
+        "sprung hinge",
+        "spring and damper of a hinge, their sign and reaction, whole turns",
+        [
+            even("carrier", 2.0, 0.4),
+            even("wheel", 1.0, wheel),
+            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
+        ],
+        exact,
+        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
+        Joint(
+            "axle", "hinge", "wheel", "carrier", NONE, (0.0, 0.0, -1.0), rate=rate,
+            stiffness=stiffness, damping=damping, rest=rest,
+        ),
+        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
+        gravity=NONE,
+    )  # fmt: skip
+
+
+def _sprung_slider() -> Case:
+    """A body on a sloping rail, sprung and damped."""
+    stiffness, damping, rest, rate, mass = 40.0, 1.5, 0.2, 0.5, 2.0
+    along = np.array([0.6, 0.0, -0.8])
+    slack = rest + mass * G * 0.8 / stiffness
+
+    def exact(time: Array) -> Array:
+        x = slack + settling(stiffness, damping, mass, -slack, rate, time)
+        return (x[:, None] * along)[:, None]
+
+    return case_of(
+        "sprung slider",
+        "spring and damper of a slider",
+        [even("block", mass, 0.1)],
+        exact,
+        Joint(
+            "rail", "slider", "world", "block", NONE, (0.6, 0.0, -0.8), rate=rate,
+            stiffness=stiffness, damping=damping, rest=rest,
+        ),
+    )  # fmt: skip
+
+
+JOINT_CASES: tuple[Case, ...] = (_sprung_hinge(), _sprung_slider())
