@@ -43,6 +43,7 @@ _MOVES = {
     "mujoco": re.compile(r"<(joint|freejoint|include)\b"),
     "robot": re.compile(r"<joint[^>]*type\s*=\s*.(revolute|continuous|prismatic|floating|planar)"),
 }
+_INCLUDES = re.compile(r"<include\s+file\s*=\s*[\"']([^\"']+)")
 _ROOT = re.compile(r"<(mujoco|robot)\b")
 _TIMEOUT = 120.0  # [s]
 _REVISION = 2
@@ -103,11 +104,19 @@ def _save(target: Path, rows: Iterable[Row]) -> None:
 
 
 def _models(packages: Path) -> Iterator[Path]:
-    """Give the files that are models with joints."""
-    for path in sorted([*packages.rglob("*.xml"), *packages.rglob("*.urdf")]):
-        text = path.read_text(errors="replace")
+    """Give the files that are models with joints, and not parts that another includes."""
+    texts = {
+        path: path.read_text(errors="replace")
+        for path in sorted([*packages.rglob("*.xml"), *packages.rglob("*.urdf")])
+    }
+    parts = {
+        (path.parent / name).resolve()
+        for path, text in texts.items()
+        for name in _INCLUDES.findall(text)
+    }
+    for path, text in texts.items():
         root = _ROOT.search(text)
-        if root and _MOVES[root[1]].search(text):
+        if root and _MOVES[root[1]].search(text) and path.resolve() not in parts:
             yield path
 
 
@@ -160,7 +169,11 @@ def _package(inside: Path) -> str:
 
 def _counts(imported: Imported, outcome: str) -> dict[str, int]:
     lost = (fate for fate in imported.fates if fate.outcome == outcome and fate.moves)
-    return {" ".join((fate.element, *fate.properties)): fate.count for fate in lost}
+    counts: Counter[str] = Counter()
+    for fate in lost:
+        single = fate.properties if len(fate.properties) == 1 else ()
+        counts[" ".join((fate.element, *single))] += fate.count
+    return dict(counts)
 
 
 def _sound_bodies(imported: Imported) -> set[str]:
@@ -317,8 +330,10 @@ def page(rows: list[Row]) -> None:
 
 
 def _summary(rows: list[Row], read: list[Row]) -> Iterator[tuple[str, str]]:
-    yield "with joints", str(len(rows))
-    yield "imported", f"{len(read)} ({len(read) / max(len(rows), 1):.0%})"
+    still = sum(row.refused.startswith("nothing in it moves") for row in rows)
+    yield "files that are no part of another", str(len(rows))
+    yield "of these with degrees of freedom", str(len(rows) - still)
+    yield "imported", f"{len(read)} ({len(read) / max(len(rows) - still, 1):.0%})"
     yield (
         "imported, nothing of the motion lost",
         str(sum(not (r.dropped or r.approximated) for r in read)),

@@ -25,6 +25,7 @@ SHOWN: dict[str, dict[str, str]] = {
     "long-axis.urdf": {"pybullet": "axis"},
     "limits.urdf": {"dart": "enforcement of limits"},
     "package.urdf": {"mujoco": "", "pybullet": "", "dart": ""},
+    "inertia-turned.sdf": {"dart": "inertia"},
     "damping.xml": {"pybullet": "damping"},
     "armature.xml": {"pybullet": "armature", "dart": "armature"},
     "spring.xml": {"pybullet": "stiffness", "dart": "stiffness"},
@@ -42,7 +43,7 @@ SHOWN: dict[str, dict[str, str]] = {
 
 _HEAD = """# What engines' own readers lose
 
-MuJoCo, PyBullet and DART read MJCF and URDF files themselves, and each reads other things of them.
+MuJoCo, PyBullet and DART read models themselves, and each reads other things of them.
 `mbds-xsim readers MODEL` lets each load a file, with the options that it has by itself, and holds
 what it then has against what the file says, field by field, and says how far the bodies are after a
 second from where the file has them go. It exits with 1 where one differs.

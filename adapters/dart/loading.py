@@ -25,7 +25,7 @@ _KINDS = {
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Read a URDF or MJCF file; see `mbds_xsim.simulate.models`."""
+    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.models`."""
     import dartpy
 
     utils = dartpy.utils
@@ -41,8 +41,11 @@ def load(path: Path, floating: bool) -> ModelFacts:
                     loader.addPackageDirectory(name, str(above / name))
                     break
         skeletons = [loader.parseSkeleton(str(path))]
+    elif path.suffix.lower() == ".sdf" and "<world" not in path.read_text(errors="replace"):
+        skeletons = [utils.SdfParser.readSkeleton(str(path))]
     else:
-        world = utils.MjcfParser.readWorld(str(path))
+        parser = utils.SdfParser if path.suffix.lower() == ".sdf" else utils.MjcfParser
+        world = parser.readWorld(str(path))
         count = world.getNumSkeletons() if world is not None else 0
         skeletons = [world.getSkeleton(k) for k in range(count)]
     if not skeletons or None in skeletons:

@@ -110,6 +110,9 @@ def load(path: Path, floating: bool) -> ModelFacts:
     """Say what MuJoCo makes of a file by itself; see `mbds_xsim.simulate.models`."""
     import mujoco
 
+    if path.suffix.lower() not in (".xml", ".urdf"):
+        msg = "MuJoCo reads MJCF and URDF alone"
+        raise InputError(msg)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

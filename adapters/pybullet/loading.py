@@ -18,13 +18,15 @@ _JOINT_NAME, _KIND, _DAMPING, _FRICTION, _LOW, _HIGH, _LINK_NAME, _AXIS = 1, 2, 
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Read a URDF or MJCF file; see `mbds_xsim.simulate.models`."""
+    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.models`."""
     import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
     try:
         if path.suffix.lower() == ".urdf":
             bodies: Any = [pybullet.loadURDF(str(path), useFixedBase=not floating)]
+        elif path.suffix.lower() == ".sdf":
+            bodies = pybullet.loadSDF(str(path))
         else:
             bodies = pybullet.loadMJCF(str(path))
     except pybullet.error as error:

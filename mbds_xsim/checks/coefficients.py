@@ -40,6 +40,7 @@ SURE = 3e-3
 _ERRORS = 6.0  # standard errors (measured: 3.0)
 _ERRORS_OF_BODIES = 20.0  # the same of a single mass: what methods leave is most like these (12.6)
 _LIGHT = 1e-5  # of all mass: what methods leave looks like more or less of so small a part of it
+_OWN = 1e-3  # of a body's exchange of kinetic and potential energy
 _UNKNOWN = 0.5  # of a step, by which velocities of an unknown method may lag
 _FEW = 10.0  # steps that count; fewer tell nothing
 _NEAR = 4  # steps to either side that tell how well a step is balanced
@@ -147,9 +148,15 @@ def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:
     yield "inputs a frame late", _work(record, -1) - here, _ERRORS
     yield "inputs a frame early", _work(record, 1) - here, _ERRORS
     bodies = record.mechanism.body_count
-    change = np.diff(energy_of(record).by_body, axis=1)
-    yield "gravity", change[..., bodies:].sum(axis=-1), _ERRORS
-    whole = change[..., :bodies] + change[..., bodies:]
+    energy = energy_of(record).by_body
+    change = np.diff(energy, axis=1)
+    moving, lifted = change[..., :bodies], change[..., bodies:]
+    faint = _FAINT * energy[..., :bodies].sum(axis=-1).max(axis=1, keepdims=True)
+    gravity = lifted.sum(axis=-1)
+    yield "gravity", np.where(np.abs(gravity) < faint, 0.0, gravity), _ERRORS
+    # A body that keeps its own energy tells nothing of its mass: what changes is the method's.
+    least = np.maximum(_OWN * (np.abs(moving) + np.abs(lifted)), faint[..., None])
+    whole = np.where(np.abs(moving + lifted) < least, 0.0, moving + lifted)
     mass = record.mechanism.mass
     for k in np.flatnonzero(mass >= _LIGHT * mass.sum()):
         yield f"mass of {record.scene.bodies[k].name}", whole[..., k], _ERRORS_OF_BODIES
