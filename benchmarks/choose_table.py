@@ -13,9 +13,9 @@ from pathlib import Path
 
 import msgspec
 
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.report import quantity
-from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.report.files import table_lines
 from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff

@@ -22,9 +22,9 @@ import msgspec
 import numpy as np
 
 from benchmarks.harness import print_made, print_table, processor_s
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.checks.agreement import particle_error
-from mbds_xsim.report import palette, quantity, themed
+from mbds_xsim.report import quantity, themed
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock
@@ -124,7 +124,7 @@ def picture(found: Costs) -> bytes:
 
 def _draw(axes: Any, family: str, sizes: tuple[int, ...], found: Costs) -> None:
     own, other = (found[family, engine] for engine in _METHODS)
-    colours = [palette.LIGHT[palette.engine_style(engine).colour] for engine in _METHODS]
+    colours = [themed.LIGHT[themed.engine_style(engine).colour] for engine in _METHODS]
     share = [cost.share_s for cost in own]
     axes.loglog(sizes, share, "d-", color=colours[0], label=f"reference, {_TOGETHER} at a time")
     axes.loglog(sizes, [c.alone_s for c in own], "d--", color=colours[0], label="reference, alone")

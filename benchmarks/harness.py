@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.measure.store import machine
-from mbds_xsim.report.markdown import table_lines
+from mbds_xsim.report.files import table_lines
 
 Array = NDArray[Any]
 Work = Callable[[], object]

@@ -31,8 +31,8 @@ from mbds_xsim.api import validate
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import in_markdown
-from mbds_xsim.base.write import write_whole
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.simulate.models import read_model

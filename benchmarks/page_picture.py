@@ -21,7 +21,7 @@ import msgspec
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.measure.result import Validation, from_plain
 from mbds_xsim.report.themed import SOURCE, few_colours
 

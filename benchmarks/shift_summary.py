@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.harness import print_table
-from mbds_xsim.base.write import read_file
+from mbds_xsim.base.files import read_file
 from mbds_xsim.learn.shift.answers import MATCHED, ROBUST
 from mbds_xsim.learn.shift.gaps import ALL, LEAVE_ONE_OUT, SINGLE
 from mbds_xsim.learn.shift.result import Gap, Shift

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import path_of
 from mbds_xsim.base.isolate import LIMIT
-from mbds_xsim.base.write import path_of
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
@@ -105,7 +105,7 @@ def validate(
 
 
 def _writable(page: object) -> Path:
-    from mbds_xsim.base.write import check_writable
+    from mbds_xsim.base.files import check_writable
 
     path = path_of("page", page)
     check_writable(path, "page")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import to_markdown
 
 _PAGE = Path(__file__).parents[1] / "docs" / "add-a-study.md"
 _MOST_LINES = 120

@@ -13,9 +13,8 @@ from PIL import Image
 
 from benchmarks.page_picture import settings_line
 from benchmarks.pictures import picture_of, stored_results, sweep_of
-from mbds_xsim.base.write import read_file
-from mbds_xsim.report.files import rows_csv
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.base.files import read_file
+from mbds_xsim.report.files import rows_csv, to_markdown
 from mbds_xsim.report.themed import SOURCE, checksum
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene

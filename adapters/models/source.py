@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_file
+from mbds_xsim.base.files import read_file
 
 _LARGEST_FILE = 16 * 10**6  # bytes
 _DEEPEST = 400  # levels, of the 500 that the compiler takes

@@ -12,8 +12,16 @@ from mbds_xsim.checks.eccentric import eccentric_friction, eccentric_restitution
 from mbds_xsim.checks.finding import Check, Finding, Record
 from mbds_xsim.checks.friction import friction, rolling, wheels
 from mbds_xsim.checks.ground import restitution
-from mbds_xsim.checks.integrity import finite, planarity, precision, start
-from mbds_xsim.checks.joints import angle_gap, angle_gap_rate, gap, gap_rate
+from mbds_xsim.checks.integrity import (
+    angle_gap,
+    angle_gap_rate,
+    finite,
+    gap,
+    gap_rate,
+    planarity,
+    precision,
+    start,
+)
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
 from mbds_xsim.checks.mismatch import EVERY_SECOND
 from mbds_xsim.checks.passivity import (

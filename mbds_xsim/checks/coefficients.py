@@ -31,7 +31,7 @@ from mbds_xsim.checks.conservation import (
 )
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
-from mbds_xsim.checks.joints import pair_distance, pair_rate
+from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_rate
 
 SURE = 3e-3

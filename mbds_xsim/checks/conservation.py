@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check, summed
-from mbds_xsim.checks.joints import pair_distance, pair_rate
+from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.scene.joint_space import joint_coordinate, joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
 

@@ -1,4 +1,4 @@
-"""Is the trajectory a trajectory: finite, unit quaternions, in double precision, as drawn."""
+"""Is every frame one of the mechanism: finite, unit quaternions, as drawn, joints closed?"""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 
 _UNIT = 1e-9
 _SAME_START = 1e-12
@@ -121,3 +123,173 @@ def _relative(got: Array, drawn: Array, floor: float | Array) -> Array:
 
 def _body_names(record: Record) -> tuple[str, ...]:
     return tuple(body.name for body in record.scene.bodies)
+
+
+@check("gap", "gap", "m")
+def gap(record: Record) -> Figures:
+    """Measure the distance between the anchor points of each joint [m]; None without joints.
+
+    Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
+    link the change of its length.
+    """
+    mechanism, states = record.mechanism, record.bodies.with_world()
+    joints, sliders = _parted(mechanism)
+    parts = [
+        rotation.norm(_apart(states, joints)),
+        _off_axis(states, sliders),
+        np.abs(pair_distance(states, mechanism.distances) - _lengths(mechanism.distances)),
+    ]
+    return Figures(np.concatenate(parts, axis=-1), _names(mechanism))
+
+
+@check("gap rate", lambda record: record.scene.budget.gap / record.frame, "m/s")
+def gap_rate(record: Record) -> Figures:
+    """Measure the speed at which the gap of each joint opens [m/s]; None without joints.
+
+    It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
+    joints as they were a step before; what places that turn make of that is left out.
+    """
+    mechanism, states = record.mechanism, record.bodies.with_world()
+    joints, sliders = _parted(mechanism)
+    shift = _parting(states, sliders)
+    carried = states.angular_velocity[..., _ends(sliders)[0], :]
+    shift = shift - rotation.cross(carried, _apart(states, sliders))
+    parts = [
+        rotation.norm(_parting(states, joints)),
+        rotation.norm(rotation.cross(_axes(states, sliders), shift)),
+        np.abs(pair_rate(states, mechanism.distances)),
+    ]
+    late = _turned(record, rotation.norm(record.bodies.velocity))
+    return Figures(np.maximum(np.concatenate(parts, axis=-1) - late, 0.0), _names(mechanism))
+
+
+@check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
+def angle_gap_rate(record: Record) -> Figures | None:
+    """Measure the rate at which hinges tilt, and sliders and fixed joints turn [rad/s]; else None.
+
+    As `gap_rate`, of angles.
+    """
+    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
+    if not joints:
+        return None
+    states = record.bodies.with_world()
+    parent, child = _ends(joints)
+    turning = states.angular_velocity[..., child, :] - states.angular_velocity[..., parent, :]
+    free = states.arms(parent, _free(joints))
+    across = turning - rotation.dot(turning, free)[..., None] * free
+    late = _turned(record, rotation.norm(record.bodies.angular_velocity))
+    rate = np.maximum(rotation.norm(across) - late, 0.0)
+    return Figures(rate, [f"joint {j.name}" for j in joints])
+
+
+@check("angle gap", "angle_gap", "rad")
+def angle_gap(record: Record) -> Figures | None:
+    """Measure hinges' angle between axes, sliders' and fixed joints' turn [rad]; else None."""
+    joints = [j for j in record.mechanism.joints if j.kind != "ball"]
+    if not joints:
+        return None
+    states = record.bodies.with_world()
+    parent, child = _ends(joints)
+    back = rotation.conjugate(states.native[..., parent, :])
+    turn = rotation.multiply(back, states.native[..., child, :])
+    # A hinge's free turn is taken out: the rest is a swing of sine |across| of its half angle.
+    free = _free(joints)
+    along = np.sum(turn[..., 1:] * free, axis=-1)
+    across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
+    angle = 2.0 * np.arctan2(across, np.hypot(turn[..., 0], along))
+    return Figures(angle, [f"joint {j.name}" for j in joints])
+
+
+def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
+    """Distances of attachment points [m], shape (…, pair), of states with the world."""
+    begin, end = (states.points(*points) for points in _attached(pairs))
+    return np.asarray(rotation.norm(end - begin))
+
+
+def pair_rate(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
+    """Rates of the distances of attachment points [m/s], (…, pair), of states with the world."""
+    ends = _attached(pairs)
+    apart, parting = (
+        b - a
+        for a, b in (
+            [states.points(*points) for points in ends],
+            [states.speeds(*points) for points in ends],
+        )
+    )
+    return np.asarray(rotation.dot(parting, apart / rotation.norm(apart)[..., None]))
+
+
+def _turned(record: Record, speeds: Array) -> Array:
+    """By how much a turn during the step by which velocities lag may change them, (…, frame, 1).
+
+    Methods lag by half a step where they keep joints closed at its beginning, so it is twice the
+    lag, at the fastest rate of the mechanism.
+    """
+    fastest = rotation.norm(record.bodies.angular_velocity).max(axis=-1, keepdims=True)
+    return np.asarray(2.0 * abs(record.lag) * fastest * speeds.max(axis=-1, keepdims=True))
+
+
+def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]:
+    """Joints with an anchor that both bodies share, and sliders."""
+    joints = mechanism.joints
+    return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
+
+
+def _names(mechanism: Mechanism) -> tuple[str, ...]:
+    """Of the parts of gaps and their rates."""
+    joints, sliders = _parted(mechanism)
+    links = (f"distance link {link.name}" for link in mechanism.distances)
+    return (*(f"joint {j.name}" for j in [*joints, *sliders]), *links)
+
+
+def _free(joints: list[PlacedJoint]) -> Array:
+    """Axes about which joints turn freely, zero where there is none."""
+    return np.array([j.axis if j.kind == "hinge" else np.zeros(3) for j in joints])
+
+
+def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
+    """Bodies and points of the two ends of distance links or springs."""
+    return [
+        ([pair.bodies[k] for pair in pairs], _vectors([pair.in_body[k] for pair in pairs]))
+        for k in (0, 1)
+    ]
+
+
+def _parting(states: BodyStates, joints: list[PlacedJoint]) -> Array:
+    """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
+    parent, child = _anchors(joints)
+    return states.speeds(*child) - states.speeds(*parent)
+
+
+def _apart(states: BodyStates, joints: list[PlacedJoint]) -> Array:
+    parent, child = _anchors(joints)
+    return states.points(*child) - states.points(*parent)
+
+
+def _off_axis(states: BodyStates, sliders: list[PlacedJoint]) -> Array:
+    return rotation.norm(rotation.cross(_axes(states, sliders), _apart(states, sliders)))
+
+
+def _axes(states: BodyStates, joints: list[PlacedJoint]) -> Array:
+    """Free axes of hinges and sliders, fixed in the parents, in W; zero of other joints."""
+    return states.arms(_ends(joints)[0], _vectors([j.axis for j in joints]))
+
+
+def _anchors(joints: list[PlacedJoint]) -> list[tuple[list[int], Array]]:
+    parent, child = _ends(joints)
+    return [
+        (parent, _vectors([j.in_parent for j in joints])),
+        (child, _vectors([j.in_child for j in joints])),
+    ]
+
+
+def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:
+    return [j.parent for j in joints], [j.child for j in joints]
+
+
+def _vectors(values: list[Array]) -> Array:
+    return np.array(values).reshape(-1, 3)
+
+
+def _lengths(pairs: tuple[PointPair, ...]) -> Array:
+    return np.array([pair.length for pair in pairs])

@@ -190,7 +190,7 @@ def audit(
     from mbds_xsim.dataset.foreign import Provenance
     from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.studies.audit.present import present
+    from mbds_xsim.studies.audit import present
 
     console = shared.console_for(json)
     shared.check_targets(json=json, html=html)

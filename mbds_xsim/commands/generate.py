@@ -143,7 +143,7 @@ def generate(
     from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
-    from mbds_xsim.report.bar import GeneratingBar
+    from mbds_xsim.report.terminal import GeneratingBar
     from mbds_xsim.simulate.choice import Choice
 
     console = shared.console_for(json)

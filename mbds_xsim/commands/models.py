@@ -67,7 +67,7 @@ def export_model(
     json: shared.JsonFile = None,
 ) -> None:
     """Write a scene as another program's model, and tell what of it is lost."""
-    from mbds_xsim.base.write import write_whole
+    from mbds_xsim.base.files import write_whole
     from mbds_xsim.report.losses import loss_blocks
     from mbds_xsim.simulate.models import write_model
 

@@ -23,8 +23,8 @@ from mbds_xsim.base.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from mbds_xsim.report.bar import ProgressBar
     from mbds_xsim.report.blocks import Block, Report
+    from mbds_xsim.report.terminal import ProgressBar
     from mbds_xsim.scene.scene import Scene
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -256,14 +256,14 @@ def console_for(json: Path | None) -> Console:
 
 def progress_on(console: Console) -> ProgressBar:
     """Give the bar of long work."""
-    from mbds_xsim.report.bar import ProgressBar
+    from mbds_xsim.report.terminal import ProgressBar
 
     return ProgressBar(console)
 
 
 def check_targets(**paths: Path | None) -> None:
     """Refuse, before long work, to write where nothing can be written."""
-    from mbds_xsim.base.write import check_writable
+    from mbds_xsim.base.files import check_writable
 
     files = {option: path for option, path in paths.items() if path is not None}
     if str(files.get("json")) == "-":
@@ -334,7 +334,7 @@ def write_json(text: bytes, path: Path | None) -> None:
 
         print(in_json(text.decode()))
         return
-    from mbds_xsim.base.write import write_whole
+    from mbds_xsim.base.files import write_whole
 
     write_whole(path, text + b"\n")
 

@@ -44,13 +44,12 @@ def match(
     opened: shared.Opened = False,
 ) -> None:
     """Search the cheapest settings of each engine that keep all budgets of a scene."""
+    from mbds_xsim.base.files import write_whole
     from mbds_xsim.base.isolate import core_count
-    from mbds_xsim.base.write import write_whole
-    from mbds_xsim.report.bar import StudyBar
-    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.match import search as study
-    from mbds_xsim.studies.match.present import matched_toml, present
+    from mbds_xsim.studies.match.result import matched_toml, present
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines)
@@ -89,7 +88,7 @@ def match(
 def _targets(scenes: list[str], out: Path | None) -> list[Path]:
     """Say where each scene's settings go."""
     from mbds_xsim.simulate.registry import scene_names
-    from mbds_xsim.studies.match.present import stored_path
+    from mbds_xsim.studies.match.result import stored_path
 
     if out is not None and len(scenes) > 1:
         msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
@@ -123,8 +122,8 @@ def ablate(
     """Drop and halve what a scene models; compare with the disagreement between engines."""
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.ablate.present import present
     from mbds_xsim.studies.ablate.study import ablate as study
+    from mbds_xsim.studies.ablate.study import present
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
@@ -174,8 +173,7 @@ def contact(
     """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.contact.present import present
-    from mbds_xsim.studies.contact.study import study_contact
+    from mbds_xsim.studies.contact.present import present, study_contact
 
     console = shared.console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
@@ -197,7 +195,7 @@ def contact(
 
         draw_study(study, drawn)
     if markdown is not None:
-        from mbds_xsim.base.write import write_whole
+        from mbds_xsim.base.files import write_whole
         from mbds_xsim.studies.contact.page import contact_page
 
         write_whole(markdown, contact_page(study, drawn, markdown.parent).encode())

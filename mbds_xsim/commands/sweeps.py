@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from mbds_xsim.scene.scene import Scene
     from mbds_xsim.simulate.adapter import Profile
     from mbds_xsim.simulate.simulator import Simulator
-    from mbds_xsim.studies.stability.definition import Study, Value
-    from mbds_xsim.studies.stability.rows import Survey
+    from mbds_xsim.studies.stability.study import Study, Survey, Value
     from mbds_xsim.studies.stability.survey import Plan
     from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 
@@ -66,9 +65,8 @@ def tradeoff(
 ) -> None:
     """Chart speed against accuracy: every engine, method and step, and the reference."""
     from mbds_xsim.base.isolate import core_count
-    from mbds_xsim.report.bar import StudyBar
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
-    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff.present import present, to_png
@@ -239,8 +237,7 @@ def stability(
 def _mapped(plan: Plan, console: Console, out: Path | None, *, single: bool) -> Survey:
     """Survey and say one study, and write its files before the next one begins."""
     from mbds_xsim.base.isolate import core_count
-    from mbds_xsim.report.bar import StudyBar
-    from mbds_xsim.report.terminal import print_blocks, print_report
+    from mbds_xsim.report.terminal import StudyBar, print_blocks, print_report
     from mbds_xsim.studies.stability.present import cells_of, present
     from mbds_xsim.studies.stability.survey import survey
 
@@ -315,7 +312,7 @@ def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...
 def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
     """Steps a frame."""
     from mbds_xsim.simulate.adapter import Settings
-    from mbds_xsim.studies.stability.definition import COUNTS, FRAME
+    from mbds_xsim.studies.stability.study import COUNTS, FRAME
 
     if step is not None:
         return (Settings("", step).substeps(FRAME),)

@@ -155,11 +155,10 @@ def _trained(
     console: Console,
 ) -> dict[str, Any]:
     """Carry the runs out, and give what is to be told of them."""
-    from mbds_xsim.dataset.files import locked
+    from mbds_xsim.base.files import locked
     from mbds_xsim.learn.curves import log_whole
     from mbds_xsim.learn.trainings import LONG, carry, diverged
-    from mbds_xsim.report.bar import TrainingBar
-    from mbds_xsim.report.terminal import print_blocks
+    from mbds_xsim.report.terminal import TrainingBar, print_blocks
 
     with locked(request.out):
         long = request.profile.steps > LONG
@@ -229,7 +228,7 @@ def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
     for path in curves:
         if path not in there:
             console.print(f"{path}: not there, and not drawn", highlight=False)
-    from mbds_xsim.base.write import write_whole
+    from mbds_xsim.base.files import write_whole
     from mbds_xsim.learn.curves import read_curve, to_png
 
     write_whole(png, to_png([read_curve(path) for path in there]))

@@ -15,8 +15,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.checks import Finding, Record, audited
-from mbds_xsim.checks.integrity import finite, planarity, start
-from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.integrity import angle_gap, finite, gap, planarity, start
 from mbds_xsim.checks.passivity import penetration
 from mbds_xsim.dataset.foreign import Foreign, Provenance, read_foreign
 from mbds_xsim.dataset.gate import COLUMNS

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from mbds_xsim.base.files import put
 from mbds_xsim.base.text import in_markdown, sentence
-from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.hdf5 import open_hdf5
-from mbds_xsim.dataset.join import causes
 from mbds_xsim.dataset.layout import FIELDS, FORMAT, JOINT, SPLITS, VERSION, variant_files
 from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.shard import causes
 from mbds_xsim.dataset.summary import counts_of, rejected_beside
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.simulate.claims import RTOL, TRUTH

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import put
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.dataset.columns import TIME, csv_of, groups
-from mbds_xsim.dataset.files import put
 from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name

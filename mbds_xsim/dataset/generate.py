@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import locked, tidied
 from mbds_xsim.base.frame import frame_of
 from mbds_xsim.base.isolate import Carrier, Crash, Silent, Task, core_count, run_tasks
 from mbds_xsim.dataset.card import write_card
-from mbds_xsim.dataset.files import locked, tidied
-from mbds_xsim.dataset.join import VariantCount, join
 from mbds_xsim.dataset.layout import rejected_folder
-from mbds_xsim.dataset.shard import LOG, Crashes, claim, make_shards, try_out
+from mbds_xsim.dataset.shard import LOG, Crashes, VariantCount, claim, join, make_shards, try_out
 from mbds_xsim.dataset.variant import Item, Variant, check_same_draws, folder_name, pending
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.reference.kernels import compile_once

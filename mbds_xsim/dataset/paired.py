@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Index
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import path_of
+from mbds_xsim.base.files import path_of
 from mbds_xsim.dataset.layout import FIELDS
 from mbds_xsim.dataset.read import Dataset, joined_files, labelled, load_dataset
 from mbds_xsim.dataset.series import PairedSeries, Series

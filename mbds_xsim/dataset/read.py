@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.files import path_of
 from mbds_xsim.base.frame import optional
-from mbds_xsim.base.write import path_of
 from mbds_xsim.dataset.hdf5 import (
     CONTENT,
     attributes_of,

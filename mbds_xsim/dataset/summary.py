@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import in_figure
-from mbds_xsim.base.write import write_whole
-from mbds_xsim.dataset.join import cause_of, causes
 from mbds_xsim.dataset.layout import ATTRIBUTES, SPLITS, rejected_folder
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
-from mbds_xsim.report import palette, themed
-from mbds_xsim.report.skeleton import Projection
+from mbds_xsim.dataset.shard import cause_of, causes
+from mbds_xsim.report import themed
+from mbds_xsim.report.motion import Projection
 from mbds_xsim.report.themed import DRAWN, PALE
 from mbds_xsim.scene.sampling_terms import INTERVALS
 
@@ -218,7 +218,7 @@ def _panel(axes: Any, data: Dataset, row: int) -> None:
     axes.set_title(f"trajectory {index}, {INTERVALS[interval]}", fontsize=9)
     axes.grid(color="#e6eaed", linewidth=0.6)
     axes.set_axisbelow(True)
-    colour = palette.INTERVALS[interval]
+    colour = themed.INTERVALS[interval]
     position = np.asarray(data.position[row], dtype=np.float64)
     if data.attributes["dimension"] == 1:
         axes.plot(data["time"], position[..., 0], color=colour, linewidth=1.0)

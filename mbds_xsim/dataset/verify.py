@@ -28,10 +28,10 @@ from mbds_xsim.dataset.hdf5 import (
     refuse_other,
     values_of,
 )
-from mbds_xsim.dataset.join import Shard, joined, joint_datasets
 from mbds_xsim.dataset.layout import SPLITS, SUFFIX, rejected_folder
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
+from mbds_xsim.dataset.shard import Shard, joined, joint_datasets
 from mbds_xsim.measure.running import ProgressSink
 from mbds_xsim.simulate.registry import package_version
 

@@ -17,8 +17,7 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
 from mbds_xsim.learn.train import CurvePoint
-from mbds_xsim.report.palette import LIGHT, engine_style
-from mbds_xsim.report.themed import INK, png
+from mbds_xsim.report.themed import INK, LIGHT, engine_style, png
 from mbds_xsim.simulate import registry
 
 Look = tuple[str, str | tuple[int, tuple[int, ...]]]

@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.base.write import check_regular, write_whole
+from mbds_xsim.base.files import check_regular, write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, load_model
 from mbds_xsim.learn.statistics import Statistics

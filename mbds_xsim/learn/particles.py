@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.arrays import Array, Mask
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, rollout
 from mbds_xsim.learn.window import HISTORY, Motions

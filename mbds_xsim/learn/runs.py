@@ -21,7 +21,7 @@ import msgspec
 import torch
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.learn.device import compile_networks, precision
 from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored

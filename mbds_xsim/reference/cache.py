@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.versions import PHYSICS
-from mbds_xsim.base.write import write_whole
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch
 

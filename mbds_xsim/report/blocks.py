@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 if TYPE_CHECKING:
-    from mbds_xsim.report.palette import Style
+    from mbds_xsim.report.themed import Style
 
 Mark: TypeAlias = Literal["", "pass", "warn", "fail", "over", "strong", "muted"]
 """How something stands: a verdict, a figure beyond its budget, or a tone."""
@@ -164,7 +164,7 @@ class Motion:
     """Motions to be played, by the viewer of pages."""
 
     data: dict[str, Any]
-    """What the viewer reads: see `mbds_xsim.report.animation`."""
+    """What the viewer reads: see `mbds_xsim.report.motion`."""
     truth: str
     """What the others are drawn over."""
     entries: tuple[tuple[str, Style], ...]

@@ -16,12 +16,11 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import counted, in_figure
-from mbds_xsim.base.write import write_whole
 from mbds_xsim.report import themed
-from mbds_xsim.report.palette import PARTS
-from mbds_xsim.report.skeleton import Projection, Skeleton, outline, point_of, pose_of, skeleton
-from mbds_xsim.report.themed import DRAWN, PALE
+from mbds_xsim.report.motion import Projection, Skeleton, outline, point_of, pose_of, skeleton
+from mbds_xsim.report.themed import DRAWN, PALE, PARTS
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mbds_xsim.report.markdown import table_text
+from mbds_xsim.report.files import table_text
 from mbds_xsim.simulate.catalogue import EngineRow, MethodRow, by_reason
 from mbds_xsim.simulate.claims import Feature
 

@@ -22,7 +22,7 @@ from msgspec import inspect
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.base.write import path_of, read_file, write_whole
+from mbds_xsim.base.files import path_of, read_file, write_whole
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import MOST_PARTS, Scene

@@ -17,8 +17,8 @@ from typing import Any
 import msgspec
 
 from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.base.files import read_file
 from mbds_xsim.base.isolate import LIMIT
-from mbds_xsim.base.write import read_file
 from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry

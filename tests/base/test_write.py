@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_file, write_whole
+from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.studies.diff.read import read_views
 
 

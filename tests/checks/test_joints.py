@@ -8,7 +8,7 @@ import pytest
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.integrity import angle_gap, gap
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Trajectory

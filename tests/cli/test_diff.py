@@ -14,7 +14,7 @@ import pytest
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
 from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.stability import rows as stability_rows
+from mbds_xsim.studies.stability import study as stability_rows
 from mbds_xsim.studies.tradeoff import rows
 from tests.tradeoffs import curve, tradeoff
 

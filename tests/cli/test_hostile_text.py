@@ -13,11 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbds_xsim.base.files import read_file
 from mbds_xsim.base.text import as_code, csv_text, in_markdown, sentence
-from mbds_xsim.base.write import read_file
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.report.files import to_html
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.studies.shift import present as shifts

@@ -18,9 +18,10 @@ from typing import Any
 import h5py
 import pytest
 
+from mbds_xsim.base import files
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset import files, shard
-from mbds_xsim.dataset.files import locked
+from mbds_xsim.base.files import locked
+from mbds_xsim.dataset import shard
 from mbds_xsim.dataset.hdf5 import check_content
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Scene

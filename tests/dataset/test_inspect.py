@@ -16,8 +16,8 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands.data import summary_blocks
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.summary import draw_paths, summaries
-from mbds_xsim.report.palette import INTERVALS
 from mbds_xsim.report.terminal import print_blocks
+from mbds_xsim.report.themed import INTERVALS
 from mbds_xsim.simulate.registry import load_scene
 from tests.dataset.conftest import Make
 from tests.fuzz.campaign import run_command

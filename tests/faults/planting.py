@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import cast
 from unittest import mock
 
-from mbds_xsim.base.write import write_whole
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, reference_of
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.result import ReferenceResult

@@ -25,17 +25,15 @@ from mbds_xsim.learn.particles import ParticleMotion, unexplained_energy
 from mbds_xsim.learn.simulator import LearnedSimulator, signs_of, simulators_in
 from mbds_xsim.learn.trained import particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
-from mbds_xsim.report.files import to_html
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.studies.stability import words
-from mbds_xsim.studies.stability.definition import Study
 from mbds_xsim.studies.stability.present import present, to_png
-from mbds_xsim.studies.stability.rows import Outcome, Survey
 from mbds_xsim.studies.stability.studies import STUDIES
+from mbds_xsim.studies.stability.study import Outcome, Study, Survey
 from mbds_xsim.studies.stability.survey import Plan, simulators_of, survey
 from mbds_xsim.studies.stability.verdict import judge, run_cell
 from tests.command_line import CommandLine

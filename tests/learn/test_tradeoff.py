@@ -17,8 +17,7 @@ from mbds_xsim.learn.model_file import read_model
 from mbds_xsim.learn.simulator import LearnedSimulator
 from mbds_xsim.learn.trained import Known, known_start, particle_motion, trained_in
 from mbds_xsim.learn.window import HISTORY, KnownInputs
-from mbds_xsim.report.files import results_json, rows_csv, to_html
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import results_json, rows_csv, to_html, to_markdown
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch

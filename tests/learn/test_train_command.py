@@ -45,7 +45,7 @@ from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import CurvePoint, Training
 from mbds_xsim.learn.trainings import carry, planned, watched
 from mbds_xsim.learn.window import Motions
-from mbds_xsim.report.bar import TrainingBar
+from mbds_xsim.report.terminal import TrainingBar
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.scene.state import Failure

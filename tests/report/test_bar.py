@@ -8,14 +8,14 @@ import time
 import pytest
 from rich.console import Console
 
-from mbds_xsim.report import bar
-from mbds_xsim.report.bar import ProgressBar
+from mbds_xsim.report import terminal
+from mbds_xsim.report.terminal import ProgressBar
 
 
 def test_a_log_gets_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bar, "_EVERY", 0.02)
+    monkeypatch.setattr(terminal, "_EVERY", 0.02)
     with ProgressBar(Console(file=io.StringIO())) as progress:
         progress.begin(4)
         progress.advance("dart [/x] \x1b[31m matched")

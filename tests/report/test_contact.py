@@ -11,7 +11,7 @@ import pytest
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.measure.result import EnsembleResult
-from mbds_xsim.report import palette, themed
+from mbds_xsim.report import themed
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
@@ -189,7 +189,7 @@ def test_a_sliding_ball_rolls_when_friction_has_done_its_work(ball: Scene) -> No
 
 def test_the_table_holds_engines_beside_the_reference(bouncing: Case) -> None:
     names = ("reference", *(result.engine for result in bouncing.validation.engines))
-    entries = [(name, palette.Style(0, dashed=False)) for name in names]
+    entries = [(name, themed.Style(0, dashed=False)) for name in names]
     table = tables(contacts_of(bouncing.evidence), entries, range(ROWS))[1]
 
     headings = [column.heading for column in table.columns]

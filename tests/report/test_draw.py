@@ -13,8 +13,8 @@ from mbds_xsim import __main__ as cli
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.report.draw import draw_scene
-from mbds_xsim.report.palette import PARTS
-from mbds_xsim.report.skeleton import Projection, outline, pose_of
+from mbds_xsim.report.motion import Projection, outline, pose_of
+from mbds_xsim.report.themed import PARTS
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Particle, Scene, SpringDamper
 from mbds_xsim.simulate import registry

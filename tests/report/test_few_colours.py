@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageColor
 
-from mbds_xsim.report import palette, themed
+from mbds_xsim.report import themed
 from mbds_xsim.report.themed import few_colours
 
 RARE = ("#7a4fb5", "#8c6d1f", "#5c8a00")
@@ -16,7 +16,7 @@ def drawn(figure: Any) -> None:
     """Broad lines, shaded in hundreds of tints, and small markers of other colours."""
     axes = figure.subplots()
     across = np.linspace(0, 1, 200)
-    for place, colour in enumerate(palette.LIGHT):
+    for place, colour in enumerate(themed.LIGHT):
         for share in np.linspace(0.05, 1, 12):
             axes.plot(across, place + share * across**2, color=colour, alpha=share)
     for place, colour in enumerate(RARE):

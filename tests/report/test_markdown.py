@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import to_markdown
 from mbds_xsim.studies.validate.present import present
 
 from .conftest import Case

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbds_xsim.report import palette
+from mbds_xsim.report import themed
 from mbds_xsim.report.files import to_html
-from mbds_xsim.report.skeleton import skeleton
+from mbds_xsim.report.motion import skeleton
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.studies.validate.motion import pack
@@ -121,7 +121,7 @@ def test_plots_take_the_colours_of_the_page(page: str) -> None:
 
     assert "var(--c0)" in svg
     assert "var(--ink)" in svg
-    assert not any(colour in svg for colour in palette.LIGHT)
+    assert not any(colour in svg for colour in themed.LIGHT)
 
 
 def test_no_id_is_used_twice_for_different_things(page: str) -> None:
@@ -193,7 +193,7 @@ def test_a_motion_out_of_reach_ends_in_the_view(case: Case) -> None:
     flown.position[0, 20:] += 1e6
     evidence = dataclasses.replace(case.evidence, trajectories=(flown,), errors=(None,))
 
-    packed = pack(evidence, ("x",), (palette.Style(0, False),))
+    packed = pack(evidence, ("x",), (themed.Style(0, False),))
 
     assert packed["entries"][1]["shown"] == [20, 101, 101]
 
@@ -207,13 +207,13 @@ def test_a_reference_that_ends_early_leaves_engines_in_view(case: Case) -> None:
         case.evidence, reference=cut, trajectories=(motion,), errors=(None,)
     )
 
-    packed = pack(evidence, ("x",), (palette.Style(0, False),))
+    packed = pack(evidence, ("x",), (themed.Style(0, False),))
 
     assert [entry["shown"] for entry in packed["entries"]] == [[30] * 3, [101] * 3]
 
 
 def test_a_large_scene_is_thinned_to_the_limit(case: Case) -> None:
-    style = (palette.Style(0, False),) * len(case.evidence.trajectories)
+    style = (themed.Style(0, False),) * len(case.evidence.trajectories)
     names = tuple(f"n{k}" for k in range(len(style)))
 
     frames = pack(case.evidence, names, style, limit=20_000)

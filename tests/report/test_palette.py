@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mbds_xsim.learn.curves import looks
-from mbds_xsim.report import palette
+from mbds_xsim.report import themed
 from mbds_xsim.simulate import registry
-from mbds_xsim.studies.stability.figures import LOOKS
+from mbds_xsim.studies.stability.words import LOOKS
 
 _KINDS = {
-    "engines": palette.ENGINES,
-    "models": palette.LIGHT[len(palette.ENGINES) :],
-    "intervals": palette.INTERVALS,
-    "parts": tuple(colour for part, colour in palette.PARTS.items() if part != "fixed"),
+    "engines": themed.ENGINES,
+    "models": themed.LIGHT[len(themed.ENGINES) :],
+    "intervals": themed.INTERVALS,
+    "parts": tuple(colour for part, colour in themed.PARTS.items() if part != "fixed"),
     "outcomes": tuple(look.colour for look in LOOKS.values()),
 }
 _APART = 12.0
@@ -31,7 +31,7 @@ def test_no_kind_of_thing_looks_like_another(one: str, other: str) -> None:
 
 
 def test_a_page_on_dark_ground_has_as_many_colours() -> None:
-    assert len(palette.DARK) == len(palette.LIGHT) == len(set(palette.LIGHT))
+    assert len(themed.DARK) == len(themed.LIGHT) == len(set(themed.LIGHT))
 
 
 def test_every_method_has_a_marker_of_its_own() -> None:
@@ -41,26 +41,26 @@ def test_every_method_has_a_marker_of_its_own() -> None:
         for method in registry.load_adapter(name).methods
     }
 
-    assert set(palette.METHODS) == methods
-    assert len(set(palette.METHODS.values())) == len(methods)
-    assert palette.marker_of("of a plugin") == palette.marker_of("of a plugin")
-    assert palette.marker_of("of a plugin") not in palette.METHODS.values()
+    assert set(themed.METHODS) == methods
+    assert len(set(themed.METHODS.values())) == len(methods)
+    assert themed.marker_of("of a plugin") == themed.marker_of("of a plugin")
+    assert themed.marker_of("of a plugin") not in themed.METHODS.values()
 
 
 def test_an_engine_keeps_its_colour_whoever_is_beside_it() -> None:
     place = registry.engine_names().index("mujoco")
 
-    assert palette.engine_style("mujoco") == palette.Style(place, dashed=False, letter="M")
-    assert looks(["mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
-    assert looks(["all", "dart", "mujoco"])["mujoco"] == (palette.ENGINES[place], "-")
-    assert looks(["all"])["all"][0] not in palette.LIGHT
+    assert themed.engine_style("mujoco") == themed.Style(place, dashed=False, letter="M")
+    assert looks(["mujoco"])["mujoco"] == (themed.ENGINES[place], "-")
+    assert looks(["all", "dart", "mujoco"])["mujoco"] == (themed.ENGINES[place], "-")
+    assert looks(["all"])["all"][0] not in themed.LIGHT
 
 
 def test_a_model_keeps_its_colour() -> None:
-    styles = [palette.model_style(model) for model in (*palette.MODELS, "of a plugin")]
+    styles = [themed.model_style(model) for model in (*themed.MODELS, "of a plugin")]
 
     assert len({style.colour for style in styles}) == len(styles)
-    assert [palette.model_colour(model) for model in palette.MODELS] == [*palette.MODELS.values()]
+    assert [themed.model_colour(model) for model in themed.MODELS] == [*themed.MODELS.values()]
 
 
 def _lab(colour: str) -> np.ndarray:

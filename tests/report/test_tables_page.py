@@ -16,8 +16,8 @@ from mbds_xsim.commands.shared import command_line, deliver
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
-from mbds_xsim.studies.audit import present as audit
-from mbds_xsim.studies.match import present as match
+from mbds_xsim.studies import audit
+from mbds_xsim.studies.match import result as match
 from mbds_xsim.studies.match.result import SCHEMA, Found, Match
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
@@ -134,7 +134,8 @@ def test_every_command_that_writes_a_page_opens_it() -> None:
     }
     writing = {name for name, known in options.items() if "--html" in known}
 
-    assert writing == {"audit", "match", "shift", "stability", "tradeoff", "validate"}
+    reading = {"import", "readers"}
+    assert writing == reading | {"audit", "match", "shift", "stability", "tradeoff", "validate"}
     assert all("--open" in options[name] for name in writing)
 
 

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from mbds_xsim.measure.result import Validation
-from mbds_xsim.report.markdown import to_markdown
+from mbds_xsim.report.files import to_markdown
 from mbds_xsim.report.terminal import Outlet, print_report
 from mbds_xsim.studies.validate.present import present
 from mbds_xsim.studies.validate.words import cells_of

@@ -12,7 +12,7 @@ import pytest
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.contact import study
+from mbds_xsim.studies.contact import present
 from mbds_xsim.studies.contact.bench import FRICTION, PULL, ContactBench, ContactFigure
 from mbds_xsim.studies.contact.friction import friction, sliding
 from mbds_xsim.studies.contact.impacts import limits, per_bounce
@@ -173,9 +173,9 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("mujoco")
-    monkeypatch.setattr(study, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
+    monkeypatch.setattr(present, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
 
-    found = study.study_contact(Choice(("mujoco",), ("native",)), progress=_Silent(), workers=1)
+    found = present.study_contact(Choice(("mujoco",), ("native",)), progress=_Silent(), workers=1)
 
     (missing,) = found.missing
     assert (missing.engine, missing.profile, missing.part) == ("mujoco", "native", "arithmetic")

@@ -22,8 +22,7 @@ from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.match import search as study
-from mbds_xsim.studies.match.present import matched_toml
-from mbds_xsim.studies.match.result import Found, Match
+from mbds_xsim.studies.match.result import Found, Match, matched_toml
 from mbds_xsim.studies.match.search import match
 from tests.command_line import CommandLine
 

@@ -19,9 +19,8 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability import survey as surveys
-from mbds_xsim.studies.stability.definition import FRAME, Study
-from mbds_xsim.studies.stability.rows import MapCell, Survey
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
+from mbds_xsim.studies.stability.study import FRAME, MapCell, Study, Survey
 from mbds_xsim.studies.stability.survey import Plan, survey
 from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
 from tests.plugins import faulty

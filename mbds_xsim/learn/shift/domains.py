@@ -18,8 +18,8 @@ import torch
 from mbds_xsim import reference
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
-from mbds_xsim.base.write import write_whole
 from mbds_xsim.dataset.hdf5 import CONTENT, attributes_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points

@@ -11,13 +11,20 @@ from typing import TypeAlias
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
-from mbds_xsim.report.markdown import table_text
+from mbds_xsim.report.files import table_text
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
-from mbds_xsim.studies.contact.present import JUDGED, Line, figure_of, heading, impact, rows_of
-from mbds_xsim.studies.contact.study import ContactStudy
+from mbds_xsim.studies.contact.present import (
+    JUDGED,
+    ContactStudy,
+    Line,
+    figure_of,
+    heading,
+    impact,
+    rows_of,
+)
 
 _PUSHES = ", ".join(f"{push:g}" for push in PUSHES)
 _HEAD = """\

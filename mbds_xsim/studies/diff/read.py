@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_file
+from mbds_xsim.base.files import read_file
 from mbds_xsim.measure import result
 from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
 from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.stability import rows as stability_rows
+from mbds_xsim.studies.stability import study as stability_rows
 from mbds_xsim.studies.tradeoff import rows
 
 T = TypeVar("T")

@@ -17,7 +17,6 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.learn.shift.study import SampleRollout, Samples
 from mbds_xsim.report import themed
-from mbds_xsim.report.animation import encoded, packed_base, packed_entry
 from mbds_xsim.report.blocks import (
     EVERYWHERE,
     Block,
@@ -30,7 +29,8 @@ from mbds_xsim.report.blocks import (
     Section,
     Text,
 )
-from mbds_xsim.report.palette import LIGHT, Style, model_style
+from mbds_xsim.report.motion import encoded, packed_base, packed_entry
+from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift.figures import (
     curves_of,

@@ -27,8 +27,8 @@ from mbds_xsim.report.blocks import (
 )
 from mbds_xsim.report.themed import INK
 from mbds_xsim.studies.stability import words
-from mbds_xsim.studies.stability.definition import Study, text_of
-from mbds_xsim.studies.stability.figures import (
+from mbds_xsim.studies.stability.study import Study, Survey, text_of
+from mbds_xsim.studies.stability.words import (
     LIGHT_LOOKS,
     LOOKS,
     charts_of,
@@ -37,7 +37,6 @@ from mbds_xsim.studies.stability.figures import (
     size_of,
     tips,
 )
-from mbds_xsim.studies.stability.rows import Survey
 
 _ACROSS = 4
 """Maps side by side in a picture."""

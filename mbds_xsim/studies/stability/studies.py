@@ -12,7 +12,7 @@ from mbds_xsim.scene.sampling_terms import HingeRate, Throw
 from mbds_xsim.scene.scene import Body, Ground, Inertia, Joint, Scene
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.stability import chains
-from mbds_xsim.studies.stability.definition import Study
+from mbds_xsim.studies.stability.study import Study
 
 # Bodies that meet the ground, made harder by one value.
 

@@ -26,8 +26,17 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
-from mbds_xsim.studies.stability.definition import COUNTS, FRAME, Study, Value, text_of
-from mbds_xsim.studies.stability.rows import SCHEMA, MapCell, Panel, Survey
+from mbds_xsim.studies.stability.study import (
+    COUNTS,
+    FRAME,
+    SCHEMA,
+    MapCell,
+    Panel,
+    Study,
+    Survey,
+    Value,
+    text_of,
+)
 from mbds_xsim.studies.stability.verdict import CRITERIA, run_cell
 
 LIMIT = 30.0

@@ -26,12 +26,12 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks import agreement
 from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
 from mbds_xsim.checks.finding import Record
-from mbds_xsim.checks.joints import angle_gap, gap
+from mbds_xsim.checks.integrity import angle_gap, gap
 from mbds_xsim.checks.passivity import passivity, penetration
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way
-from mbds_xsim.studies.stability.rows import Outcome, Told
+from mbds_xsim.studies.stability.study import Outcome, Told
 
 _ENERGY = 0.1  # of the energy scale
 _OPEN = 0.01  # of the scene's length, and [rad]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mbds_xsim.report import palette
+from mbds_xsim.report import themed
 from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
@@ -140,7 +140,7 @@ def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
             yield label, colour_of(curve.engine), marker_of(curve)
     for name, model in {model.model: model for model in study.models}.items():
         label = f"{name}, trained; hollow: {model.at_once} at a time"
-        yield label, palette.model_colour(model.model), _MODEL_MARKER
+        yield label, themed.model_colour(model.model), _MODEL_MARKER
 
 
 def tips(study: Tradeoff) -> dict[str, str]:
@@ -154,12 +154,12 @@ def tips(study: Tradeoff) -> dict[str, str]:
 
 def colour_of(engine: str) -> str:
     """Colour of an engine, the same on every page."""
-    return palette.LIGHT[palette.engine_style(engine).colour]
+    return themed.LIGHT[themed.engine_style(engine).colour]
 
 
 def marker_of(curve: CurveResult) -> str:
     """Marker of a method, or of native settings."""
-    return _NATIVE_MARKER if curve.variation == NATIVE else palette.marker_of(curve.method)
+    return _NATIVE_MARKER if curve.variation == NATIVE else themed.marker_of(curve.method)
 
 
 def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, place: int) -> None:
@@ -207,7 +207,7 @@ def _draw_cost(axes: Any, curve: CurveResult, colour: str) -> None:
 
 def _draw_model(axes: Any, study: Tradeoff, chart: Chart, model: Learned, place: int) -> None:
     """Draw a model alone, and hollow in a batch."""
-    colour = palette.model_colour(model.model)
+    colour = themed.model_colour(model.model)
     spots = [chart.spot(study, point) for point in (model.alone, model.batched)]
     for spot, face in zip(spots, (colour, PAPER), strict=True):
         if spot is not None:

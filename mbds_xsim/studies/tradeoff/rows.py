@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.base.write import read_file
+from mbds_xsim.base.files import read_file
 from mbds_xsim.measure.store import Keyed
 from mbds_xsim.simulate.simulator import Options
 

@@ -11,8 +11,7 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
-from mbds_xsim.report.palette import LIGHT, Style
-from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level
+from mbds_xsim.report.themed import DOTTED, GREY, INK, LIGHT, PAPER, Style, level
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
 from mbds_xsim.studies.validate.episodes import Contact

@@ -14,10 +14,16 @@ import numpy as np
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
-from mbds_xsim.report.animation import encoded, in_base64, packed_base, packed_entry
 from mbds_xsim.report.blocks import Cell, Column, Row, Table
-from mbds_xsim.report.palette import Style, engine_style
-from mbds_xsim.report.skeleton import Skeleton, skeleton
+from mbds_xsim.report.motion import (
+    Skeleton,
+    encoded,
+    in_base64,
+    packed_base,
+    packed_entry,
+    skeleton,
+)
+from mbds_xsim.report.themed import Style, engine_style
 from mbds_xsim.studies.validate.episodes import Contact, Episode
 
 _DASHED = {"native"}

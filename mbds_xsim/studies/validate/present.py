@@ -23,7 +23,7 @@ from mbds_xsim.report.blocks import (
     columns_of,
     table_of,
 )
-from mbds_xsim.report.palette import Style
+from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import figures, motion, words
 from mbds_xsim.studies.validate.episodes import Contact, contacts_of

@@ -1,0 +1,234 @@
+"""Files: written whole or not at all, read without waiting for ever; folders where one run works.
+
+What is put on the disk for good is written under another name, flushed, read back and only then
+renamed. The system's cache forgets it in between, where it can be asked to: what is read back is
+then what the disk has, and pages that nobody asks for again do not push others out of the memory.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import gzip
+import os
+import socket
+import tempfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from mbds_xsim.base.errors import InputError
+
+
+def path_of(name: str, value: object) -> Path:
+    """Read a path; an empty text would be the folder one stands in.
+
+    Raises:
+        InputError: It is none.
+    """
+    if not isinstance(value, str | Path) or value == "":
+        msg = f"{name}: got {value!r}, allowed is the path of a file or folder"
+        raise InputError(msg)
+    return Path(value)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write under a temporary name in the same folder, then rename; make the folder if needed.
+
+    A link keeps pointing where it did, and a device or pipe is written to in place. What is named
+    `.gz` is packed, to the same bytes each time.
+
+    Raises:
+        InputError: The folder cannot be written to or the disk is full; nothing is left behind.
+    """
+    if path.suffix == ".gz":
+        content = gzip.compress(content, mtime=0)
+    try:
+        if _is_stream(path):
+            path.write_bytes(content)
+        else:
+            _replace(path.resolve(), content)
+    except OSError as error:
+        msg = f"cannot write {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+
+
+def check_regular(path: Path) -> None:
+    """Refuse a named pipe, whose reader waits for a writer, maybe for ever.
+
+    Those in /dev are meant: a shell makes one of the output of a command, `<(command)`.
+
+    Raises:
+        OSError: It is one, or another thing that is neither file nor folder.
+    """
+    if _is_stream(path) and not path.is_dir() and path.parts[:2] != ("/", "dev"):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+
+
+def read_file(path: Path, most: int = -1) -> bytes:
+    """Read a file, unpacked where it is named `.gz`; no more than `most` bytes of it.
+
+    Raises:
+        OSError: It cannot be read, is not a regular file, or is named `.gz` and is no such file.
+    """
+    check_regular(path)
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        try:
+            return file.read(most)
+        except (EOFError, zlib.error) as error:
+            raise gzip.BadGzipFile(f"was cut short or damaged: {error}") from error
+
+
+def check_writable(path: Path, option: str) -> None:
+    """Raise InputError, before long work, where `write_whole` would fail after it."""
+    if str(path) == "-":
+        msg = f"{option}: got -, but standard output is for --json alone; name a file"
+        raise InputError(msg)
+    if path.is_dir():
+        msg = f"{option}: cannot write {path}: it is a folder; name a file"
+        raise InputError(msg)
+    if path.exists() and not os.access(path, os.W_OK):
+        msg = f"{option}: cannot write {path}: it is read-only; name another file"
+        raise InputError(msg)
+    if _is_stream(path):
+        return
+    parents = path.absolute().parents
+    folder = next(parent for parent in parents if os.path.lexists(parent))
+    try:
+        tempfile.TemporaryFile(dir=folder).close()  # what root may do, only trying tells
+    except OSError as error:
+        msg = f"{option}: cannot write {path}: {folder}: {error.strerror}; name another folder"
+        raise InputError(msg) from error
+
+
+def _is_stream(path: Path) -> bool:
+    """Tell /dev/null, /dev/stdout or a named pipe, which must not be replaced by a file."""
+    return path.exists() and not path.is_file()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".mbds-xsim-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+_PART = ".part"  # ending of files that are being written
+_LOCK = ".lock"
+_PIECE = 2**21  # bytes that are read back at a time
+
+
+def put(path: Path, content: bytes) -> None:
+    """Write a file that is there whole after any crash, or not at all.
+
+    Raises:
+        InputError: It cannot be written, or does not read back as it was written.
+    """
+    part = path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}{_PART}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(part, content)
+        if not _reads_back(part, content):
+            msg = f"cannot write {path}: what was written does not read back; check the disk"
+            raise InputError(msg)
+        os.replace(part, path)
+        _flush_folder(path.parent)
+    except OSError as error:
+        msg = (
+            f"cannot write {path}: {error.strerror or error}; what is finished is kept, run the "
+            "same command again to go on"
+        )
+        raise InputError(msg) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def tidied(folders: Iterable[Path]) -> Iterator[None]:
+    """Remove what writers left behind that were killed, before the block and in it."""
+    every = list(folders)
+
+    def clean() -> None:
+        for part in (part for folder in every for part in folder.glob(f".*{_PART}")):
+            part.unlink(missing_ok=True)
+
+    clean()
+    try:
+        yield
+    finally:
+        clean()
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock the folder, making it if needed; the system unlocks it however the process ends.
+
+    Raises:
+        InputError: Another run has locked it, or nothing can be written there.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        msg = f"--out: cannot write to {folder}: {error.strerror}; name another folder"
+        raise InputError(msg) from error
+    with os.fdopen(handle, "r+b", buffering=0) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = file.read(64).decode(errors="replace").strip() or "another process"
+            msg = f"{folder} is in use by {owner}; wait until that run has ended or name another"
+            raise InputError(f"{msg} --out") from error
+        file.truncate(0)
+        file.write(f"process {os.getpid()}".encode())
+        yield
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file and flush it to the disk."""
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+        _forget(file)
+
+
+def _reads_back(path: Path, content: bytes) -> bool:
+    """Tell whether the disk has these bytes."""
+    place = 0
+    with path.open("rb", buffering=0) as file:
+        while piece := file.read(_PIECE):
+            if not content.startswith(piece, place):
+                return False
+            place += len(piece)
+        _forget(file)
+    return place == len(content)
+
+
+def _forget(file: IO[bytes]) -> None:
+    """Take a file out of the system's cache, where there is a way to."""
+    if hasattr(os, "posix_fadvise"):
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the new name as durable as the bytes."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,1 +1,0 @@
-"""Whether trajectories from anywhere are sound."""
