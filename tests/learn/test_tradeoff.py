@@ -28,9 +28,8 @@ from mbds_xsim.studies.tradeoff import learned
 from mbds_xsim.studies.tradeoff.bench import measure, references
 from mbds_xsim.studies.tradeoff.learned import with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
-from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, read_tradeoff
+from mbds_xsim.studies.tradeoff.rows import AT_ONCE, Measurement, Tradeoff, read_tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
-from mbds_xsim.studies.tradeoff.sweep import AT_ONCE
 from tests.command_line import CommandLine
 from tests.learn.models import untrained
 

@@ -22,6 +22,7 @@ from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.diff.read import read_views
 from mbds_xsim.studies.tradeoff.study import tradeoff
 from mbds_xsim.studies.tradeoff.sweep import curves_of
+from mbds_xsim.studies.tradeoff.words import main_curves
 from tests.command_line import CommandLine
 
 NAME = registry.REFERENCE
@@ -101,6 +102,7 @@ def test_its_curve_goes_over_tolerances(scene: Scene, here: Path) -> None:
     Path("study.json").write_bytes(msgspec.json.encode(study))
     (view,) = read_views(Path("study.json"))[1].values()
     assert "reference adaptive, rtol 1e-12" in view.entries
+    assert [curve.name for curve in main_curves(study)][:2] == [alone.name, batch.name]
     # Eight lanes of a batch are filled, alone one.
     one, share = ([point.cpu_s or 0.0 for point in each.points] for each in (alone, batch))
     assert np.median(np.divide(one, share)) > 2.0

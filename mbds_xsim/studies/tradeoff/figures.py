@@ -11,7 +11,7 @@ from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.curves import FLOOR
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import BATCH, CurveResult, Learned, Point, Tradeoff
 
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"
@@ -135,7 +135,9 @@ def draw_chart(axes: Any, study: Tradeoff, chart: Chart) -> None:
 def legend_entries(study: Tradeoff) -> Iterator[tuple[str, str, str]]:
     """Give label, colour and marker of the curves with the engines' usual options."""
     for curve in study.curves:
-        if not curve.variation:
+        if curve.variation == BATCH:
+            yield f"{curve.name}, hollow", colour_of(curve.engine), marker_of(curve)
+        elif not curve.variation:
             label = f"{curve.engine} {curve.method}, order {words.order_told(curve, study)}"
             yield label, colour_of(curve.engine), marker_of(curve)
     for name, model in {model.model: model for model in study.models}.items():
@@ -164,8 +166,8 @@ def marker_of(curve: CurveResult) -> str:
 
 def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, place: int) -> None:
     colour, marker = colour_of(curve.engine), marker_of(curve)
-    varied = bool(curve.variation) and curve.variation != NATIVE
-    size = 3.5 if varied else 10 if curve.variation else 5.5
+    varied, batch = curve.changed, curve.variation == BATCH
+    size = 3.5 if varied else 10 if curve.variation == NATIVE else 5.5
     spots = [chart.spot(study, point) for point in curve.points]
     if chart.front and not varied and not any(spots):
         _draw_cost(axes, curve, colour)
@@ -189,7 +191,7 @@ def _draw_curve(axes: Any, study: Tradeoff, chart: Chart, curve: CurveResult, pl
             marker,
             color=colour,
             markersize=size,
-            markerfacecolor=PAPER if varied else colour,
+            markerfacecolor=PAPER if varied or batch else colour,
             markeredgecolor=INK if curve.variation == NATIVE else colour,
             markeredgewidth=0.8,
             alpha=0.6 if varied else 1.0,

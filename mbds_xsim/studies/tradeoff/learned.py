@@ -27,10 +27,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.studies.tradeoff.bench import StartBench, Truths, references
 from mbds_xsim.studies.tradeoff.curves import point_of
 from mbds_xsim.studies.tradeoff.explore import explore
-from mbds_xsim.studies.tradeoff.rows import Learned, Measurement, Tradeoff
-from mbds_xsim.studies.tradeoff.sweep import AT_ONCE
+from mbds_xsim.studies.tradeoff.rows import AT_ONCE, BATCH, Learned, Measurement, Tradeoff
 
-_BATCHED = f"{AT_ONCE} at a time"
 _LIMIT = 600.0  # of one start [s]
 
 
@@ -79,7 +77,7 @@ def with_models(
                 quiet=quiet,
             )
             for model in able
-            for variation, together in (("", 1), (_BATCHED, AT_ONCE))
+            for variation, together in (("", 1), (BATCH, AT_ONCE))
         ],
     )
     rows = [list(itertools.chain.from_iterable(points)) for points in found]

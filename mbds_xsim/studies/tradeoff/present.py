@@ -35,16 +35,18 @@ from mbds_xsim.studies.tradeoff.figures import (
     legend_entries,
     tips,
 )
-from mbds_xsim.studies.tradeoff.rows import Point, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import BATCH, Point, Tradeoff
 
+_USUAL = ("", BATCH)
 _MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)
 _PICTURE = (14.0, 5.4)
 _MOST_LINES = 7
 _LONGEST = 165
 _READING = (
-    "Colour is the engine, marker the method; hollow marks have one option changed, stars are "
-    "native settings. The grey band joins the points that no other beats in both speed and "
-    "accuracy. Bars show the fastest and the slowest repeat. Point at a mark for its figures"
+    "Colour is the engine, marker the method; small hollow marks have one option changed, large "
+    "hollow ones are shares of a batch, stars are native settings. The grey band joins the points "
+    "that no other beats in both speed and accuracy. Bars show the fastest and the slowest repeat. "
+    "Point at a mark for its figures"
 )
 _POINTS = tuple(
     Column(heading, words=heading in ("settings", "over budget"))
@@ -108,8 +110,8 @@ def _charts(study: Tradeoff) -> Iterator[Block]:
         for place, curve in enumerate(study.curves)
     ]
     models = [Key("trained models", "", curve="model")] if study.models else []
-    yield Legend((*(key for varied, key in keys if not varied), *models))
-    changed = tuple(key for varied, key in keys if varied)
+    yield Legend((*(key for varied, key in keys if varied in _USUAL), *models))
+    changed = tuple(key for varied, key in keys if varied not in _USUAL)
     if changed:
         yield Section("changed options and native settings", (Legend(changed),), folded=True)
     told = tips(study)

@@ -11,9 +11,14 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import read_file
 from mbds_xsim.measure.store import Keyed
-from mbds_xsim.simulate.simulator import Options
+from mbds_xsim.simulate.simulator import NATIVE, Options
 
 SCHEMA = "mbds-xsim/tradeoff/1"
+
+AT_ONCE = 64
+"""Trajectories of a batch, of what does several at once."""
+BATCH = f"{AT_ONCE} at a time"
+"""Variation that stands for each one's share of such a batch."""
 
 Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]
 """How a run ended: at the last frame; early, by the engine's or the adapter's word; with its
@@ -117,6 +122,11 @@ class CurveResult(msgspec.Struct, frozen=True, kw_only=True):
     """The longest step first."""
     own: bool = True
     """Whether the engine itself steps; else this toolkit steps the engine's dynamics."""
+
+    @property
+    def changed(self) -> bool:
+        """Whether an option is another than usual."""
+        return self.variation not in ("", NATIVE, BATCH)
 
     @property
     def name(self) -> str:

@@ -12,6 +12,7 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
+from mbds_xsim.studies.tradeoff.rows import AT_ONCE, BATCH
 
 COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Steps a frame that a method is tried at."""
@@ -19,9 +20,6 @@ DIGITS = (5, 6, 7, 8, 9, 10, 11, 12)
 """Of the tolerances that an adaptive method is tried at."""
 SPAN = 100
 """A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
-AT_ONCE = 64
-"""Trajectories of a batch, of a method that does several at once."""
-_BATCH = f"{AT_ONCE} at a time"
 _THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
 
 
@@ -48,7 +46,7 @@ def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod],
             if refusal := curve.refusal(scene):
                 left_out[f"{name} {method}"] = refusal
             elif curve.digits:
-                curves += [curve, dataclasses.replace(curve, variation=_BATCH, together=AT_ONCE)]
+                curves += [curve, dataclasses.replace(curve, variation=BATCH, together=AT_ONCE)]
             else:
                 curves += [curve, *_variations(scene, adapter, curve, matched.method)]
         curves += _native(scene, adapter)

@@ -28,9 +28,9 @@ _SHOWN_BELOW = (1e-1, 1e-3)
 
 
 def main_curves(study: Tradeoff) -> list[CurveResult]:
-    """Curves of the table: the engines' usual options, then native settings."""
-    usual = [curve for curve in study.curves if not curve.variation]
-    return usual + [curve for curve in study.curves if curve.variation == NATIVE]
+    """Curves of the table: the engines' usual options and batches, then native settings."""
+    shown = [curve for curve in study.curves if not curve.changed]
+    return sorted(shown, key=lambda curve: curve.variation == NATIVE)
 
 
 def columns(study: Tradeoff) -> list[tuple[Column, Callable[[CurveResult], str]]]:
@@ -127,7 +127,7 @@ def options_that_pay(study: Tradeoff) -> list[str]:
     for curve, cost in zip(study.curves, budget.wall_s, strict=True):
         method = (curve.engine, curve.method)
         base = usual.get(method)
-        if cost and base and curve.variation not in ("", NATIVE) and cost < _WORTH_TELLING * base:
+        if cost and base and curve.changed and cost < _WORTH_TELLING * base:
             line = f"{curve.name}: {cost / base:.2g} × the cost at the budget"
             found[method] = min((cost, line), found.get(method, (math.inf, "")))
     return [line for _, line in found.values()]
@@ -210,7 +210,7 @@ def _digits(value: float) -> str:
 
 
 def _method(curve: CurveResult) -> str:
-    return f"{curve.method} ({NATIVE})" if curve.variation == NATIVE else curve.method
+    return f"{curve.method} ({curve.variation})" if curve.variation else curve.method
 
 
 def order_told(curve: CurveResult, study: Tradeoff) -> str:
