@@ -34,6 +34,7 @@ def import_model(
     folder: Folder = None,
     json: shared.JsonFile = None,
     html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
     markdown: shared.MarkdownFile = None,
 ) -> None:
     """Make a scene file of another program's model, and tell what of it is lost."""
@@ -51,7 +52,9 @@ def import_model(
         save_scene(imported.scene, out)
     report = present(imported, shared.command_line())
     print_report(report, console)
-    shared.deliver([report], imported.scene.name, console, html=html, markdown=markdown)
+    shared.deliver(
+        [report], imported.scene.name, console, html=html, markdown=markdown, opened=opened
+    )
     shared.write_json(shared.encoded(import_row(imported), "import"), json)
 
 
@@ -88,12 +91,12 @@ def readers(
     folder: Folder = None,
     json: shared.JsonFile = None,
     html: shared.HtmlFile = None,
+    opened: shared.Opened = False,
     markdown: shared.MarkdownFile = None,
 ) -> None:
     """Hold what engines' own readers make of a model against what its file says."""
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.studies.readers.compare import compare
-    from mbds_xsim.studies.readers.present import present
+    from mbds_xsim.studies.readers.compare import compare, present
 
     shared.check_targets(json=json, html=html, markdown=markdown)
     console = shared.console_for(json)
@@ -102,6 +105,6 @@ def readers(
         readings = compare(model, engines.split(","), folder=folder, floating=floating)
     report = present(readings, shared.command_line())
     print_report(report, console)
-    shared.deliver([report], readings.file, console, html=html, markdown=markdown)
+    shared.deliver([report], readings.file, console, html=html, markdown=markdown, opened=opened)
     shared.write_json(shared.encoded(readings), json)
     raise Exit(0 if all(reading.alike for reading in readings.readings) else 1)

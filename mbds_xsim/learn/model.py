@@ -23,9 +23,9 @@ _PLACES = {
     "sgnn": "sgnn:SGNN",
     "hgnn": "energy_models:HGNN",
     "lgnn": "energy_models:LGNN",
-    "hold": "trivial:Hold",
-    "constant_velocity": "trivial:ConstantVelocity",
-    "constant_acceleration": "trivial:ConstantAcceleration",
+    "hold": "model:Hold",
+    "constant_velocity": "model:ConstantVelocity",
+    "constant_acceleration": "model:ConstantAcceleration",
 }
 _BATCH = 512
 _NODES = 4096
@@ -264,3 +264,35 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
         position=sample.position[row, age][:, None],
         velocity=sample.velocity[row, age][:, None],
     )
+
+
+class Hold(PointModel):
+    """Everything stays where it is. The loss is the mean squared error [m²]."""
+
+    change: ClassVar[Change] = "displacement"
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: None) -> None:
+        super().__init__(graph, statistics, settings)
+
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
+        del inputs
+        return torch.zeros_like(history[:, -1])
+
+    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
+        del generator
+        after = self.positions(self.advance(sample.start.history, sample.inputs.at(0)))
+        return ((after - sample.position[:, 0]) ** 2).sum(-1).mean()
+
+
+class ConstantVelocity(Hold):
+    """Every particle goes on as it last did."""
+
+    change: ClassVar[Change] = "acceleration"
+
+
+class ConstantAcceleration(ConstantVelocity):
+    """Every particle goes on accelerating as it last did."""
+
+    def predict(self, history: Tensor, inputs: KnownInputs) -> Tensor:
+        del inputs
+        return history[:, -1] - 2.0 * history[:, -2] + history[:, -3]

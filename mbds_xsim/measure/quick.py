@@ -25,11 +25,10 @@ from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.running import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch
+from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import Choice, Matched, is_stored

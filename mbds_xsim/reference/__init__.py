@@ -2,7 +2,6 @@
 
 from mbds_xsim.reference.dynamics import accelerations
 from mbds_xsim.reference.first_impact import FirstImpact
-from mbds_xsim.reference.growth import sensitivity
-from mbds_xsim.reference.solution import solve
+from mbds_xsim.reference.solution import sensitivity, solve
 
 __all__ = ["FirstImpact", "accelerations", "sensitivity", "solve"]

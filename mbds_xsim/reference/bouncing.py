@@ -15,9 +15,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.reference.ball import Ball, BallContact, BallState, Load, time_to_ground
+from mbds_xsim.reference.ball import Ball, BallContact, BallState, EvenBall, Load, time_to_ground
 from mbds_xsim.reference.dynamics import dynamics_of
-from mbds_xsim.reference.even_ball import EvenBall
 from mbds_xsim.reference.first_impact import TOUCHING
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.tumbling_ball import TumblingBall

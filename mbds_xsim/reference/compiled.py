@@ -14,12 +14,11 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import marching
 from mbds_xsim.reference.closure_kernel import ROW, accelerate
-from mbds_xsim.reference.dop853 import coefficients
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
-from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.marching import Inputs, Marched, coefficients
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.singular import typical_states
 from mbds_xsim.reference.tree import BALL, FREE, Tree, to_tree, tree_of, with_rows

@@ -1,4 +1,4 @@
-"""What goes into a simulation and what comes out: arrays with units and shapes.
+"""What goes into a simulation and what comes out, and what makes two scenes the same physics.
 
 Axes are (trajectory, frame, body, component). Bodies are in scene order. Orientations turn
 published body frames to W (wxyz); velocities are of the centres of mass, all in W.
@@ -6,13 +6,18 @@ published body frames to W (wxyz); velocities are of the centres of mass, all in
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
+from mbds_xsim.scene.scene import Scene
 
 STATES = ("position", "orientation", "velocity", "angular_velocity")
 """What is known of a body in a frame, and of its start."""
@@ -153,3 +158,29 @@ class Trajectory:
             np.full((*shape, 3), np.nan),
             (None,) * trajectory_count,
         )
+
+
+_SAID = ("name", "description", "source", "budget", "anchors", "edges")
+"""What does not decide the motion."""
+
+
+def fingerprint(scene: Scene) -> str:
+    """Give 16 hexadecimal digits that stand for bodies, joints, loads, clock and starts.
+
+    Numbers count to nine digits, so that a scene that is made by a formula has the same
+    fingerprint on every machine.
+    """
+    plain = {key: _plain(value) for key, value in scene.decisive().items() if key not in _SAID}
+    return hashlib.sha256(msgspec.json.encode(plain, order="sorted")).hexdigest()[:16]
+
+
+def _plain(value: Any) -> Any:
+    """Spell out tables, defaults too, as these decide the motion as well."""
+    if isinstance(value, Neutral):
+        parts = {key: _plain(part) for key, part in value.decisive().items()}
+        return [type(value).__name__, parts]
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if value is None or isinstance(value, str | bool):
+        return value
+    return f"{round(float(value), 15) + 0.0:.9g}"

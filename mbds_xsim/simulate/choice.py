@@ -19,8 +19,8 @@ import msgspec
 from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.files import read_file
 from mbds_xsim.base.isolate import LIMIT
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 from mbds_xsim.simulate.catalogue import as_profile

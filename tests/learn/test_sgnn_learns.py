@@ -11,10 +11,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.model import LearnedModel
+from mbds_xsim.learn.model import ConstantAcceleration, ConstantVelocity, LearnedModel
 from mbds_xsim.learn.sgnn import SGNN, SGNNSettings
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.trivial import ConstantAcceleration, ConstantVelocity
 from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene.scene import Body, Particle, Scene
 from tests.learn.models import squared_error

@@ -15,6 +15,7 @@ import torch
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.model import ConstantVelocity
 from mbds_xsim.learn.particles import (
     EXPLODED,
     LOST,
@@ -54,7 +55,6 @@ from mbds_xsim.learn.shift.gaps import (
 )
 from mbds_xsim.learn.shift.result import Gap
 from mbds_xsim.learn.trained import TrainedModel
-from mbds_xsim.learn.trivial import ConstantVelocity
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock

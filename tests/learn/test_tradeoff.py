@@ -247,7 +247,7 @@ def test_where_the_reference_ends_at_once_nothing_can_be_given(
     engines: Tradeoff, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     car = registry.load_scene("particlecar")
-    from mbds_xsim.scene.fingerprint import fingerprint
+    from mbds_xsim.scene.state import fingerprint
 
     study = msgspec.structs.replace(engines, fingerprint=fingerprint(car), trajectories=(1,))
     monkeypatch.setattr(learned, "models_of", lambda _, models: (models, {}))

@@ -11,8 +11,7 @@ from scipy.integrate import solve_ivp
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.reference.ball import BallContact, BallState, Load
-from mbds_xsim.reference.even_ball import EvenBall
+from mbds_xsim.reference.ball import BallContact, BallState, EvenBall, Load
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch

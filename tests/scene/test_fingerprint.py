@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from mbds_xsim.scene.file import read_scene, save_scene, write_scene
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.scene import Budget, Clock, Scene
+from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate.registry import load_scene, scene_names
 
 replace = msgspec.structs.replace

@@ -76,7 +76,7 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
 
 def trivial_models() -> list[TrainedModel]:
     """Give the models that learn nothing."""
-    profile = "mbds_xsim.learn.trivial"
+    profile = "mbds_xsim.learn.model"
     return [TrainedModel(name, "nothing", (), "", 0, None, name, profile) for name in TRIVIAL]
 
 

@@ -17,11 +17,10 @@ from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.runner import Meter
 from mbds_xsim.measure.store import machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch
+from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for

@@ -13,11 +13,10 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Silent, core_count
 from mbds_xsim.measure.runner import Meter
 from mbds_xsim.measure.store import machine, versions_of
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch
+from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.claims import TRUTH

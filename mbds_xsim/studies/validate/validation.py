@@ -17,12 +17,11 @@ from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
 from mbds_xsim.measure.running import Spent, Watch
-from mbds_xsim.scene.fingerprint import fingerprint
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.scene.state import Batch
+from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import TRUTH
