@@ -22,9 +22,9 @@ from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
 PROPERTIES = {
-    "stiffness": _NOT_YET,
-    "rest": _NOT_YET,
-    "damping": _NOT_YET,
+    "stiffness": "",
+    "rest": "",
+    "damping": "",
     "armature": _NOT_YET,
     "friction": _NOT_YET,
     "limits": _NOT_YET,
@@ -204,12 +204,14 @@ class _Builder:
         for key, value in freedom.properties.items():
             scalar = freedom.kind in ("hinge", "slider")
             reason = PROPERTIES[key] or ("" if scalar else _SCALAR)
+            if key in ("stiffness", "damping") and isinstance(value, float) and value < 0:
+                reason = "it is negative"
             if not reason:
                 kept[key] = value
             element, attribute = self._model.labels[key]
             told = f"{freedom.name}: {_shown(value)}"
-            outcome = "dropped" if reason else "kept"
-            self.fates.append(Fate(element, (attribute,), outcome, reason, True, (told,)))  # type: ignore[arg-type]
+            outcome, how = ("dropped", reason) if reason else ("kept", "on the joint, as it is")
+            self.fates.append(Fate(element, (attribute,), outcome, how, True, (told,)))  # type: ignore[arg-type]
         if freedom.kind == "free":
             return
         name = _unique(freedom.name, {joint.name for joint in self.joints})

@@ -67,6 +67,10 @@ def to_urdf(scene: Scene) -> Written:
             fates.append(Fate(key, (), "dropped", _NO_URDF, True, names, len(names)))
     if loops := tuple(joint.name for joint in mechanism.loops):
         fates.append(Fate("joints", (), "dropped", _NO_URDF, True, loops, len(loops)))
+    for joint in scene.joints:
+        if joint.stiffness:
+            reason = "URDF has no springs"
+            fates.append(Fate("joints", ("stiffness",), "dropped", reason, True, (joint.name,)))
     if scene.gravity != (0.0, 0.0, -9.81):
         fates.append(Fate("gravity", (), "dropped", "URDF has no gravity", True))
     return Written(text(root), gathered(fates))
@@ -137,3 +141,5 @@ def _urdf_link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int
     SubElement(hold, "origin", xyz=numbers(frames[body] - frames[link.parent]), rpy="0 0 0")
     if joint is not None and joint.axis.any():
         SubElement(hold, "axis", xyz=numbers(joint.axis))
+    if joint is not None and joint.damping:
+        SubElement(hold, "dynamics", damping=repr(joint.damping))

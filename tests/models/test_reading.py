@@ -23,6 +23,7 @@ from mbds_xsim.simulate.models import read_model
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("in_process")
 
+_LAW = 'damping="0.7" stiffness="30" springref="20" ref="5"'
 _INERTIA = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="{}" ixz="{}" iyz="{}"/>'
 
 
@@ -119,7 +120,8 @@ def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here:
     )
 
     dropped = _fates(imported, "dropped")
-    assert dropped["joint damping"].places == ("j2: 0.3",)
+    assert _fates(imported, "kept")["joint damping"].places == ("j2: 0.3",)
+    assert imported.scene.joints[1].damping == 0.3
     assert dropped["joint armature"].places == ("j2: 0.5",)
     assert dropped["geom contact"].count == 3
     assert "no fluid" in dropped["option density"].reason
@@ -219,6 +221,10 @@ def _together(model: Any, data: Any, bodies: list[int]) -> tuple[Array, Array]:
     [
         ('<joint name="a" axis="0 1 0"/>', 1e-9),
         ('<joint name="a" type="slide" axis="1 0 1"/>', 1e-9),
+        (
+            '<joint name="a" axis="0 1 0" damping="0.7" stiffness="30" springref="20" ref="5"/>',
+            1e-9,
+        ),
         ('<joint name="a" type="ball"/>', 1e-9),
         ('<freejoint name="a"/>', 1e-9),
         # Three hinges in a point are a ball joint; two have a small body between them.

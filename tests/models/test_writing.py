@@ -50,6 +50,8 @@ def _same(first: Scene, second: Scene) -> None:
         turn = 1 if again.child == (order[joint.child] if joint.child >= 0 else -1) else -1
         apart = np.cross(again.axis, joint.axis)
         np.testing.assert_allclose(apart, 0, atol=1e-11)
+        laws = [(j.damping, j.stiffness, j.rest) for j in (joint, again)]
+        assert laws[0] == pytest.approx(laws[1], abs=1e-12)
         assert joint.name in loops or turn * again.axis @ joint.axis >= 0
     assert len(held) + len(loops) == len(ours.joints)
 
@@ -67,7 +69,14 @@ def test_any_tree_comes_back_from_mjcf(
     scene = random_tree(rng, kinds, links=links)
     points = tuple(map(tuple, rng.standard_normal((2, 3)).tolist()))
     spring = SpringDamper("coil", (WORLD, scene.bodies[0].name), points, 30.0, 0.5, 0.7)  # type: ignore[arg-type]
-    scene = msgspec.structs.replace(scene, springs=(spring,), gravity=(1.0, 2.0, -3.0))
+    joints = tuple(
+        msgspec.structs.replace(joint, damping=0.3, stiffness=2.0, rest=0.1)
+        if joint.kind in ("hinge", "slider")
+        else joint
+        for joint in scene.joints
+    )
+    gravity = (1.0, 2.0, -3.0)
+    scene = msgspec.structs.replace(scene, springs=(spring,), gravity=gravity, joints=joints)
 
     again = _again(scene, "mjcf", tmp_path)
 

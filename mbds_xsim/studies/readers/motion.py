@@ -22,8 +22,8 @@ _STARTS = (1, 4, 7)  # of the medium interval
 def moved(imported: Imported, read: ModelFacts) -> float | None:
     """Solve the motion that the file says and the one that was read, from the same starts.
 
-    Masses, centres of mass, inertias, and places and axes of joints are taken as they were read;
-    what was not read is as the file says.
+    Masses, centres of mass, inertias, and places, axes, springs and dampers of joints are taken as
+    they were read; what was not read is as the file says.
 
     Returns:
         RMS distance after 1 s [m] of the points of the bodies that the file has for their centres
@@ -51,7 +51,13 @@ def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
             other.add(link.body)
     joints = {joint.name: joint for joint in read.joints}
     placed = [
-        msgspec.structs.replace(joint, anchor=tuple(own_joint.anchor), axis=tuple(own_joint.axis))
+        msgspec.structs.replace(
+            joint,
+            anchor=tuple(own_joint.anchor),
+            axis=tuple(own_joint.axis),
+            damping=own_joint.damping,
+            stiffness=own_joint.stiffness,
+        )
         if (own_joint := joints.get(joint.name)) and joint.axis and any(own_joint.axis)
         else joint
         for joint in scene.joints
