@@ -102,7 +102,9 @@ class Exudyn(Adapter):
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
         "slip_speed": Sweep((1e-3, 1e-1), needs=frozenset({Feature.CONTACT})),
     }
-    limits: ClassVar[dict[Feature, str]] = {}
+    limits: ClassVar[dict[Feature, str]] = {
+        Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
+    }
     coordinates = "maximal"
     contact_law = CONTACT_LAW
 

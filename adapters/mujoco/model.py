@@ -189,6 +189,8 @@ def _body(above: Element, mechanism: Mechanism, link: Link, axis: Array) -> Elem
         if joint.complies:
             law = {"stiffness": joint.stiffness, "damping": joint.damping, "springref": joint.rest}
             element.attrib.update({key: repr(value) for key, value in law.items()})
+        if joint.armature:
+            element.set("armature", repr(joint.armature))
     return body
 
 

@@ -176,6 +176,7 @@ class ModelRun(Run):
             anchor=self._anchors(),
             spring=self._springs(),
             law=joint_laws(self._mechanism, self._law),
+            armature=model.dof_armature[[self._dof(joint) for joint in self._mechanism.rotors]],
         )
 
     def _twist(self, body: int) -> Array:
@@ -223,8 +224,11 @@ class ModelRun(Run):
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
         model, number = self._model, self._model.joint(joint.name).id
-        damping = model.dof_damping[model.jnt_dofadr[number]]
+        damping = model.dof_damping[self._dof(joint)]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
+
+    def _dof(self, joint: PlacedJoint) -> int:
+        return int(self._model.jnt_dofadr[self._model.joint(joint.name).id])
 
     def _place(self, body: int, point: Array) -> Array:
         """Place a point of MuJoCo's body in W."""
@@ -237,7 +241,7 @@ class ModelRun(Run):
         asked += [spring.damping for spring in self._mechanism.springs]
         damping = model.dof_damping.copy()
         for joint in self._mechanism.compliant:
-            damping[model.jnt_dofadr[model.joint(joint.name).id]] -= joint.damping
+            damping[self._dof(joint)] -= joint.damping
         return np.concatenate(
             [
                 model.tendon_damping - asked,

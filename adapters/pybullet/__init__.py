@@ -79,6 +79,7 @@ class PyBullet(Adapter):
     limits: ClassVar[Mapping[Feature, str]] = {
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
+        Feature.ARMATURE: "Bullet has no inertia of a joint beside those of its bodies",
         Feature.CLOSING_LOAD: "its damping acts on coordinates, and a joint that closes a loop has "
         "none",
     }

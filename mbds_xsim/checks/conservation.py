@@ -21,11 +21,11 @@ _SAME = 1e-9
 class Energy:
     """Kinetic and potential energy (gravity and springs) [J], each (trajectory, frame)."""
 
-    def __init__(self, by_body: Array, springs: Array, floor: float) -> None:
+    def __init__(self, by_body: Array, rotors: Array, springs: Array, floor: float) -> None:
         self.by_body = by_body
         """Kinetic, then gravitational energies of the bodies, (trajectory, frame, 2 · body)."""
-        self.kinetic, weight = (part.sum(axis=-1) for part in np.split(by_body, 2, axis=-1))
-        self.potential = weight + springs
+        moving, weight = (part.sum(axis=-1) for part in np.split(by_body, 2, axis=-1))
+        self.kinetic, self.potential = moving + rotors, weight + springs
         self.total = self.kinetic + self.potential
         self._floor = floor
 
@@ -80,9 +80,12 @@ def energy_of(record: Record) -> Energy:
         stretch = stretch - [spring.length for spring in mechanism.springs]
         stored = 0.5 * stretch**2 @ np.array([spring.stiffness for spring in mechanism.springs])
     for joint in mechanism.compliant:
-        stored = stored + 0.5 * joint.stiffness * (coordinate_of(record, joint) - joint.rest) ** 2
+        stored += 0.5 * joint.stiffness * (coordinate_of(record, joint) - joint.rest) ** 2
     floor = _FLOOR * float(mechanism.mass.sum()) * record.usual_pull * record.scene.length
-    return Energy(np.concatenate([kinetic, weight], axis=-1), stored, floor)
+    rotors = np.zeros(record.finite.shape)
+    for joint in mechanism.rotors:
+        rotors += 0.5 * joint.armature * joint_rate(joint, bodies.with_world()) ** 2
+    return Energy(np.concatenate([kinetic, weight], axis=-1), rotors, stored, floor)
 
 
 @functools.lru_cache(maxsize=1)
@@ -120,19 +123,18 @@ def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
 
     A hinge's angle is in (−π, π] at the start, and counts whole turns from then on.
     """
-    bodies = record.bodies
-    found = joint_coordinate(joint, bodies.position, bodies.native)
+    found = joint_coordinate(joint, record.bodies.position, record.bodies.native)
     if joint.kind == "hinge":
-        turns = hinge_turns(record)[..., record.mechanism.hinges.index(joint)]
-        found[:, 1:] = found[:, :1] + np.cumsum(turns, axis=1)
+        turns = hinge_turns(record)[..., record.mechanism.hinges.index(joint)].cumsum(axis=1)
+        found[:, 1:] = found[:, :1] + turns
     return found
 
 
 @functools.lru_cache(maxsize=1)
 def hinge_rates(record: Record) -> Array:
     """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world = record.bodies.with_world()
-    return np.stack([joint_rate(joint, world) for joint in record.mechanism.hinges], axis=-1)
+    world, hinges = record.bodies.with_world(), record.mechanism.hinges
+    return np.stack([joint_rate(joint, world) for joint in hinges], axis=-1)
 
 
 @functools.lru_cache(maxsize=1)
@@ -142,15 +144,13 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
     Simpson's rule on the frames; the error is its change when every other frame is left out.
     """
     mechanism, damping = record.mechanism, [spring.damping for spring in record.mechanism.springs]
-    joints = [joint for joint in mechanism.compliant if joint.damping]
-    if not (any(damping) or joints):
+    if not (any(damping) or any(joint.damping for joint in mechanism.compliant)):
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
     from scipy.integrate import cumulative_simpson  # takes long to import
 
-    world, power = record.bodies.with_world(), np.zeros(record.finite.shape)
-    if any(damping):
-        power = pair_rate(world, mechanism.springs) ** 2 @ np.array(damping)
-    for joint in joints:
+    world = record.bodies.with_world()
+    power = pair_rate(world, mechanism.springs) ** 2 @ np.array(damping)
+    for joint in mechanism.compliant:
         power = power + joint.damping * joint_rate(joint, world) ** 2
     loss = cumulative_simpson(power, dx=record.frame, axis=1, initial=0.0)
     if record.steps < 4:
@@ -332,13 +332,13 @@ def balances_of(mechanism: Mechanism) -> list[Balance]:
     A free group has all of them, angular ones about its centre of mass. Ball joints, distance
     links and springs to the world pull at points, and have no moment about a line through all of
     them; nor has a hinge along it. Sliders leave the momentum along them. Where a joint to the
-    world has a spring or damper none is looked for.
+    world has a spring, damper or rotor none is looked for.
     """
     found: list[Balance] = []
     for group in _groups(mechanism):
         name = mechanism.scene.bodies[group[0]].name
         joints, points = _supports(mechanism, set(group))
-        if any(joint.complies for joint in joints):
+        if any(joint.is_loaded for joint in joints):
             continue
         sliders = [joint for joint in joints if joint.kind == "slider"]
         if not joints and not points:

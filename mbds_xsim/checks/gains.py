@@ -19,7 +19,8 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.ground import Push, impacts_of
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism, of_revolution
+from mbds_xsim.scene.mass import of_revolution
+from mbds_xsim.scene.mechanism import Mechanism
 
 _EVEN = 1e-9  # relative, of moments of inertia; also lengths [m]
 # Times the lag, of the gyroscopic moment's change: first order; tumbling cars leave up to 4.
@@ -128,7 +129,7 @@ def axles_of(mechanism: Mechanism, push: Push) -> list[Axle]:
 def _axle_of(mechanism: Mechanism, push: Push, body: int) -> Axle | None:
     mine = [joint for joint in mechanism.joints if body in (joint.parent, joint.child)]
     tied = any(body in pair.bodies for pair in (*mechanism.distances, *mechanism.springs))
-    tied = tied or any(joint.complies for joint in mine)
+    tied = tied or any(joint.is_loaded for joint in mine)
     spheres = np.flatnonzero(mechanism.sphere_body[push.spheres] == body)
     if tied or len(mine) != 1 or mine[0].kind != "hinge" or len(spheres) > 1:
         return None

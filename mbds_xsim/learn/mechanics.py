@@ -112,7 +112,7 @@ class Mechanics(nn.Module):
     """Nodes, constraints, mass matrix and known forces of one scene.
 
     Of one with contact there are none (Unsupported): these coordinates' equations are smooth. Nor
-    are there of one with springs or dampers in joints.
+    are there of one with springs, dampers or rotors in joints.
     """
 
     fixed: Tensor
@@ -145,9 +145,10 @@ class Mechanics(nn.Module):
             )
             raise Unsupported(msg)
         self.mechanism = Mechanism.of(scene)
-        if self.mechanism.compliant:
+        loaded = [joint.name for joint in self.mechanism.joints if joint.is_loaded]
+        if loaded:
             msg = (
-                f"joint {self.mechanism.compliant[0].name!r}: got a spring or damper, allowed is "
+                f"joint {loaded[0]!r}: got a spring, damper or rotor, allowed is "
                 "none: HGNN and LGNN know points and no joint coordinates; take gns or sgnn"
             )
             raise Unsupported(msg)

@@ -84,11 +84,13 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
     tree, _ = _chosen(mechanism)
-    y, found = to_tree(mechanism, states), np.empty((len(states), mechanism.body_count, 6))
-    for k in range(len(states)):
-        work, row = _work(tree), slice(k, k + 1)
-        _evaluated(tree, work, y[row], force[row], torque[row])
-        found[k, tree.body] = work.link.reshape(-1, PLACES, LANES)[:-1, A : A + 6, 0]
+    y, work = to_tree(mechanism, states), _work(tree)
+    found = np.empty((len(states), mechanism.body_count, 6))
+    for first in range(0, len(states), LANES):
+        rows = slice(first, first + LANES)
+        _evaluated(tree, work, y[rows], force[rows], torque[rows])
+        lanes = work.link.reshape(-1, PLACES, LANES)[:-1, A : A + 6, : len(y[rows])]
+        found[rows, tree.body] = np.moveaxis(lanes, -1, 0)
     return found
 
 

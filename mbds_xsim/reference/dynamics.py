@@ -54,7 +54,10 @@ def dynamics_of(mechanism: Mechanism) -> Dynamics:
 
 
 class Dynamics:
-    """Equations of motion of one mechanism, vectorised over a batch."""
+    """Equations of motion of one mechanism, vectorised over a batch.
+
+    Those of a mechanism with rotors are the compiled ones.
+    """
 
     def __init__(self, mechanism: Mechanism) -> None:
         self._mechanism = mechanism
@@ -103,14 +106,21 @@ class Dynamics:
         Returns:
             The derivative, and the independent share of the rows, squared, shape (batch,).
         """
-        motion = self._motion(state)
         q, w = state[..., _Q], state[..., _W]
-        applied = self._applied(motion, state, force, torque)
-        acceleration, share = self._constrained(motion, applied)
         rate = np.empty_like(state)
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
+        if self._mechanism.rotors:
+            # Rotors turn with coordinates, which only a tree has.
+            from mbds_xsim.reference.compiled import body_accelerations  # imports a compiler
+
+            rate[:, -1, 7:] = 0.0
+            rate[:, :-1, 7:] = body_accelerations(self._mechanism, state, force, torque)
+            return rate, np.ones(len(state))
+        motion = self._motion(state)
+        applied = self._applied(motion, state, force, torque)
+        acceleration, share = self._constrained(motion, applied)
         rate[..., _V] = acceleration[..., :3] * self._inverse_mass_root
         rate[..., _W] = _times(motion.turn, acceleration[..., 3:] * self._inverse_inertia_root)
         return rate, share

@@ -53,6 +53,8 @@ class Tree(NamedTuple):
     still: Array
     """`fixed` as a quaternion, shape (link, 4)."""
     mass: Array
+    armature: Array
+    """Of the links' joints, shape (link,)."""
     moment: Array
     """Principal moments, shape (link, 3)."""
     yielding: Array
@@ -146,6 +148,7 @@ def tree_of(mechanism: Mechanism) -> Tree:
         even=even,
         still=still,
         mass=mechanism.mass[body],
+        armature=np.array([0.0 if x.joint is None else x.joint.armature for x in links]),
         moment=top.inertia_root[body] ** 2,
         yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
         gravity=top.gravity,
@@ -257,7 +260,7 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
     Those that hold points together stand along axes of the first body and not of W: which of them
     are independent does not change with the way a mechanism has turned.
     """
-    layout, joints = layout_of(mechanism), len(mechanism.joints)
+    layout = layout_of(mechanism)
     spans = layout.span_body.shape[1]
     turned = rotation.rotate(inwards[layout.vector_body], layout.vector)
     points = np.stack([turned[:spans], turned[spans : 2 * spans]])
@@ -286,8 +289,8 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
             np.zeros((count[3], 3)),
         ]
     )
-    closing = {joint.index for joint in mechanism.loops}
-    kept = np.array([o >= joints or o in closing for o in layout.owner.tolist()], dtype=bool)
+    tree = [link.joint.index for link in mechanism.links if link.joint is not None]
+    kept = ~np.isin(layout.owner, tree)
     length = np.concatenate([np.zeros(sum(count[:3])), layout.length])
     return (
         kind[kept],

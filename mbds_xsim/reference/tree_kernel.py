@@ -136,7 +136,7 @@ def gather(t: Tree, work: Workspace):
         if kind in (BALL, FREE):
             _gather_ball(work, b, p, t.speed_at[i], kind)
         else:
-            _gather_axis(work, b, p, t.speed_at[i], kind)
+            _gather_axis(work, b, p, t.speed_at[i], kind, t.armature[i])
 
 
 @compiled
@@ -200,18 +200,18 @@ def _gather_ball(work, b, p, fast, kind):
 
 
 @compiled
-def _gather_axis(work, b, p, fast, kind):
+def _gather_axis(work, b, p, fast, kind, armature):
     a = work.link
     hj, jj, f, n = _at_joint(a, b)
     m, axis, twist = load6(a, b + M), load3(a, b + AXIS), load3(a, b + TWIST)
     if kind == HINGE:
         f, n = add(f, apply(hj, twist)), add(n, apply_even(jj, twist))
         uf, un = apply(hj, axis), apply_even(jj, axis)
-        inverse = 1.0 / dot(axis, un)
+        inverse = 1.0 / (dot(axis, un) + armature)
         own = -inverse * dot(axis, n)
     elif kind == SLIDER:
         uf, un = apply_even(m, axis), apply_turned(hj, axis)
-        inverse = 1.0 / dot(axis, uf)
+        inverse = 1.0 / (dot(axis, uf) + armature)
         own = -inverse * dot(axis, f)
     else:
         uf, un, inverse, own = zero(), zero(), spread(0.0), spread(0.0)

@@ -152,7 +152,7 @@ def _close(
         if off < tolerance and not (again and off > 0.0):
             return position, native
         again = again and not off < tolerance
-        step = -_least_energy(mechanism, native, jacobian, residual).reshape(-1, 2, 3)
+        step = -_least_energy(mechanism, position, native, jacobian, residual).reshape(-1, 2, 3)
         reach = max(np.abs(step[:, 0]).max() / mechanism.scene.length, np.abs(step[:, 1]).max())
         step *= min(1.0, _LONGEST_STEP / reach)
         position = position + step[:, 0]
@@ -217,7 +217,7 @@ def _complete_velocities(
     if not any(wanted):
         return still, still.copy()
     matrix, goal = vstack(jacobian, format="csr"), np.array(wanted)
-    twist = _least_energy(mechanism, native, matrix, goal)
+    twist = _least_energy(mechanism, position, native, matrix, goal)
     off = np.abs(matrix @ twist - goal)
     worst = int(np.argmax(off))
     allowed = _VELOCITY_TOLERANCE * max(1.0, float(np.abs(goal).max()))
@@ -245,7 +245,9 @@ def _check_branch(
         return
     rows = constraint_rows(mechanism, position, native, velocity, angular_velocity)
     jacobian = sparse_jacobian(rows, mechanism.body_count)
-    off = np.abs(jacobian @ _least_energy(mechanism, native, jacobian, -rows.bias) + rows.bias)
+    off = np.abs(
+        jacobian @ _least_energy(mechanism, position, native, jacobian, -rows.bias) + rows.bias
+    )
     worst = int(np.argmax(off))
     if off[worst] > _BRANCH_TOLERANCE * np.abs(rows.bias).max():
         msg = (
@@ -257,11 +259,24 @@ def _check_branch(
         raise SceneError(msg)
 
 
-def _least_energy(mechanism: Mechanism, native: Array, matrix: csr_array, goal: Array) -> Array:
+def _least_energy(
+    mechanism: Mechanism, position: Array, native: Array, matrix: csr_array, goal: Array
+) -> Array:
     """Solve matrix · twist = goal with the twists of least kinetic energy."""
+    from scipy.sparse import block_array, diags_array, eye_array, vstack
+
     from mbds_xsim.scene.row_space import least_change
 
-    return least_change(matrix, inverse_mass_root(mechanism, native), goal)
+    root, rotors = inverse_mass_root(mechanism, native), mechanism.rotors
+    if not rotors:
+        return least_change(matrix, root, goal)
+    # A rotor is a mass with a speed of its own, which is tied to its joint's rate.
+    rates = vstack([rate_row(mechanism, joint, position, native) for joint in rotors])
+    tied = block_array([[matrix, None], [rates, -eye_array(len(rotors))]], format="csr")
+    own = diags_array(1.0 / np.sqrt([joint.armature for joint in rotors]))
+    whole = block_array([[root, None], [None, own]], format="csr")
+    goal = np.concatenate([goal, np.zeros(len(rotors))])
+    return least_change(tied, whole, goal)[: -len(rotors)]
 
 
 def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:

@@ -1,4 +1,4 @@
-"""Mass properties of a body at the reference pose."""
+"""Mass properties of a body at the reference pose, and tensors of bodies of revolution."""
 
 from __future__ import annotations
 
@@ -38,3 +38,16 @@ def mass_properties(body: Body) -> tuple[float, Array, Array]:
         )
         raise SceneError(msg)
     return float(masses.sum()), np.array(body.position) + turn @ com, turn @ tensor @ turn.T
+
+
+def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:
+    """Compare a tensor with that of a body of revolution about an axis through its centre.
+
+    Returns:
+        Its moment about the axis, the mean one across it, and how far any element is off
+        [kg·m²].
+    """
+    along = float(axis @ inertia @ axis)
+    across = (float(np.trace(inertia)) - along) / 2
+    even = across * np.eye(3) + (along - across) * np.outer(axis, axis)
+    return along, across, float(np.abs(inertia - even).max())

@@ -20,6 +20,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Joint, Scene, SpringDamper
 
@@ -53,14 +54,20 @@ class PlacedJoint:
     index: int
     """Position in `scene.joints`."""
     stiffness: float = 0.0
-    """Of the coordinate's spring [N·m/rad or N/m], as the next two of the scene's joint."""
+    """Of the coordinate's spring [N·m/rad or N/m], as the next three of the scene's joint."""
     damping: float = 0.0
     rest: float = 0.0
+    armature: float = 0.0
 
     @property
     def complies(self) -> bool:
         """Whether a spring or damper acts on the coordinate."""
         return self.stiffness > 0.0 or self.damping > 0.0
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether the coordinate has a spring, damper or rotor."""
+        return self.complies or self.armature > 0.0
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
         """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
@@ -151,6 +158,11 @@ class Mechanism:
         """The joints with a spring or damper, in scene order."""
         return tuple(joint for joint in self.joints if joint.complies)
 
+    @functools.cached_property
+    def rotors(self) -> tuple[PlacedJoint, ...]:
+        """The joints with armature, in scene order."""
+        return tuple(joint for joint in self.joints if joint.armature)
+
     @property
     def body_count(self) -> int:
         """Number of bodies."""
@@ -206,6 +218,13 @@ def _build(scene: Scene) -> Mechanism:
     com = np.array(coms)
     joints = tuple(_place(joint, k, index, com) for k, joint in enumerate(scene.joints))
     links, loops = _spanning_tree(len(scene.bodies), joints)
+    for joint in loops:
+        if joint.armature:
+            msg = (
+                f"joints[{joint.name!r}].armature: got {joint.armature} on a joint that closes a "
+                "loop, allowed is it on those of the tree; let another joint close it"
+            )
+            raise SceneError(msg)
     particle_body = np.repeat(
         np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
     )
@@ -268,6 +287,7 @@ def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         stiffness=joint.stiffness,
         damping=joint.damping,
         rest=joint.rest,
+        armature=joint.armature,
     )
 
 
@@ -278,19 +298,6 @@ def _pair(
     if length is None:
         length = float(np.linalg.norm(np.subtract(here, there)))
     return PointPair(item.name, (a, b), (_native(here, a, com), _native(there, b, com)), length)
-
-
-def of_revolution(inertia: Array, axis: Array) -> tuple[float, float, float]:
-    """Compare a tensor with that of a body of revolution about an axis through its centre.
-
-    Returns:
-        Its moment about the axis, the mean one across it, and how far any element is off
-        [kg·m²].
-    """
-    along = float(axis @ inertia @ axis)
-    across = (float(np.trace(inertia)) - along) / 2
-    even = across * np.eye(3) + (along - across) * np.outer(axis, axis)
-    return along, across, float(np.abs(inertia - even).max())
 
 
 def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
@@ -310,8 +317,8 @@ def _spanning_tree(
 ) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
-    Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
-    the tree if any can, as reduced coordinates have them there.
+    Of joints of one kind, the last listed closes the loop; those with a rotor, spring or
+    damper stay in the tree if any can, as reduced coordinates have them there.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -322,7 +329,7 @@ def _spanning_tree(
         return k
 
     tree, loops = [], []
-    for joint in sorted(joints, key=lambda joint: (_CUT_LAST[joint.kind], not joint.complies)):
+    for joint in sorted(joints, key=_cut_last):
         a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
         if a == b:
             loops.append(joint)
@@ -351,6 +358,10 @@ def _spanning_tree(
                 seen.add(outwards.child)
                 queue.append(outwards.child)
     return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))
+
+
+def _cut_last(joint: PlacedJoint) -> tuple[int, bool, bool]:
+    return _CUT_LAST[joint.kind], not joint.armature, not joint.complies
 
 
 def _reversed(joint: PlacedJoint) -> PlacedJoint:

@@ -124,8 +124,11 @@ class Joint(Neutral):
     """Of a damper on it [N·m·s/rad] or [N·s/m]."""
     rest: Finite = 0.0
     """Coordinate at which the spring is slack [rad] or [m]."""
+    armature: NotNegative = 0.0
+    """Inertia of a rotor that turns with the coordinate, times its gear ratio squared [kg·m²] or
+    [kg]."""
 
-    added = ("stiffness", "damping", "rest")
+    added = ("stiffness", "damping", "rest", "armature")
 
     def __post_init__(self) -> None:
         super().__post_init__()

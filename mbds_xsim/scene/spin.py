@@ -16,7 +16,8 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism, of_revolution
+from mbds_xsim.scene.mass import of_revolution
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene

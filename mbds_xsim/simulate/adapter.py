@@ -107,6 +107,8 @@ class Readback:
     law: Array | None = None
     """Stiffness, damping and coordinate at rest of `Mechanism.compliant` [N·m/rad or N/m,
     N·m·s/rad or N·s/m, rad or m], shape (joint, 3); likewise."""
+    armature: Array | None = None
+    """Of `Mechanism.rotors` [kg·m² or kg], shape (joint,)."""
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class Feature(Enum):
     SPRING_DAMPER = "spring–damper"
     JOINT_SPRING = "spring in a joint"
     JOINT_DAMPER = "damper in a joint"
+    ARMATURE = "armature of a joint"
     CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
@@ -68,6 +69,7 @@ def features_of(scene: Scene) -> frozenset[Feature]:
         Feature.SPRING_DAMPER: bool(scene.springs),
         Feature.JOINT_SPRING: any(joint.stiffness for joint in scene.joints),
         Feature.JOINT_DAMPER: any(joint.damping for joint in scene.joints),
+        Feature.ARMATURE: bool(mechanism.rotors),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
         Feature.HINGE_TORQUE: bool(scene.torques) or "hinge_torque" in draws,

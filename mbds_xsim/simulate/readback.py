@@ -126,6 +126,10 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield from _of_springs(mechanism, batch, readback)
     laws = np.array([(j.stiffness, j.damping, j.rest) for j in mechanism.compliant]).reshape(-1, 3)
     names = [joint.name for joint in mechanism.compliant]
+    rotors = mechanism.rotors
+    wanted = np.array([[joint.armature] for joint in rotors]).reshape(-1, 1)
+    got = None if readback.armature is None else readback.armature.reshape(-1, 1)
+    yield "armature", got, wanted, 0.0, [joint.name for joint in rotors]
     yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
     yield from _of_contact(mechanism, batch, readback)
 

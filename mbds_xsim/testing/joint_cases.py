@@ -1,12 +1,12 @@
-"""Cases of springs and dampers in joints, with closed forms."""
+"""Cases of springs, dampers and rotors in joints."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.scene import Joint
-from mbds_xsim.testing.case import NONE, Case, G, case_of, even
+from mbds_xsim.scene.scene import Joint, Torque
+from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, solve
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -79,4 +79,78 @@ def _sprung_slider() -> Case:
     )  # fmt: skip
 
 
-JOINT_CASES: tuple[Case, ...] = (_sprung_hinge(), _sprung_slider())
+def _geared_axle() -> Case:
+    """A motor with a rotor drives a wheel against a damper, and its free carrier back."""
+    torque, damping, armature = 0.6, 0.2, 0.15
+    wheel, arm = 0.1, 0.5
+    carrier = 0.4 + 0.01 + 0.5 * arm**2
+    inertia = carrier * wheel / (carrier + wheel) + armature
+
+    def exact(time: Array) -> Array:
+        late = inertia / damping * (1.0 - np.exp(-damping / inertia * time))
+        # The rotor has no momentum of its own, so the wheel's and the carrier's cancel.
+        turned = -wheel / (carrier + wheel) * torque / damping * (time - late)
+        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
+        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+
+    return case_of(
+        "geared axle",
+        "armature of a hinge, its reaction",
+        [
+            even("carrier", 2.0, 0.4),
+            even("wheel", 1.0, wheel),
+            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
+        ],
+        exact,
+        Joint("mount", "hinge", "world", "carrier", NONE, _UP),
+        Joint("axle", "hinge", "carrier", "wheel", NONE, _UP, damping=damping, armature=armature),
+        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
+        gravity=NONE,
+        torques=(Torque("axle", (torque,)),),
+    )
+
+
+def _geared_rail() -> Case:
+    """A block on a sloping rail drives a rotor, and a pendulum hangs on it.
+
+    The pendulum's hinge has a rotor too; it starts with the least kinetic energy.
+    """
+    block, bob, arm, rotor, rate = 2.0, 0.5, 0.4, 3.0, 0.7
+    about = 0.02 + bob * arm**2
+    swinging = 0.05
+    coupled = bob * arm
+
+    def rates(_: float, y: Array) -> Array:
+        turn, _, spin = y[1], y[2], y[3]
+        mass = np.array(
+            [
+                [block + bob + rotor, coupled * np.cos(turn)],
+                [coupled * np.cos(turn), about + swinging],
+            ]
+        )
+        load = [coupled * np.sin(turn) * spin**2, -bob * G * arm * np.sin(turn)]
+        return np.array([y[2], y[3], *np.linalg.solve(mass, load)])
+
+    def exact(time: Array) -> Array:
+        spin = -coupled * rate / (about + swinging)
+        along, turn = solve(rates, [0.0, 0.0, rate, spin], time)[:2]
+        none = 0.0 * along
+        cart = np.stack([along, none, none], axis=-1)
+        return np.stack([cart, cart + arm * direction(turn)], axis=1)
+
+    return case_of(
+        "geared rail",
+        "armature of a slider, and of hinges in the start of least kinetic energy",
+        [even("block", block, 0.1), even("bob", bob, 0.02, (0.0, 0.0, -arm))],
+        exact,
+        Joint("rail", "slider", "world", "block", NONE, (1.0, 0.0, 0.0), rate=rate, armature=rotor),
+        Joint("pin", "hinge", "block", "bob", NONE, (0.0, -1.0, 0.0), armature=swinging),
+    )
+
+
+JOINT_CASES: tuple[Case, ...] = (
+    _sprung_hinge(),
+    _sprung_slider(),
+    _geared_axle(),
+    _geared_rail(),
+)

@@ -12,7 +12,7 @@ from mbds_xsim.studies.validate.validation import validate_with_evidence
 from .planting import Fault, planted
 from .scenes import scene_of
 
-__all__ = ["ENGINES", "checked", "told"]
+__all__ = ["ENGINES", "able", "checked", "told"]
 
 ENGINES = ("mujoco", "pybullet", "dart", "exudyn")
 
@@ -43,11 +43,18 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
 
 def _quick(name: str, engine: str) -> Matched:
     """Give settings that are quick, or those stored for the scene that it was made from."""
+    name = name.partition(" with ")[0]
     if (name, engine) in _SETTINGS:
         return Matched(*_SETTINGS[name, engine])
     scene = load_scene(name.split()[0])
     settings = settings_for(scene, load_adapter(engine), "matched")
     return Matched(settings.method, settings.substeps(scene.clock.frame), dict(settings.options))
+
+
+def able(scene: str) -> list[str]:
+    """Name the engines that have everything a scene needs."""
+    ways = {name: load_adapter(name).refusals for name in ENGINES}
+    return [n for n in ENGINES if not ways[n](scene_of(scene), _quick(scene, n).method)]
 
 
 def checked(
@@ -60,7 +67,8 @@ def checked(
     frames: int | None = None,
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
-    choice = Choice(engines, given={name: _quick(scene, name) for name in engines})
+    given = {name: _quick(scene, name) for name in engines if name in able(scene)}
+    choice = Choice(tuple(given), given=given)
     with planted(fault.change if fault else None, engine):
         return validate_with_evidence(
             scene_of(scene, frames), choice=choice, workers=0, readback=readback

@@ -14,6 +14,8 @@ SCENES = {
     "3pendulum": 50,
     "2ladder": 25,
     "workbench": 16,
+    "workbench with sprung joints": 16,
+    "workbench with rotors": 16,
     "ballscroll": 40,
     "ballscroll at 45°": 40,
     "balldrop": 75,
@@ -39,6 +41,8 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "ballscroll at 45°": _across,
         "particlecar at 100 rad/s": _fast,
         "simplecubli set down": _set_down,
+        "workbench with sprung joints": _sprung,
+        "workbench with rotors": _geared,
     }
     return changes[name](scene) if name in changes else scene
 
@@ -64,6 +68,25 @@ def _set_down(scene: Scene) -> Scene:
     throw = Throw("frame", displacement=(_NONE, _NONE, (-drop, -drop)))
     ground = msgspec.structs.replace(scene.ground, restitution=0.5)
     return _started(msgspec.structs.replace(scene, noise=0.0, ground=ground), throw)
+
+
+def _sprung(scene: Scene) -> Scene:
+    """Give a hinge of the arm and the cart's slider springs and dampers of their own."""
+    laws = {
+        "elbow": {"stiffness": 4.0, "damping": 0.1, "rest": 0.3},
+        "rail": {"stiffness": 20.0, "damping": 1.0, "rest": 0.05},
+    }
+    joints = (msgspec.structs.replace(j, **laws.get(j.name, {})) for j in scene.joints)
+    return msgspec.structs.replace(scene, joints=tuple(joints))
+
+
+def _geared(scene: Scene) -> Scene:
+    """Give two hinges of the arm rotors, which MuJoCo alone of the engines has."""
+    joints = (
+        msgspec.structs.replace(j, armature=0.05) if j.name in ("shoulder", "elbow") else j
+        for j in scene.joints
+    )
+    return msgspec.structs.replace(scene, joints=tuple(joints))
 
 
 def _started(scene: Scene, *sampling: Draw) -> Scene:

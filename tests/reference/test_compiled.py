@@ -78,6 +78,32 @@ def test_trees_have_the_accelerations_that_newton_and_euler_give(
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), KINDS)
+def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(
+    seed: int, kinds: list[Kind]
+) -> None:
+    mechanism, states, force, torque = random_case(seed, kinds, 0)
+    joints = (
+        msgspec.structs.replace(joint, armature=0.8) if joint.kind == "hinge" else joint
+        for joint in mechanism.scene.joints
+    )
+    geared = Mechanism.of(msgspec.structs.replace(mechanism.scene, joints=tuple(joints)))
+    found = compiled.body_accelerations(geared, states, force, torque)
+    spin, gain = (
+        np.pad(v, ((0, 0), (0, 1), (0, 0))) for v in (states[:, :-1, 10:], found[..., 3:])
+    )
+    bodies = dynamics_of(mechanism).unpack(states).with_world()
+    for k, hinge in enumerate(mechanism.hinges):
+        axis = bodies.arms(hinge.parent, hinge.axis)
+        faster = gain[:, hinge.child] - gain[:, hinge.parent]
+        faster -= np.cross(spin[:, hinge.parent], spin[:, hinge.child])
+        torque[:, k] -= 0.8 * np.sum(axis * faster, axis=-1)
+
+    expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.integers(0, 10**6),

@@ -235,6 +235,7 @@ EFFECTS = (
     Effect("damping", "springs without damping", _part("springs.damping")),
     Effect("springs of joints", "joints without springs", _part("joints.stiffness")),
     Effect("damping of joints", "joints without dampers", _part("joints.damping")),
+    Effect("armature", "joints without rotors", _part("joints.armature")),
     Effect("closed loops", "joints and links that close loops are left out", _loops, (DROP,)),
     Effect("axes in loops", "loops closed by ball joints", _loop_axes, (DROP,)),
     Effect("third dimension", "hinges about y for ball joints", _third_dimension, (DROP,)),
