@@ -21,3 +21,22 @@ class Ended:
 
 
 CommandLine = Callable[..., Ended]
+
+
+def bob(*facts: str) -> str:
+    """Write the scene of a particle on a string, with more facts of it."""
+    return "\n".join(
+        [
+            'name = "bob"',
+            *facts,
+            "[[bodies]]",
+            'name = "bob"',
+            "particles = [{ position = [0.3, 0.0, -0.4] }]",
+            "[[joints]]",
+            'name = "pivot"',
+            'kind = "ball"',
+            'parent = "world"',
+            'child = "bob"',
+            "anchor = [0, 0, 0]\n",
+        ]
+    )

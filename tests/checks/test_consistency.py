@@ -65,14 +65,7 @@ def runs(
 
 @pytest.mark.parametrize("stepper", METHODS)
 def test_a_right_model_converges_to_the_reference(pendulum: Any, runs: Any, stepper: str) -> None:
-    found = consistency(
-        pendulum.scene,
-        pendulum.batch,
-        runs(stepper, _same),
-        pendulum.exact,
-        METHODS[stepper][0],
-        resolution=1e-8,
-    )
+    found = _found(pendulum, runs, stepper, _same)
     assert [finding.check for finding in found] == [
         "consistency of positions",
         "consistency of energy",
@@ -88,15 +81,17 @@ def test_a_slightly_wrong_model_shows(
     pendulum: Any, runs: Any, stepper: str, change: Callable[[Scene], Scene]
 ) -> None:
     """Gravity off by 0.1 %, one particle by 1 %: both within the accuracy budget."""
-    for finding in consistency(
-        pendulum.scene,
-        pendulum.batch,
-        runs(stepper, change),
-        pendulum.exact,
-        METHODS[stepper][0],
-        resolution=1e-8,
-    ):
+    for finding in _found(pendulum, runs, stepper, change):
         assert not finding.passed.any()
+
+
+def _found(
+    pendulum: Any, runs: Any, stepper: str, change: Callable[[Scene], Scene]
+) -> list[Finding]:
+    method = METHODS[stepper][0]
+    made = runs(stepper, change)
+    scene, batch, exact = pendulum.scene, pendulum.batch, pendulum.exact
+    return consistency(scene, batch, made, exact, method, resolution=1e-8)
 
 
 def test_two_runs_pass_a_right_model_and_show_a_wrong_one(pendulum: Any, runs: Any) -> None:

@@ -15,26 +15,14 @@ from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure import campaign
 from mbds_xsim.simulate import registry
+from tests.command_line import bob
 from tests.plugins import faulty
 
 _HANG = 3.0  # [s] until a hanging task is ended
 
 _RUNNING = ("aborting", "raising", "leaving", "hanging", "misshapen", "leaking", "unread")
 
-_BOB = """
-name = "bob"
-length = 1.0
-clock = { steps = 10 }
-[[bodies]]
-name = "bob"
-particles = [{ position = [0.3, 0.0, -0.4] }]
-[[joints]]
-name = "pivot"
-kind = "ball"
-parent = "world"
-child = "bob"
-anchor = [0, 0, 0]
-"""
+_BOB = bob("length = 1.0", "clock = { steps = 10 }")
 
 
 @pytest.fixture

@@ -26,6 +26,7 @@ from mbds_xsim.measure.result import (
     Validation,
 )
 from mbds_xsim.simulate import registry
+from tests.command_line import bob
 
 CommandLine = Callable[..., Any]
 
@@ -54,21 +55,7 @@ def test_the_program_validates_in_all_engines(program: CommandLine, here: Path) 
     assert sorted(os.listdir(here / "new")) == ["v.html", "v.json"]
 
 
-_BOB = """
-name = "bob"
-length = 0.5
-noise = 0.1
-clock = { steps = 60 }
-[[bodies]]
-name = "bob"
-particles = [{ position = [0.3, 0.0, -0.4] }]
-[[joints]]
-name = "pivot"
-kind = "ball"
-parent = "world"
-child = "bob"
-anchor = [0, 0, 0]
-"""
+_BOB = bob("length = 0.5", "noise = 0.1", "clock = { steps = 60 }")
 
 
 @pytest.fixture

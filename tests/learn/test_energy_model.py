@@ -18,7 +18,7 @@ from mbds_xsim.learn.energy_models import EnergyModel, Hamiltonian, Lagrangian
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build
 from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Start
+from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.registry import load_scene
@@ -149,11 +149,14 @@ def test_it_learns(data: Data, name: str) -> None:
     assert float(model.loss(sample, generator).detach()) < before - math.log(2.0)
 
 
+def _untrained_and_sample(data: Data, name: str) -> tuple[EnergyModel, Sample]:
+    motions = motions_of(data, "train")
+    return untrained(name, motions), motions.take(torch.arange(3))
+
+
 @pytest.mark.parametrize("name", list(DYNAMICS))
 def test_settling_closes_the_joints_frame_by_frame(data: Data, name: str) -> None:
-    motions = motions_of(data, "train")
-    model = untrained(name, motions)
-    sample = motions.take(torch.arange(3))
+    model, sample = _untrained_and_sample(data, name)
     with torch.no_grad():
         state = model.advance(model.begin(sample.start), sample.inputs.at(0))
     drift = model.mechanics.residual(state[:, 0]).abs().max()
@@ -165,9 +168,7 @@ def test_settling_closes_the_joints_frame_by_frame(data: Data, name: str) -> Non
 
 @pytest.mark.parametrize("name", list(DYNAMICS))
 def test_a_row_that_has_no_numbers_leaves_the_others(data: Data, name: str) -> None:
-    motions = motions_of(data, "train")
-    model = untrained(name, motions)
-    sample = motions.take(torch.arange(3))
+    model, sample = _untrained_and_sample(data, name)
     with torch.no_grad():
         state = model.begin(sample.start)
         alone = model.advance(state, sample.inputs.at(0))

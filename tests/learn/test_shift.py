@@ -502,7 +502,7 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
         figures |= {(entry, test): _figures(np.full((COUNT, FRAMES), error)) for test in tested}
     test = dataclasses.replace(board.test, domains=domains)
     board = Evaluation(test, board.frames, figures, board.oracles)
-    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
+    found = _answers(board)
     assert "helps" in found["Does training on all engines help gns (native)?"]
 
 
@@ -539,7 +539,7 @@ def test_whether_matched_data_remove_a_shift(
     native: float, matched: float, spread: float, says: str
 ) -> None:
     board = _of_variants({"native": native, "matched": matched}, spread)
-    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
+    found = _answers(board)
     assert says in found["Does matched data remove the shift of gns?"]
 
 
@@ -552,11 +552,15 @@ def test_changes_of_engine_are_counted_apart_from_those_of_settings() -> None:
     assert " of 8 from other settings)" in told
 
 
+def _answers(board: Evaluation) -> dict[str, str]:
+    return {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
+
+
 def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
     same = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in board.oracles}
     board = dataclasses.replace(board, oracles=same)
-    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
+    found = _answers(board)
     told = found["Does matched data remove the shift of gns?"]
     assert "this cannot be told: where no gap is resolved" in told
     assert "Mean gap ratio 4 [4, 4] on native" in told
@@ -570,7 +574,7 @@ def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
         for pair, apart in board.oracles.items()
     }
     board = dataclasses.replace(board, oracles=oracles)
-    found = {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
+    found = _answers(board)
     told = found["Does matched data remove the shift of gns?"]
     assert "no shift is resolved on matched data, whose engines differ by less than" in told
     assert "2 [2, 2] on matched data" in told

@@ -148,9 +148,7 @@ def test_accelerations_solve_the_dense_saddle_point_system(scene: Scene) -> None
     """Also off the constraints, where every term of the bias and the Jacobian counts."""
     mechanism = Mechanism.of(scene)
     bodies, (force, torque) = any_states(mechanism), inputs(mechanism)
-    _, jacobian, bias = rows_at(mechanism, bodies)
-    linear, angular = accelerations(mechanism, bodies, force, torque)
-    ours = np.concatenate([linear, angular], axis=-1).reshape(BATCH, -1)
+    jacobian, bias, ours = _accelerated(mechanism, bodies)
     turn = rotation.matrix(bodies.native)
     tensor = turn @ mechanism.inertia @ np.swapaxes(turn, -1, -2)
     size, rows = 6 * mechanism.body_count, len(bias[0])
@@ -169,12 +167,16 @@ def test_accelerations_solve_the_dense_saddle_point_system(scene: Scene) -> None
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_accelerations_keep_the_constraints(scene: Scene) -> None:
     mechanism = Mechanism.of(scene)
-    bodies, (force, torque) = tree_states(mechanism), inputs(mechanism)
-    _, jacobian, bias = rows_at(mechanism, bodies)
-    linear, angular = accelerations(mechanism, bodies, force, torque)
-    ours = np.concatenate([linear, angular], axis=-1).reshape(BATCH, -1)
+    jacobian, bias, ours = _accelerated(mechanism, tree_states(mechanism))
     broken = np.einsum("brk,bk->br", jacobian, ours) + bias
     assert np.abs(broken).max() < 1e-11 * np.abs(ours).max()
+
+
+def _accelerated(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array, Array]:
+    """Give the rows' Jacobian and bias, and the accelerations, shape (trajectory, 6 body)."""
+    _, jacobian, bias = rows_at(mechanism, bodies)
+    found = accelerations(mechanism, bodies, *inputs(mechanism))
+    return jacobian, bias, np.concatenate(found, axis=-1).reshape(BATCH, -1)
 
 
 def test_accelerations_keep_leading_axes() -> None:

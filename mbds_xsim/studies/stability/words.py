@@ -179,18 +179,15 @@ def command_of(cell: MapCell, sweep: Survey) -> str:
 
 
 def _figures(cell: MapCell) -> Iterator[str]:
-    if cell.energy is not None:
-        yield f"energy {cell.energy:+.2g} of its scale"
-    if cell.gap is not None:
-        yield f"joints open by {quantity.number(cell.gap)} of the length"
-    if cell.sunk is not None:
-        yield f"sunk by {quantity.number(cell.sunk)} of the length"
-    if cell.way is not None:
-        yield f"way {cell.way:.2g} of the due one"
-    if cell.error is not None:
-        yield f"error {quantity.number(cell.error)} of the length"
-    if cell.wall_s is not None:
-        yield f"{quantity.span(cell.wall_s)} of wall time"
+    words: tuple[tuple[float | None, Callable[[float], str]], ...] = (
+        (cell.energy, lambda value: f"energy {value:+.2g} of its scale"),
+        (cell.gap, lambda value: f"joints open by {quantity.number(value)} of the length"),
+        (cell.sunk, lambda value: f"sunk by {quantity.number(value)} of the length"),
+        (cell.way, lambda value: f"way {value:.2g} of the due one"),
+        (cell.error, lambda value: f"error {quantity.number(value)} of the length"),
+        (cell.wall_s, lambda value: f"{quantity.span(value)} of wall time"),
+    )
+    return (say(value) for value, say in words if value is not None)
 
 
 def _alike(cells: tuple[MapCell, ...]) -> str:
