@@ -352,8 +352,9 @@ def _summary(rows: list[Row], read: list[Row]) -> Iterator[tuple[str, str]]:
     yield "read alike by all three engines' own readers", f"{all_alike} of {len(read)}"
     ran = [row for row in read if row.verdicts]
     passed = sum(len(row.verdicts) == 4 and set(row.verdicts.values()) == {"pass"} for row in ran)
-    yield "validated", f"{len(ran)} of {len(read)}"
-    yield "pass in all four engines", f"{passed} of {len(ran)}"
+    yield "validated so far", f"{len(ran)} of {len(read)}"
+    if ran:
+        yield "pass in all four engines", f"{passed} of {len(ran)}"
 
 
 def _cells(row: Row) -> tuple[str, ...]:
