@@ -52,6 +52,7 @@ class Channels(nn.Module):
     def __init__(self, graph: Graph) -> None:
         super().__init__()
         driven = {load.joint for load in graph.scene.torques}
+        driven |= {servo.joint for servo in graph.scene.servos}
         for term in graph.scene.sampling:
             driven |= set(term.joints) if isinstance(term, HingeTorque) else set()
         hinges = graph.mechanism.hinges

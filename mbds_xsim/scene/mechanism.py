@@ -23,6 +23,7 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Joint, Scene, SpringDamper
+from mbds_xsim.scene.servo import gains
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
@@ -54,7 +55,7 @@ class PlacedJoint:
     index: int
     """Position in `scene.joints`."""
     stiffness: float = 0.0
-    """Of the coordinate's spring [N·m/rad or N/m], as the next three of the scene's joint."""
+    """Of the coordinate's spring [N·m/rad or N/m], with those of servos, as the damping."""
     damping: float = 0.0
     rest: float = 0.0
     armature: float = 0.0
@@ -66,7 +67,7 @@ class PlacedJoint:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether the coordinate has a spring, damper or rotor."""
+        """Whether it has a spring, damper or rotor."""
         return self.complies or self.armature > 0.0
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
@@ -216,15 +217,17 @@ def _build(scene: Scene) -> Mechanism:
     index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
     masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
-    joints = tuple(_place(joint, k, index, com) for k, joint in enumerate(scene.joints))
+    joints = tuple(
+        _place(joint, k, index, com, *gains(scene.servos, joint.name))
+        for k, joint in enumerate(scene.joints)
+    )
     links, loops = _spanning_tree(len(scene.bodies), joints)
     for joint in loops:
         if joint.armature:
-            msg = (
-                f"joints[{joint.name!r}].armature: got {joint.armature} on a joint that closes a "
-                "loop, allowed is it on those of the tree; let another joint close it"
+            where = (
+                f"joints[{joint.name!r}].armature: got {joint.armature} on a joint that closes a"
             )
-            raise SceneError(msg)
+            raise SceneError(f"{where} loop, allowed is it on others; let another joint close it")
     particle_body = np.repeat(
         np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
     )
@@ -270,7 +273,9 @@ def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
     return np.array(point) - (com[body] if body != WORLD_INDEX else 0.0)
 
 
-def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
+def _place(
+    joint: Joint, k: int, index: dict[str, int], com: Array, stiffness: float, damping: float
+) -> PlacedJoint:
     # hypot neither under- nor overflows, whatever the axis is measured in.
     axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
     parent, child = index[joint.parent], index[joint.child]
@@ -284,8 +289,8 @@ def _place(joint: Joint, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         in_parent=_native(joint.anchor, parent, com),
         in_child=_native(joint.anchor, child, com),
         index=k,
-        stiffness=joint.stiffness,
-        damping=joint.damping,
+        stiffness=joint.stiffness + stiffness,
+        damping=joint.damping + damping,
         rest=joint.rest,
         armature=joint.armature,
     )

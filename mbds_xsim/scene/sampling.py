@@ -123,6 +123,11 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for item in scene.forces:
         force[:, bodies[item.body]] += _held(np.array(item.series), item.hold, scene.clock.steps)
+    for servo in scene.servos:
+        column, steps = hinges[servo.joint], scene.clock.steps
+        off = _held(np.array(servo.position), servo.hold, steps) - mechanism.hinges[column].rest
+        rate = _held(np.array(servo.velocity), servo.hold, steps)
+        torque[:, column] += servo.stiffness * off + servo.damping * rate
     for load in scene.torques:
         torque[:, hinges[load.joint]] += _held(np.array(load.series), load.hold, scene.clock.steps)
     return force, torque

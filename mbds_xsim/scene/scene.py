@@ -19,6 +19,7 @@ from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
 from mbds_xsim.scene.sampling_terms import Draw, Pose, Roll, Throw
+from mbds_xsim.scene.servo import Servo
 
 Vector = tuple[float, float, float]
 FiniteVector = Annotated[Vector, bounds.finite]
@@ -125,8 +126,7 @@ class Joint(Neutral):
     rest: Finite = 0.0
     """Coordinate at which the spring is slack [rad] or [m]."""
     armature: NotNegative = 0.0
-    """Inertia of a rotor that turns with the coordinate, times its gear ratio squared [kg·m²] or
-    [kg]."""
+    """Inertia of a rotor on it, times the gear ratio squared [kg·m²] or [kg]."""
 
     added = ("stiffness", "damping", "rest", "armature")
 
@@ -295,6 +295,7 @@ class Scene(Neutral):
     springs: tuple[SpringDamper, ...] = ()
     forces: tuple[Force, ...] = ()
     torques: tuple[Torque, ...] = ()
+    servos: tuple[Servo, ...] = ()
     contacts: tuple[ContactSphere, ...] = ()
     ground: Ground | None = None
     clock: Clock = Clock()
@@ -308,11 +309,12 @@ class Scene(Neutral):
     """Pairs of particles (numbered body by body), anchors behind them."""
     budget: Budget = Budget()
 
+    added = ("servos",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.name:
-            msg = "name: got '', allowed is any text"
-            raise SceneError(msg)
+            raise SceneError("name: got '', allowed is any text")
         if not self.bodies:
             msg = "bodies: got none, a scene needs at least one"
             raise SceneError(msg)
@@ -346,8 +348,9 @@ class Scene(Neutral):
                     _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], held)
         for k, force in enumerate(self.forces):
             _known(f"forces[{k}].body", force.body, bodies)
-        for k, torque in enumerate(self.torques):
-            _known(f"torques[{k}].joint", torque.joint, hinges, what="hinge")
+        for table in ("torques", "servos"):
+            for k, load in enumerate(getattr(self, table)):
+                _known(f"{table}[{k}].joint", load.joint, hinges, what="hinge")
         for k, sphere in enumerate(self.contacts):
             _known(f"contacts[{k}].body", sphere.body, bodies)
         if bool(self.contacts) != (self.ground is not None):

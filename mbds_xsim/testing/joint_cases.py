@@ -6,6 +6,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Joint, Torque
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, solve
 
 _UP = (0.0, 0.0, 1.0)
@@ -148,9 +149,52 @@ def _geared_rail() -> Case:
     )
 
 
+def _servo() -> Case:
+    """An arm in the plane that a servo leads to two targets, one after the other.
+
+    Its hinge has a spring and a damper besides, and is at rest elsewhere.
+    """
+    stiffness, damping, rest = 2.0, 0.1, 0.4
+    gain, loss, targets, rates, hold = 30.0, 2.0, (0.8, -0.5), (0.3, 0.0), 25
+    mass, arm, frame = 1.5, 0.4, 0.02
+    inertia = 0.05 + mass * arm**2
+    whole, drag = stiffness + gain, damping + loss
+
+    def exact(time: Array) -> Array:
+        angle, start, rate = np.zeros_like(time), 0.0, 0.0
+        for k, (target, speed) in enumerate(zip(targets, rates, strict=True)):
+            goal = (stiffness * rest + gain * target + loss * speed) / whole
+            begin, span = k * hold * frame, np.array([hold * frame])
+            law, off = (whole, drag, inertia), start - goal
+            later = time >= begin - 1e-12
+            angle[later] = goal + settling(*law, off, rate, time[later] - begin)
+            # The rate changes by the same equation.
+            bend = -(whole * off + drag * rate) / inertia
+            (start,), (rate,) = (
+                goal + settling(*law, off, rate, span),
+                settling(*law, rate, bend, span),
+            )
+        places = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+        return arm * places[:, None]
+
+    return case_of(
+        "servo",
+        "position and velocity servo with held targets, beside a joint's own spring",
+        [even("arm", mass, 0.05, (arm, 0.0, 0.0))],
+        exact,
+        Joint(
+            "hub", "hinge", "world", "arm", NONE, _UP, stiffness=stiffness, damping=damping,
+            rest=rest,
+        ),
+        servos=(Servo("hub", targets, rates, gain, loss, hold),),
+        length=arm,
+    )  # fmt: skip
+
+
 JOINT_CASES: tuple[Case, ...] = (
     _sprung_hinge(),
     _sprung_slider(),
     _geared_axle(),
     _geared_rail(),
+    _servo(),
 )

@@ -6,6 +6,7 @@ import msgspec
 
 from mbds_xsim.scene.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
 from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate import registry
 
 __all__ = ["SCENES", "scene_of"]
@@ -71,13 +72,14 @@ def _set_down(scene: Scene) -> Scene:
 
 
 def _sprung(scene: Scene) -> Scene:
-    """Give a hinge of the arm and the cart's slider springs and dampers of their own."""
+    """Give a hinge and a slider springs and dampers of their own, and another hinge a servo."""
     laws = {
         "elbow": {"stiffness": 4.0, "damping": 0.1, "rest": 0.3},
         "rail": {"stiffness": 20.0, "damping": 1.0, "rest": 0.05},
     }
     joints = (msgspec.structs.replace(j, **laws.get(j.name, {})) for j in scene.joints)
-    return msgspec.structs.replace(scene, joints=tuple(joints))
+    servo = Servo("shoulder", position=(0.3,), stiffness=20.0, damping=1.0)
+    return msgspec.structs.replace(scene, joints=tuple(joints), servos=(servo,))
 
 
 def _geared(scene: Scene) -> Scene:

@@ -17,7 +17,7 @@ from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.base.rotation import rotate
 from mbds_xsim.reference import solve
-from mbds_xsim.scene import sampling_terms, scene
+from mbds_xsim.scene import sampling_terms, scene, servo
 from mbds_xsim.scene.assembly import assemble
 from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.file import read_scene
@@ -39,6 +39,7 @@ _HEADINGS: dict[type[msgspec.Struct], str] = {
     scene.SpringDamper: "`[[springs]]`",
     scene.Force: "`[[forces]]`",
     scene.Torque: "`[[torques]]`",
+    servo.Servo: "`[[servos]]`",
     scene.ContactSphere: "`[[contacts]]`",
     scene.Ground: "`[ground]`",
     scene.Clock: "`[clock]`",
@@ -88,7 +89,7 @@ def _attribute_docs(kind: type[msgspec.Struct]) -> dict[str, str]:
 def test_every_struct_has_a_section() -> None:
     defined = {
         kind
-        for module in (scene, sampling_terms)
+        for module in (scene, sampling_terms, servo)
         for name, kind in vars(module).items()
         if inspect.isclass(kind)
         and issubclass(kind, Neutral)
