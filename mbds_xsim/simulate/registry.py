@@ -141,7 +141,9 @@ def load_scene(name: str) -> Scene:
         msg = f"no scene is called {name!r}: N of N{name[len(digits) :]} is a number from 1 to 9999"
         raise UnknownName(msg)
     sized = [f"N{family}" for family in sorted(families)]
-    raise UnknownName.of("scene", name, [*scene_names(), *sized, "a path to a file"])
+    raise UnknownName.of(
+        "scene", name, [*scene_names(), *sized, "a path to a .toml file", "a model in a file"]
+    )
 
 
 def package_version(distribution: str) -> str:
