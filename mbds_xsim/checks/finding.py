@@ -280,13 +280,13 @@ class Finding:
         note: str = "",
     ) -> Finding:
         """Make a finding from values of several parts, named alike, (trajectory, frame, part)."""
-        seen = np.where(np.isnan(parts), -np.inf, parts)
-        worst = seen.max(axis=1).argmax(axis=1)
-        series = seen.max(axis=2)
+        highest = np.fmax.reduce(parts, axis=1)
+        worst = np.where(np.isnan(highest), -np.inf, highest).argmax(axis=1)
         return Finding(
             check,
             unit,
-            np.where(np.isneginf(series), np.nan, series),
+            # Part by part: reductions along a short axis are several times slower.
+            functools.reduce(np.fmax, np.moveaxis(parts, -1, 0)),
             budget,
             np.broadcast_to(np.asarray(uncertainty, dtype=np.float64), len(parts)),
             tuple(names[k] if names else "" for k in worst),

@@ -1,9 +1,10 @@
 """Loop closures of a tree: few multipliers, eight states at once.
 
-With the rows' Jacobian J, A = J M⁻¹ Jᵀ. A row's unit load, handed down its path to the roots by
-the recursion that `tree_kernel.gather` prepared, gives at each speed a generalised load w and the
-acceleration z = D⁻¹ w that it brings there, and A is the sum of w · z over the speeds. Rows are
-those of `mbds_xsim.scene.constraints`.
+With the rows' Jacobian J, A = J M⁻¹ Jᵀ (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter
+8). A row's unit load, handed down its path to the roots by the recursion that `tree_kernel.gather`
+prepared, gives at each speed a generalised load w and the acceleration z = D⁻¹ w that it brings
+there, and A is the sum of w · z over the speeds, link by link. The multipliers' loads go down once
+more, all together. Rows are those of `mbds_xsim.scene.constraints`.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ from mbds_xsim.reference.tree_kernel import (
     UF,
     UN,
     A,
+    F,
+    N,
     R,
     V,
     W,
@@ -104,23 +107,29 @@ def project(t: Tree, work: Workspace, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
         for step in range(2):
-            move(t, work, y)
-            still(t, work)
-            weigh(t, work)
-            gather(t, work)
-            _rows(t, work)
-            _respond(t, work)
+            resist(t, work, y)
             _factor(t, work)
             for k in range(t.loaded):
                 off = load(work.rows, ROW * k + 13) if step == 0 else _along(t, work, k, V, W)
                 store(work.multipliers, k, -off)
             _solve(t, work)
-            for k in range(t.size - t.place_count):
-                store(work.own, t.place_count + k, spread(0.0))
+            for k in range(t.place_count, t.size):
+                store(work.own, k, spread(0.0))
             _load_own(t, work)
             spread_out(t, work, False)
             _change(t, work, y, step)
     _normalise(t, y)
+
+
+@compiled
+def resist(t: Tree, work: Workspace, y):
+    """Evaluate the rows of states, and A."""
+    move(t, work, y)
+    still(t, work)
+    weigh(t, work)
+    gather(t, work)
+    _rows(t, work)
+    _respond(t, work)
 
 
 @compiled
@@ -190,13 +199,15 @@ def _along(t, work, k, linear, angular):
 
 @compiled
 def _respond(t, work):
-    """Hand each loaded row's unit load down to the roots."""
-    rows, loads, speeds = work.rows, work.loads, t.size - t.place_count
-    for k in range(t.loaded):
+    """Hand each loaded row's unit load down to the roots, and sum up A, its lower half."""
+    rows, loads, count = work.rows, work.loads, t.loaded
+    for k in range(count):
         for end in range(2):
             for half in range(2):
                 at = 6 * end + 3 * half
                 store3(loads, 12 * k + at, times(-1.0, load3(rows, ROW * k + at)))
+        for j in range(k + 1):
+            store(work.matrix, k * count + j, spread(0.0))
     # Links outside, so that what is known of one is read once for all rows.
     for back in range(len(t.kind)):
         i = len(t.kind) - 1 - back
@@ -206,16 +217,39 @@ def _respond(t, work):
             f, n = load3(loads, at), load3(loads, at + 3)
             if end == BOTH:
                 f, n = add(f, load3(loads, at + 6)), add(n, load3(loads, at + 9))
-            out = 2 * (k * speeds + t.speed_at[i] - t.place_count)
+            out = 12 * (q - t.on_start[i])
             f, n = _respond_at(work, i * PLACES, t.kind[i], out, f, n)
             store3(loads, at, f)
             store3(loads, at + 3, n)
+        _couple(t, work, i)
+
+
+@compiled
+def _couple(t, work, i):
+    """Add to A what the rows whose loads come through a link have in common there."""
+    first, passed, m = t.on_start[i], work.passed, work.matrix
+    speeds = t.speed_at[i + 1] - t.speed_at[i]
+    for q in range(t.on_start[i + 1] - first):
+        k = t.on_row[first + q] * t.loaded
+        if speeds == 3:
+            x, y, z = load(passed, 12 * q), load(passed, 12 * q + 2), load(passed, 12 * q + 4)
+            for r in range(q + 1):
+                at = k + t.on_row[first + r]
+                total = load(m, at) + x * load(passed, 12 * r + 1)
+                total = total + y * load(passed, 12 * r + 3)
+                store(m, at, total + z * load(passed, 12 * r + 5))
+        else:
+            for r in range(q + 1):
+                total = load(m, k + t.on_row[first + r])
+                for s in range(0, 2 * speeds, 2):
+                    total = total + load(passed, 12 * q + s) * load(passed, 12 * r + s + 1)
+                store(m, k + t.on_row[first + r], total)
 
 
 @compiled
 def _respond_at(work, b, kind, at, f, n):
     """Take a load through one link; w and z stand at `at`, speed by speed."""
-    a, out = work.link, work.responses
+    a, out = work.link, work.passed
     if kind == FREE:
         z = apply_even(load6(a, b + JI), n)
         f = sub(f, apply(load9(a, b + HJ), z))
@@ -251,18 +285,8 @@ def _keep(out, at, w, z):
 
 @compiled
 def _factor(t, work):
-    """Make A and its Cholesky factor, with the inverse pivots on the diagonal."""
-    count, m, out = t.loaded, work.matrix, work.responses
-    speeds = t.size - t.place_count
-    least, pair = spread(1.0), 0
-    for k in range(count):
-        for j in range(k + 1):
-            total = spread(0.0)
-            for q in range(t.shared_start[pair], t.shared_start[pair + 1]):
-                w = load(out, 2 * (k * speeds + t.shared[q]))
-                total = total + w * load(out, 2 * (j * speeds + t.shared[q]) + 1)
-            pair += 1
-            store(m, k * count + j, total)
+    """Put A's Cholesky factor in its place, with the inverse pivots on the diagonal."""
+    count, m, least = t.loaded, work.matrix, spread(1.0)
     for k in range(count):
         for j in range(k + 1):
             total = load(m, k * count + j)
@@ -297,15 +321,26 @@ def _solve(t, work):
 
 @compiled
 def _load_own(t, work):
-    """Add what the multipliers do to the speeds' own parts."""
-    speeds = t.size - t.place_count
+    """Add what the multipliers' loads do to the speeds' own parts; F and N are theirs then."""
+    a, rows = work.link, work.rows
+    still(t, work)
     for k in range(t.loaded):
-        weight = load(work.multipliers, k)
-        for q in range(t.path_start[k], t.path_start[k + 1]):
-            i = t.path[q]
-            for s in range(t.speed_at[i], t.speed_at[i + 1]):
-                z = load(work.responses, 2 * (k * speeds + s - t.place_count) + 1)
-                store(work.own, s, load(work.own, s) + weight * z)
+        weight, b = -load(work.multipliers, k), ROW * k
+        p, c = t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
+        add_to3(a, p + F, times(weight, load3(rows, b)))
+        add_to3(a, p + N, times(weight, load3(rows, b + 3)))
+        add_to3(a, c + F, times(weight, load3(rows, b + 6)))
+        add_to3(a, c + N, times(weight, load3(rows, b + 9)))
+    for back in range(len(t.kind)):
+        i = len(t.kind) - 1 - back
+        if t.on_start[i] == t.on_start[i + 1]:
+            continue
+        b, p, fast = i * PLACES, t.parent[i] * PLACES, t.speed_at[i]
+        f, n = _respond_at(work, b, t.kind[i], 0, load3(a, b + F), load3(a, b + N))
+        for s in range(t.speed_at[i + 1] - fast):
+            store(work.own, fast + s, load(work.own, fast + s) + load(work.passed, 2 * s + 1))
+        add_to3(a, p + F, f)
+        add_to3(a, p + N, n)
 
 
 @compiled

@@ -7,13 +7,13 @@ marched again by `marching`, which knows a way on or says why there is none.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import ROW, accelerate
+from mbds_xsim.reference.closure_kernel import ROW, accelerate, resist
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
@@ -84,31 +84,32 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
     tree, _ = _chosen(mechanism)
-    y, work = to_tree(mechanism, states), _work(tree)
-    found = np.empty((len(states), mechanism.body_count, 6))
-    for first in range(0, len(states), LANES):
-        rows = slice(first, first + LANES)
-        _evaluated(tree, work, y[rows], force[rows], torque[rows])
-        lanes = work.link.reshape(-1, PLACES, LANES)[:-1, A : A + 6, : len(y[rows])]
-        found[rows, tree.body] = np.moveaxis(lanes, -1, 0)
+    found, work = np.empty((len(states), mechanism.body_count, 6)), _work(tree)
+    rate, worlds = _lanes(tree.size), len(tree.kind) + 1
+    for rows, y in _in_lanes(to_tree(mechanism, states)):
+        work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
+        work.torque[: torque.shape[1]] = torque[rows].T
+        accelerate(tree, work, y, rate, 0)
+        link = work.link.reshape(worlds, PLACES, LANES)[:-1, A : A + 6]
+        found[rows[:, None], tree.body] = np.moveaxis(link, -1, 0)
     return found
 
 
-def _evaluated(
-    tree: Tree, work: Workspace, y: Array, force: Array, torque: Array
-) -> tuple[Array, Array]:
-    """Evaluate states; give A of the loaded rows, (batch, row, row), and the rows' sizes."""
-    count, speeds = tree.loaded, tree.size - tree.place_count
-    matrix, sizes = np.empty((len(y), count, count)), np.empty((len(y), count))
+def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
+    """Give rows of states, the last one over and over, and these as lanes."""
     for first in range(0, len(y), LANES):
         rows = np.minimum(np.arange(first, first + LANES), len(y) - 1)
-        lanes, rate = np.ascontiguousarray(y[rows].T), np.empty((tree.size, LANES))
-        work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
-        work.torque[: torque.shape[1]] = torque[rows].T
-        accelerate(tree, work, lanes, rate, 0)
-        responses = work.responses[: 2 * count * speeds].reshape(count, speeds, 2, LANES)
+        yield rows, np.ascontiguousarray(y[rows].T)
+
+
+def _coupled(tree: Tree, y: Array) -> tuple[Array, Array]:
+    """Give A of the loaded rows, its lower half, (batch, row, row), and the rows' sizes."""
+    count, work = tree.loaded, _work(tree)
+    matrix, sizes = np.empty((len(y), count, count)), np.empty((len(y), count))
+    for rows, lanes in _in_lanes(y):
+        resist(tree, work, lanes)
         sizes[rows] = work.rows[14 : ROW * count : ROW].T
-        matrix[rows] = np.einsum("ksl,jsl->lkj", responses[:, :, 0], responses[:, :, 1])
+        matrix[rows] = np.moveaxis(work.matrix.reshape(count, count, LANES), -1, 0)
     return matrix, sizes
 
 
@@ -119,9 +120,7 @@ def _chosen(mechanism: Mechanism) -> tuple[Tree, float]:
     if not tree.loaded:
         return tree, 0.0
     states = typical_states(dynamics, dynamics.pack(pose_of(mechanism)))
-    still = np.zeros((len(states), mechanism.body_count, 3))
-    idle = np.zeros((len(states), len(mechanism.hinges)))
-    matrices, sizes = _evaluated(tree, _work(tree), to_tree(mechanism, states), still, idle)
+    matrices, sizes = _coupled(tree, to_tree(mechanism, states))
     found = [_pivoted(*pair) for pair in zip(matrices, sizes, strict=True)]
     rows, share = max(found, key=lambda each: (len(each[0]), each[1]))
     left_out = np.setdiff1d(np.arange(tree.loaded), rows)
@@ -148,8 +147,6 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
 
 def _work(tree: Tree) -> Workspace:
     links, rows, loaded = len(tree.kind) + 1, len(tree.row_kind), tree.loaded
-    speeds = tree.size - tree.place_count
-
     work = Workspace(
         link=_lanes(links * PLACES),
         own=_lanes(tree.size),
@@ -157,7 +154,7 @@ def _work(tree: Tree) -> Workspace:
         torque=_lanes(len(tree.hinge_axis)),
         rows=_lanes(ROW * rows),
         loads=_lanes(12 * loaded),
-        responses=_lanes(2 * loaded * speeds),
+        passed=_lanes(12 * loaded),
         matrix=_lanes(loaded * loaded),
         multipliers=_lanes(loaded),
         share=_lanes(2),

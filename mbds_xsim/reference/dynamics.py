@@ -89,8 +89,10 @@ class Dynamics:
     def unpack(self, state: Array) -> BodyStates:
         """Body states of states with any leading axes."""
         state = state[..., :-1, :]
-        back = rotation.conjugate(self.topology.principal[:-1])
-        native = rotation.multiply(state[..., _Q], back)
+        native = state[..., _Q]
+        if (self.topology.principal != rotation.IDENTITY).any():
+            back = rotation.conjugate(self.topology.principal[:-1])
+            native = rotation.multiply(native, back)
         return BodyStates(state[..., _X], native, state[..., _V], state[..., _W])
 
     def derivative(self, state: Array, force: Array, torque: Array) -> Array:

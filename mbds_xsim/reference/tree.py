@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -90,19 +90,12 @@ class Tree(NamedTuple):
     row_length: Array
     loaded: int
     """Rows that carry loads; those behind them follow from them."""
-    path_start: Index
-    """Where each row's path begins in `path`, shape (row + 1,)."""
-    path: Index
-    """Links between the roots and a row's ends, from the outermost one inwards."""
     on_start: Index
-    """Where the loaded rows of each link's path begin in the two below, shape (link + 1,)."""
+    """Where the loaded rows whose loads come through each link begin in the two below, shape
+    (link + 1,)."""
     on_row: Index
     on_end: Index
     """Whose load comes through there: `FIRST`, `SECOND`, or `BOTH` where they meet."""
-    shared_start: Index
-    """Where in `shared` each pair of loaded rows begins, in the order of A's lower half by rows."""
-    shared: Index
-    """Speeds of the links on both rows' paths, from 0."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -129,9 +122,8 @@ def tree_of(mechanism: Mechanism) -> Tree:
 
     yielding = np.mean(1.0 / top.inertia_root[body] ** 2, axis=1)
     row_kind, row_ends, row_points, row_way, row_length = _rows(mechanism, inwards, link_of)
-    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.compliant
-    turning = np.array([joint.kind == "hinge" for joint in laws], dtype=np.int64)
-    place_count = int(places.sum() + turning.sum())
+    turning = sum(joint.kind == "hinge" for joint in mechanism.compliant)
+    place_count = int(places.sum()) + turning
     bare = Tree(
         kind=kind,
         parent=link_of[parent_body],
@@ -152,37 +144,16 @@ def tree_of(mechanism: Mechanism) -> Tree:
         moment=top.inertia_root[body] ** 2,
         yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
         gravity=top.gravity,
-        hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
-        hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
-        spring_ends=_ends([spring.bodies for spring in springs], link_of),
-        spring_points=np.stack(
-            [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
-        ),
-        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
-        law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
-        law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
-        law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
-        law_points=np.stack(
-            [
-                _turned(inwards, [(joint.parent, joint.in_parent) for joint in laws]),
-                _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
-            ]
-        ),
-        law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
-        angle_at=np.where(turning, places.sum() + np.cumsum(turning) - 1, -1),
+        **_acting(mechanism, inwards, link_of, int(places.sum())),
         row_kind=row_kind,
         row_ends=row_ends,
         row_points=row_points,
         row_way=row_way,
         row_length=row_length,
         loaded=0,
-        path_start=np.zeros(1, dtype=np.int64),
-        path=np.zeros(0, dtype=np.int64),
         on_start=np.zeros(1, dtype=np.int64),
         on_row=np.zeros(0, dtype=np.int64),
         on_end=np.zeros(0, dtype=np.int64),
-        shared_start=np.zeros(1, dtype=np.int64),
-        shared=np.zeros(0, dtype=np.int64),
     )
     return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind))
 
@@ -191,8 +162,6 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
     """Put closure rows into an order of which the first carry loads."""
     ends = tree.row_ends[:, order]
     paths = [_path(tree, *pair) for pair in ends.T.tolist()]
-    pairs = [(a, b) for k, a in enumerate(paths[:loaded]) for b in paths[: k + 1]]
-    shared = [_speeds(tree, sorted({*a}.intersection(b))) for a, b in pairs]
     on = [_on(tree, link, ends[:, :loaded], paths) for link in range(len(tree.kind))]
     return tree._replace(
         row_kind=tree.row_kind[order],
@@ -201,13 +170,9 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
         row_way=tree.row_way[order],
         row_length=tree.row_length[order],
         loaded=loaded,
-        path_start=np.cumsum([0, *map(len, paths)]),
-        path=np.array([link for path in paths for link in path], dtype=np.int64),
         on_start=np.cumsum([0, *map(len, on)]),
         on_row=np.array([row for pairs in on for row, _ in pairs], dtype=np.int64),
         on_end=np.array([end for pairs in on for _, end in pairs], dtype=np.int64),
-        shared_start=np.cumsum([0, *map(len, shared)]),
-        shared=np.array([speed for speeds in shared for speed in speeds], dtype=np.int64),
     )
 
 
@@ -232,6 +197,32 @@ def to_tree(mechanism: Mechanism, states: Array) -> Array:
         if at >= 0:
             y[:, at] = joint_coordinate(joint, bodies.position, bodies.native)
     return y
+
+
+def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) -> dict[str, Any]:
+    """Lay out what acts on bodies; the angles of compliant hinges stand from `first` on."""
+    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.compliant
+    turning = np.array([joint.kind == "hinge" for joint in laws], dtype=np.int64)
+    return dict(
+        hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
+        hinge_axis=_turned(inwards, [(h.parent, h.axis) for h in hinges]),
+        spring_ends=_ends([spring.bodies for spring in springs], link_of),
+        spring_points=np.stack(
+            [_turned(inwards, [(s.bodies[end], s.in_body[end]) for s in springs]) for end in (0, 1)]
+        ),
+        spring=np.array([(s.length, s.stiffness, s.damping) for s in springs]).reshape(-1, 3),
+        law_kind=np.array([_KINDS[joint.kind] for joint in laws], dtype=np.int64),
+        law_ends=_ends([(joint.parent, joint.child) for joint in laws], link_of),
+        law_axis=_turned(inwards, [(joint.parent, joint.axis) for joint in laws]),
+        law_points=np.stack(
+            [
+                _turned(inwards, [(joint.parent, joint.in_parent) for joint in laws]),
+                _turned(inwards, [(joint.child, joint.in_child) for joint in laws]),
+            ]
+        ),
+        law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
+        angle_at=np.where(turning, first + np.cumsum(turning) - 1, -1),
+    )
 
 
 def _joint_matrices(joint: PlacedJoint | None) -> tuple[Array, Array, Array]:
@@ -325,8 +316,3 @@ def _on(tree: Tree, link: int, ends: Index, paths: list[list[int]]) -> list[tupl
             kind = FIRST if reached[0] else SECOND
             found.append((row, BOTH if link == meet else kind))
     return found
-
-
-def _speeds(tree: Tree, links: list[int]) -> list[int]:
-    begin, end = tree.speed_at[:-1] - tree.place_count, tree.speed_at[1:] - tree.place_count
-    return [speed for link in links for speed in range(int(begin[link]), int(end[link]))]

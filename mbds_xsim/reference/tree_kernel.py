@@ -77,10 +77,11 @@ class Workspace(NamedTuple):
     """Jacobians of closure rows (12), biases and residuals (2)."""
     loads: Array
     """Of each row: force and moment on the way down from its first end, and its second (12)."""
-    responses: Array
-    """Of each row and speed: generalised load, and the same through the inertia."""
+    passed: Array
+    """Of each row whose load comes through one link: generalised load and the same through the
+    inertia, speed by speed (12)."""
     matrix: Array
-    """A = J M⁻¹ Jᵀ and its factor."""
+    """A = J M⁻¹ Jᵀ, then its factor."""
     multipliers: Array
     share: Array
     """Least independent part of a row, and largest contradiction of rows that follow (2)."""
