@@ -156,20 +156,18 @@ def integrate(
 def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Trajectory:
     mechanism = Mechanism.of(scene)
     time = scene.clock.frame * np.arange(batch.steps + 1, dtype=float)
-    if not ready:
-        return Trajectory.empty(time, 0, mechanism.body_count)
-    bodies = dynamics_of(mechanism).unpack(np.stack([entry["states"] for entry in ready]))
-    orientation = mechanism.body_orientation(bodies.native)
+    shape, dynamics = (len(ready), len(time), mechanism.body_count), dynamics_of(mechanism)
+    position, velocity, spin = (np.empty((*shape, 3)) for _ in range(3))
+    orientation = np.empty((*shape, 4))
+    for row, entry in enumerate(ready):  # one at a time, whose states are still at hand
+        bodies = dynamics.unpack(entry["states"])
+        position[row], velocity[row] = bodies.position, bodies.velocity
+        orientation[row] = mechanism.body_orientation(bodies.native)
+        spin[row] = bodies.angular_velocity
     # Frame 0 is the start, bit by bit.
     orientation[:, 0] = batch.orientation
-    return Trajectory(
-        time,
-        bodies.position.copy(),
-        orientation,
-        bodies.velocity.copy(),
-        bodies.angular_velocity.copy(),
-        tuple(_decoded(entry["failure"]) for entry in ready),
-    )
+    failures = tuple(_decoded(entry["failure"]) for entry in ready)
+    return Trajectory(time, position, orientation, velocity, spin, failures)
 
 
 def _encoded(failure: Failure | None) -> NDArray[np.str_]:

@@ -54,12 +54,13 @@ from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 X, R, W, V, AXIS, ARM, REACH, BEND, TWIST = 0, 3, 12, 15, 18, 21, 24, 27, 30
 # Loads in W, later the bias; inertia.
 F, N, M, H, J = 33, 36, 39, 45, 54
-# Of ball joints and free bodies: H', inverse of J', and J'⁻¹ H'ᵀ; of free ones the inverse of
-# what is then left of M. Of hinges and sliders: what their acceleration needs, and 1/D.
-HJ, JI, G, MI = 60, 69, 75, 84
+# Of ball joints and free bodies: H' and the inverse of J', in place of H and J, which nobody reads
+# any more, so that a link's numbers stay near; J'⁻¹ H'ᵀ; of free ones the inverse of what is then
+# left of M. Of hinges and sliders: what their acceleration needs, and 1/D.
+HJ, JI, G, MI = 45, 54, 60, 69
 UF, UN, DI = 60, 63, 66
-A, ALPHA = 90, 93
-PLACES = 96
+A, ALPHA = 75, 78
+PLACES = 81
 
 
 class Workspace(NamedTuple):
@@ -134,10 +135,11 @@ def gather(t: Tree, work: Workspace):
     for k in range(len(t.kind)):
         i = len(t.kind) - 1 - k
         kind, b, p = t.kind[i], i * PLACES, t.parent[i] * PLACES
+        root = t.parent[i] == len(t.kind)
         if kind in (BALL, FREE):
-            _gather_ball(work, b, p, t.speed_at[i], kind)
+            _gather_ball(work, b, p, t.speed_at[i], kind, root)
         else:
-            _gather_axis(work, b, p, t.speed_at[i], kind, t.armature[i])
+            _gather_axis(work, b, p, t.speed_at[i], kind, t.armature[i], root)
 
 
 @compiled
@@ -165,7 +167,7 @@ def _at_joint(a, b):
 
 
 @compiled
-def _gather_ball(work, b, p, fast, kind):
+def _gather_ball(work, b, p, fast, kind, root):
     a = work.link
     if kind == FREE:
         hj, jj, f, n = load9(a, b + H), load6(a, b + J), load3(a, b + F), load3(a, b + N)
@@ -179,6 +181,8 @@ def _gather_ball(work, b, p, fast, kind):
     store9(a, b + G, g)
     own = apply_even(inverse, n)
     store3(work.own, fast, own)
+    if root and kind == BALL:
+        return  # the world takes no inertia
     m = load6(a, b + M)
     m = (
         m[0] - hj[0] * g[0] - hj[1] * g[3] - hj[2] * g[6],
@@ -201,7 +205,7 @@ def _gather_ball(work, b, p, fast, kind):
 
 
 @compiled
-def _gather_axis(work, b, p, fast, kind, armature):
+def _gather_axis(work, b, p, fast, kind, armature, root):
     a = work.link
     hj, jj, f, n = _at_joint(a, b)
     m, axis, twist = load6(a, b + M), load3(a, b + AXIS), load3(a, b + TWIST)
@@ -221,6 +225,8 @@ def _gather_axis(work, b, p, fast, kind, armature):
         store3(a, b + UN, un)
         store(a, b + DI, inverse)
         store(work.own, fast, own)
+    if root:
+        return
     kf, kn = times(inverse, uf), times(inverse, un)
     m = (
         m[0] - kf[0] * uf[0], m[1] - kf[1] * uf[1], m[2] - kf[2] * uf[2],
