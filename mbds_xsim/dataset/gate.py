@@ -57,7 +57,7 @@ steps costs as much as simulating a whole shard does in the fastest engine."""
 _GROWTH = 10.0
 """Taken for the sensitivity over so few steps: of the paper's scenes it is 3 at most."""
 
-SHARED = "together"
+TOGETHER = "together"
 """How a reason begins that trajectories give together and none of them by itself."""
 
 COLUMNS: dict[str, str] = {
@@ -179,7 +179,7 @@ def judge_rows(
         )
         verdict.add(rows, audited(record))
         evidence.append(_evidence_of(record))
-    verdict.misbuilt += [f"{SHARED}: {line}" for line in shared_faults(evidence)]
+    verdict.misbuilt += [f"{TOGETHER}: {line}" for line in shared_faults(evidence)]
     rows = sampled(batch.index)
     if len(rows):
         solved = truth or reference_of(scene, batch[rows], False)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import EngineMissing, InputError, UnknownName
-from mbds_xsim.dataset.gate import COLUMNS, SHARED, CheckTable, Making, judge_rows
+from mbds_xsim.dataset.gate import COLUMNS, TOGETHER, CheckTable, Making, judge_rows
 from mbds_xsim.dataset.hdf5 import attributes_of, misfits, open_hdf5, scene_of
 from mbds_xsim.dataset.layout import MOTION
 from mbds_xsim.dataset.read import Dataset, load_dataset
@@ -150,7 +150,7 @@ def _checks(data: Dataset) -> Iterator[str]:
         for row in np.flatnonzero(~passed):
             yield f"published trajectory {data.index[row]} fails: {verdict.reason(int(row))}"
     else:
-        of_all = ("read-back", SHARED)
+        of_all = ("read-back", TOGETHER)
         misbuilt = np.array([text.startswith(of_all) for text in data["reason"][:]])
         for row in np.flatnonzero(passed & ~misbuilt):
             yield f"rejected trajectory {data.index[row]} passes every check"

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.files import put
-from mbds_xsim.dataset.gate import COLUMNS, CheckTable, Making, judge_rows, limit_faults
+from mbds_xsim.dataset.gate import (
+    COLUMNS,
+    TOGETHER,
+    CheckTable,
+    Making,
+    judge_rows,
+    limit_faults,
+)
 from mbds_xsim.dataset.hdf5 import CONTENT, Virtual, encode, open_hdf5, values_of
 from mbds_xsim.dataset.layout import (
     FIELDS,
@@ -154,7 +161,7 @@ def _judged(variant: Variant, batch: Batch, trajectory: Trajectory) -> CheckTabl
     if variant.certified and len(rows):
         some = (batch[rows], trajectory[rows.tolist()])
         faults = limit_faults(scene, variant.contender, *some, truth)
-        verdict.misbuilt += [f"{SHARED}: {line}" for line in faults]
+        verdict.misbuilt += [f"{TOGETHER}: {line}" for line in faults]
     return verdict
 
 
