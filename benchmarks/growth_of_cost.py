@@ -40,7 +40,7 @@ _METHODS = {"reference": "adaptive", "mujoco": "RK4"}
 _SIZE = (11.0, 4.4)
 
 
-class Cost(NamedTuple):
+class GrowthPoint(NamedTuple):
     """Of one engine at one size, per simulated second and trajectory."""
 
     alone_s: float
@@ -50,7 +50,7 @@ class Cost(NamedTuple):
     memory_bytes: int
 
 
-def measure(name: str, engine: str) -> Cost:
+def measure(name: str, engine: str) -> GrowthPoint:
     """Time one scene in this process."""
     scene = msgspec.structs.replace(registry.load_scene(name), clock=_CLOCK)
     adapter, batch = registry.load_adapter(engine), draw_batch(scene, range(_TOGETHER))
@@ -65,7 +65,7 @@ def measure(name: str, engine: str) -> Cost:
     with registry.load_adapter(registry.REFERENCE).open(scene, tight) as run:
         error = particle_error(Mechanism.of(scene), motion, run.rollout(batch[:1]))
     second = scene.clock.duration
-    return Cost(alone / second, many / second / count, float(error[0, -1]), memory)
+    return GrowthPoint(alone / second, many / second / count, float(error[0, -1]), memory)
 
 
 def _settings(name: str, engine: str, rtol: float = _RTOL) -> Settings:
@@ -76,7 +76,7 @@ def _settings(name: str, engine: str, rtol: float = _RTOL) -> Settings:
     return Settings(_METHODS[engine], _CLOCK.frame / 2, options)
 
 
-Costs = dict[tuple[str, str], list[Cost]]
+Costs = dict[tuple[str, str], list[GrowthPoint]]
 """By family and engine, in the order of the sizes."""
 
 
@@ -89,11 +89,11 @@ def costs() -> Costs:
     return found
 
 
-def _apart(name: str, engine: str) -> Cost:
+def _apart(name: str, engine: str) -> GrowthPoint:
     """Measure in a process of its own."""
     command = [sys.executable, "-m", "benchmarks.growth_of_cost", "--one", name, engine]
     ended = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    return Cost(*json.loads(ended.stdout))
+    return GrowthPoint(*json.loads(ended.stdout))
 
 
 def rows(found: Costs) -> Iterator[list[str]]:

@@ -50,7 +50,7 @@ _REVISION = 2
 """Of what is found; raised, all models are looked at anew."""
 
 
-class Row(msgspec.Struct):
+class SurveyRow(msgspec.Struct):
     """What was found of one model."""
 
     key: str
@@ -81,10 +81,12 @@ class Row(msgspec.Struct):
 def main(words: list[str]) -> None:
     """Survey, or print the page."""
     if len(words) == 1:
-        page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[Row]))
+        page(msgspec.json.decode(Path(words[0]).read_bytes(), type=list[SurveyRow]))
         return
     packages, target = map(Path, words[:2])
-    known = msgspec.json.decode(target.read_bytes(), type=list[Row]) if target.exists() else []
+    known = (
+        msgspec.json.decode(target.read_bytes(), type=list[SurveyRow]) if target.exists() else []
+    )
     rows = {row.key: row for row in known}
     found = list(_models(packages))
     for done, path in enumerate(found):
@@ -99,7 +101,7 @@ def main(words: list[str]) -> None:
     _save(target, (rows[key] for key in kept))
 
 
-def _save(target: Path, rows: Iterable[Row]) -> None:
+def _save(target: Path, rows: Iterable[SurveyRow]) -> None:
     write_whole(target, msgspec.json.format(msgspec.json.encode(list(rows)), indent=1))
 
 
@@ -126,9 +128,11 @@ def _key(path: Path) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _surveyed(path: Path, packages: Path, key: str) -> Row:
+def _surveyed(path: Path, packages: Path, key: str) -> SurveyRow:
     inside = path.relative_to(packages)
-    row = Row(key, _package(inside), str(inside), "URDF" if path.suffix == ".urdf" else "MJCF")
+    row = SurveyRow(
+        key, _package(inside), str(inside), "URDF" if path.suffix == ".urdf" else "MJCF"
+    )
     begin = time.perf_counter()
     try:
         imported = read_model(path, folder=packages)
@@ -279,7 +283,7 @@ def _from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
 
 
 def _validate_some(
-    paths: dict[str, Path], rows: dict[str, Row], target: Path, most: int, packages: Path
+    paths: dict[str, Path], rows: dict[str, SurveyRow], target: Path, most: int, packages: Path
 ) -> None:
     waiting = [row for key, row in rows.items() if key in paths and row.bodies and not row.verdicts]
     for row in sorted(waiting, key=lambda row: row.degrees_of_freedom)[:most]:
@@ -306,7 +310,7 @@ Pinocchio's reading of URDF. What an engine has otherwise than the file says is 
 """
 
 
-def page(rows: list[Row]) -> None:
+def page(rows: list[SurveyRow]) -> None:
     """Print the survey as Markdown."""
     print_head("Models in the wild", "make reports-models-in-the-wild", _HEAD)
     read = [row for row in rows if not row.refused]
@@ -329,7 +333,7 @@ def page(rows: list[Row]) -> None:
     print_made(f"mujoco {version('mujoco')}", f"dart {version('dartpy')}")
 
 
-def _summary(rows: list[Row], read: list[Row]) -> Iterator[tuple[str, str]]:
+def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str, str]]:
     still = sum(row.refused.startswith("nothing in it moves") for row in rows)
     yield "files that are no part of another", str(len(rows))
     yield "of these with degrees of freedom", str(len(rows) - still)
@@ -357,7 +361,7 @@ def _summary(rows: list[Row], read: list[Row]) -> Iterator[tuple[str, str]]:
         yield "pass in all four engines", f"{passed} of {len(ran)}"
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: SurveyRow) -> tuple[str, ...]:
     lost = sum(row.dropped.values()) + sum(row.approximated.values())
     told = (
         "–" if value is None else f"{value:.0e}" for value in (row.from_compiled, row.from_second)
@@ -368,7 +372,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (_place(row), str(row.degrees_of_freedom), str(lost), *told, *readers, runs)
 
 
-def _place(row: Row) -> str:
+def _place(row: SurveyRow) -> str:
     return in_markdown(f"{row.package}: {Path(row.path).parent.name}/{Path(row.path).name}")
 
 

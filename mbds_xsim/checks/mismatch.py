@@ -132,8 +132,7 @@ def mismatch_of(
     both, count = np.concatenate([first, first + 1]), len(first)
     ends = bodies[:, both]
     free, force, torque = (np.concatenate([each, each], axis=1) for each in (free, force, torque))
-    if mechanism.compliant:
-        torque = torque + _wound(mechanism, bodies)[:, both]
+    torque = torque + (_wound(mechanism, bodies)[:, both] if mechanism.compliant else 0.0)
     points = _points_at(flow, ends, free, force, torque, lag)
     halves = slice(0, count), slice(count, None)
     begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)

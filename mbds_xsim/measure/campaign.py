@@ -23,7 +23,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
-from mbds_xsim.measure.running import Piece, Spent, Watch, carry_out
+from mbds_xsim.measure.running import Account, Piece, Watch, carry_out
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.reference.kernels import compilation, compile_once
@@ -131,7 +131,7 @@ def run_campaign(
     cache: bool,
     workers: int | None,
     progress: Watch,
-    spent: Spent,
+    spent: Account,
 ) -> tuple[list[Outcome], ReferenceOutcome]:
     """Simulate everything; engines while the reference is compiled, where it has to be.
 
@@ -333,7 +333,7 @@ def refine(
     *,
     workers: int | None,
     progress: Watch,
-    spent: Spent,
+    spent: Account,
 ) -> None:
     """Run samples at further steps until they show how each engine converges."""
     while True:

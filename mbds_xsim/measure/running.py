@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from mbds_xsim.base.isolate import Task, run_tasks
 
-Spent = defaultdict[str, float]
+Account = defaultdict[str, float]
 """Seconds of processes, by what they did."""
 PROCESSES = "processes"
 """What is spent on starting processes, importing engines, and passing tasks and answers."""
@@ -27,7 +27,9 @@ class Piece:
     keep: Callable[[Any], None]
 
 
-def carry_out(pieces: Sequence[Piece], watch: Watch, spent: Spent, *, workers: int | None) -> None:
+def carry_out(
+    pieces: Sequence[Piece], watch: Watch, spent: Account, *, workers: int | None
+) -> None:
     """Carry pieces of work out side by side, and keep their answers in their order.
 
     Args:

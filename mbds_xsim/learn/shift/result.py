@@ -29,7 +29,7 @@ class DomainFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """Checksum of the data."""
 
 
-class ModelFacts(msgspec.Struct, frozen=True, omit_defaults=True):
+class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """A model that was tested."""
 
     model: str
@@ -184,7 +184,7 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     noise: bool
     domains: tuple[DomainFacts, ...]
     left_out: dict[str, str]
-    models: tuple[ModelFacts, ...]
+    models: tuple[TrainedFacts, ...]
     cells: tuple[ErrorCell, ...]
     floors: tuple[ErrorFloor, ...]
     gaps: tuple[Gap, ...]

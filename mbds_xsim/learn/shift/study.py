@@ -44,7 +44,7 @@ from mbds_xsim.learn.shift.models import (
     find_models,
     trivial_models,
 )
-from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, ModelFacts, Shift
+from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, Shift, TrainedFacts
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
@@ -139,7 +139,9 @@ def study(
             **{f"{RESTART} {name}": why for name, why in refused.items()},
             **_left_out(evaluation),
         },
-        models=tuple(msgspec.convert(model, ModelFacts, from_attributes=True) for model in models),
+        models=tuple(
+            msgspec.convert(model, TrainedFacts, from_attributes=True) for model in models
+        ),
         kept=len(models) - figures.tested,
     )
     return ShiftStudy(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import platform
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,15 @@ from mbds_xsim.checks import agreement
 from mbds_xsim.measure.campaign import ReferenceOutcome, refine, run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.measure.result import SCHEMA, EngineResult, EnsembleResult, Evidence, Validation
-from mbds_xsim.measure.running import Spent, Watch
+from mbds_xsim.measure.result import (
+    SCHEMA,
+    EngineResult,
+    EnsembleResult,
+    Evidence,
+    Validation,
+    Verdict,
+)
+from mbds_xsim.measure.running import Account, Watch
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -32,6 +41,7 @@ __all__ = ["Choice", "validate_with_evidence"]
 _ONE_SECOND = 1.0
 _SEEN = 0.01  # shorter work is no part of the account [s]
 _HIGH = INTERVALS.index("high")
+_VERDICTS = ("pass", "warn", "fail")
 
 
 def validate_with_evidence(
@@ -53,7 +63,7 @@ def validate_with_evidence(
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
     begin, progress = time.perf_counter(), progress or Silent()
-    spent = Spent(float)
+    spent = Account(float)
     how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
     given = choice
     choice = searched(scene, given, cache=cache, workers=workers, progress=progress)
@@ -73,13 +83,11 @@ def validate_with_evidence(
     ensembles = _ensembles(scene, batch, rows, reference)
     judged = reference_result(scene, batch, reference)
     spent["checks"] = time.perf_counter() - checking
-    failed = any(result.verdict == "fail" for result in results)
-    warned = any(result.verdict == "warn" for result in results)
     validation = Validation(
         schema=SCHEMA,
         scene=scene.name,
         description=scene.description,
-        verdict="fail" if failed else "warn" if warned else "pass",
+        verdict=_worst(results),
         wall_s=time.perf_counter() - begin,
         command=command,
         seed=seed,
@@ -95,12 +103,20 @@ def validate_with_evidence(
         versions=_versions(results),
         machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
         ensembles=ensembles,
-        spent_s={
-            k: spent[k] for k in sorted(spent, key=spent.__getitem__)[::-1] if spent[k] >= _SEEN
-        },
+        spent_s=_account(spent),
         fingerprint=fingerprint(scene),
     )
     return validation, _evidence(scene, batch, rows, reference)
+
+
+def _worst(results: Sequence[EngineResult]) -> Verdict:
+    return max((result.verdict for result in results), key=_VERDICTS.index, default="pass")
+
+
+def _account(spent: Account) -> dict[str, float]:
+    """List what took its time, the longest first [s]."""
+    longest = sorted(spent.items(), key=operator.itemgetter(1), reverse=True)
+    return {what: seconds for what, seconds in longest if seconds >= _SEEN}
 
 
 def _evidence(
