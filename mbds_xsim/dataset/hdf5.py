@@ -167,7 +167,8 @@ def attributes_of(path: Path) -> dict[str, Any]:
         raise InputError(msg)
     wanted = [key for key in ATTRIBUTES if key in _JOINT or not _is(found.get("kind"), "joint")]
     line = f"{path}: attribute ", "; get the file again"
-    return found | {key: attribute(key, found, *line) for key in wanted}
+    given = {"checks_version": 0} | found  # older files do not say it
+    return found | {key: attribute(key, given, *line) for key in wanted}
 
 
 def scene_of(text: Any, path: Path, advice: str = "get the file again") -> Scene:

@@ -183,6 +183,7 @@ ATTRIBUTES: dict[str, Kind] = {
     "velocity_lag_s": "number",
     "contact_time_s": "number",
     "audit_sample": "text",
+    "checks_version": "natural",
     "first": "natural",
     "count": "natural",
     "published": "natural",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.layout import AUDIT_SAMPLE, FORMAT, SHARED, SUFFIX, VERSION
 from mbds_xsim.scene.file import write_scene
@@ -76,6 +77,7 @@ class Variant:
             "contact_time_s": adapter.contact_scales(settings).time,
             "velocity_lag_s": method.velocity_lag * settings.step,
             "audit_sample": AUDIT_SAMPLE,
+            "checks_version": CHECKS,
             "numpy_version": package_version("numpy"),
             "mbds_xsim_version": package_version("mbds-xsim"),
         }

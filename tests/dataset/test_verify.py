@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.dataset.gate import COLUMNS, judge_rows
 from mbds_xsim.dataset.hdf5 import CONTENT, encode
 from mbds_xsim.dataset.points import Points
@@ -175,6 +176,28 @@ def test_a_change_with_fitting_checksums_is_found(change: Change, says: str, cop
     _rewrite(copy / SHARD, change)
     found = recheck(copy / SHARD, "shard", 3).problems
     assert any(re.match(says, problem) for problem in found), found
+
+
+@pytest.mark.parametrize("version", [0, CHECKS - 1, CHECKS + 1])
+def test_figures_of_another_version_of_the_checks_are_not_blamed(version: int, copy: Path) -> None:
+    """They may differ from those of today; what fails today is told all the same."""
+    figure = _set("check/figure", (2, list(COLUMNS).index("gap")), 1e-3)
+    for change in (figure, _tell("checks_version", version)):
+        _rewrite(copy / SHARD, change)
+    report = recheck(copy / SHARD, "shard")
+    assert report.problems == []
+    assert report.notes == [
+        f"figures of checks of version {version} not compared, here is {CHECKS}; judged anew"
+    ]
+
+    _rewrite(copy / SHARD, _late)
+    (problem,) = [each for each in recheck(copy / SHARD, "shard").problems if "fails" in each]
+    assert problem.startswith("published trajectory 2 fails: ")
+
+
+def test_a_file_older_than_the_attribute_is_read(copy: Path) -> None:
+    _rewrite(copy / SHARD, lambda _, attributes: attributes.pop("checks_version"))
+    assert load_dataset(copy / SHARD).attributes["checks_version"] == 0
 
 
 def _to_float32(arrays: dict[str, Any], first: int = 0) -> None:
