@@ -35,8 +35,8 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import in_markdown
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.models import read_model
-from mbds_xsim.studies.readers.compare import Difference, compared
+from mbds_xsim.simulate.registry import read_model
+from mbds_xsim.studies.readers import Difference, compared
 
 _ENGINES = ("mujoco", "pybullet", "dart")
 _MOVES = {

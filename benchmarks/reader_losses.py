@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from mbds_xsim.base.text import in_markdown
-from mbds_xsim.studies.readers.compare import Difference, Readings, compare
+from mbds_xsim.studies.readers import Difference, Readings, compare
 
 FOLDER = Path(__file__).parents[1] / "tests" / "models" / "losses"
 ENGINES = ("mujoco", "pybullet", "dart")

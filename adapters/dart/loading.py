@@ -25,7 +25,7 @@ _KINDS = {
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.models`."""
+    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.registry`."""
     import dartpy
 
     utils = dartpy.utils

@@ -70,7 +70,7 @@ _ALIASES = {
 
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
-    """Read an MJCF or URDF file; see `mbds_xsim.simulate.models`."""
+    """Read an MJCF or URDF file; see `mbds_xsim.simulate.registry`."""
     try:
         import mujoco
     except ImportError as error:
@@ -107,7 +107,7 @@ def read(path: Path, folder: Path, floating: bool) -> Imported:
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Say what MuJoCo makes of a file by itself; see `mbds_xsim.simulate.models`."""
+    """Say what MuJoCo makes of a file by itself; see `mbds_xsim.simulate.registry`."""
     import mujoco
 
     if path.suffix.lower() not in (".xml", ".urdf"):

@@ -39,7 +39,7 @@ _NOT_READ = ("include", "frame", "experimental:params")
 
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
-    """Read an SDF file; see `mbds_xsim.simulate.models`."""
+    """Read an SDF file; see `mbds_xsim.simulate.registry`."""
     try:
         import dartpy
     except ImportError as error:

@@ -28,7 +28,7 @@ _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint"
 
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
-    """Read a USD file; see `mbds_xsim.simulate.models`."""
+    """Read a USD file; see `mbds_xsim.simulate.registry`."""
     try:
         from pxr import Sdf, Tf, Usd
     except ImportError as error:

@@ -38,7 +38,7 @@ _NO_URDF = "URDF is a tree of links with hinges and sliders"
 
 
 def to_mjcf(scene: Scene) -> Written:
-    """Write MJCF; see `mbds_xsim.simulate.models`."""
+    """Write MJCF; see `mbds_xsim.simulate.registry`."""
     mechanism = Mechanism.of(scene)
     root = Element("mujoco", model=scene.name)
     SubElement(root, "compiler", angle="radian", autolimits="false")
@@ -49,7 +49,7 @@ def to_mjcf(scene: Scene) -> Written:
 
 
 def to_urdf(scene: Scene) -> Written:
-    """Write URDF; see `mbds_xsim.simulate.models`.
+    """Write URDF; see `mbds_xsim.simulate.registry`.
 
     Raises:
         InputError: A joint is of a kind that URDF does not have.

@@ -18,7 +18,7 @@ _JOINT_NAME, _KIND, _DAMPING, _FRICTION, _LOW, _HIGH, _LINK_NAME, _AXIS = 1, 2, 
 
 
 def load(path: Path, floating: bool) -> ModelFacts:
-    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.models`."""
+    """Read a URDF, SDF or MJCF file; see `mbds_xsim.simulate.registry`."""
     import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)

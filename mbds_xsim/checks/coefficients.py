@@ -54,7 +54,7 @@ _HALF = 0.5  # of the inputs of a step, at least, that must be missing
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BalancePart:
     """A part of the steps' balances: inputs, gravity or a mass."""
 
     name: str
@@ -101,7 +101,7 @@ def coefficients(record: Record) -> Figures | None:
 
 
 @functools.lru_cache(maxsize=1)
-def parts_of(record: Record) -> list[Part]:
+def parts_of(record: Record) -> list[BalancePart]:
     """Regress what is left of the balances on each part of them.
 
     The inputs' part is that of energy and of the momenta that no support touches, others that of
@@ -132,7 +132,7 @@ def _weighed(left: Array) -> tuple[Array, Array]:
     return left, known / np.maximum(near, floor)
 
 
-def _part(name: str, products: Array, squares: Array, errors: float) -> Part:
+def _part(name: str, products: Array, squares: Array, errors: float) -> BalancePart:
     """Sum up a part's products with what is left, and its squares, of all steps."""
     products, squares = np.nan_to_num(products), np.nan_to_num(squares)
     total = np.maximum(squares.sum(axis=1), np.finfo(float).tiny)
@@ -140,7 +140,7 @@ def _part(name: str, products: Array, squares: Array, errors: float) -> Part:
     rest = np.sqrt(np.sum((products + share[:, None] * squares) ** 2, axis=1))
     of_all = squares / total[:, None]
     counting = of_all.any(axis=1) / np.maximum(np.sum(of_all**2, axis=1), np.finfo(float).eps)
-    return Part(name, share, rest / total, np.asarray(counting), errors)
+    return BalancePart(name, share, rest / total, np.asarray(counting), errors)
 
 
 def _parts(record: Record, here: Array) -> Iterator[tuple[str, Array, float]]:

@@ -41,7 +41,7 @@ def import_model(
     from mbds_xsim.report.losses import import_row, present
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.file import save_scene
-    from mbds_xsim.simulate.models import read_model
+    from mbds_xsim.simulate.registry import read_model
 
     shared.check_targets(out=out, json=json, html=html, markdown=markdown)
     console = shared.console_for(json)
@@ -72,7 +72,7 @@ def export_model(
     """Write a scene as another program's model, and tell what of it is lost."""
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.report.losses import loss_blocks
-    from mbds_xsim.simulate.models import write_model
+    from mbds_xsim.simulate.registry import write_model
 
     shared.check_targets(out=out, json=json)
     written = write_model(shared.scene_named(scene), kind)
@@ -96,7 +96,7 @@ def readers(
 ) -> None:
     """Hold what engines' own readers make of a model against what its file says."""
     from mbds_xsim.report.terminal import print_report
-    from mbds_xsim.studies.readers.compare import compare, present
+    from mbds_xsim.studies.readers import compare, present
 
     shared.check_targets(json=json, html=html, markdown=markdown)
     console = shared.console_for(json)

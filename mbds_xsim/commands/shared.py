@@ -234,8 +234,7 @@ def scene_named(name: str) -> Scene:
     What a model of another format loses is said in a line.
     """
     from mbds_xsim.report.losses import conclusion
-    from mbds_xsim.simulate.models import is_model, read_model
-    from mbds_xsim.simulate.registry import load_scene
+    from mbds_xsim.simulate.registry import is_model, load_scene, read_model
 
     with progress_on(console_for(None)) as progress:
         progress.begin(1, f"reading {name}")

@@ -1,9 +1,9 @@
-"""Adapters, scene families and scene files, found by entry point.
+"""Adapters, scenes, and readers and writers of other formats, found by entry point.
 
 Adapters of other packages are asked in processes of their own and never imported here. What a
 package does when it is imported or called is anything: it may raise, hang, take all memory or end
 the process. A first process makes its adapter and writes down what it claims; a class that holds
-these claims stands for it here.
+these claims stands for it here. Readers of models are called in such processes, too.
 """
 
 from __future__ import annotations
@@ -16,15 +16,25 @@ from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 import msgspec
 
-from mbds_xsim.base.errors import EngineFaulty, EngineMissing, InputError, UnknownName, Unsupported
+from mbds_xsim.base.errors import (
+    EngineFaulty,
+    EngineMissing,
+    InputError,
+    SceneError,
+    UnknownName,
+    Unsupported,
+)
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
 from mbds_xsim.simulate.claims import ContactLaw, ContactScales, Feature, Method, Option, Sweep
+
+if TYPE_CHECKING:
+    from mbds_xsim.scene.imported import Imported, Written
 
 T = TypeVar("T")
 
@@ -45,6 +55,16 @@ REFERENCE = "reference"
 
 _OURS = "mbds-xsim"
 _TRUTH = EntryPoint(REFERENCE, "mbds_xsim.reference.adapter:Reference", "mbds_xsim.adapters")
+
+Reader = Callable[[Path, Path, bool], "Imported"]
+"""Takes the file, the folder that its paths must not leave, and whether its base floats; its name
+among entry points is the suffix of the files. Raises `InputError` with a line that does not name
+the file."""
+
+Writer = Callable[[Scene], "Written"]
+"""Raises `InputError` with the reason where the format has no place for a scene."""
+
+_READING = 300.0  # longest that a model may take to be read [s]
 _TIMEOUT = 60.0  # longest that an adapter may take to be imported, or to answer a question [s]
 
 
@@ -119,7 +139,6 @@ def load_scene(name: str) -> Scene:
         SceneError: The file is wrong; the text says where.
     """
     from mbds_xsim.scene.file import read_scene
-    from mbds_xsim.simulate.models import is_model, read_model
 
     if is_model(name):
         return read_model(Path(name)).scene
@@ -144,6 +163,63 @@ def load_scene(name: str) -> Scene:
     raise UnknownName.of(
         "scene", name, [*scene_names(), *sized, "a path to a .toml file", "a model in a file"]
     )
+
+
+def is_model(name: str) -> bool:
+    """Whether something is registered to read files of such a name."""
+    return Path(name).suffix[1:].lower() in registered("mbds_xsim.models")
+
+
+def read_model(path: Path, *, folder: Path | None = None, floating: bool = False) -> Imported:
+    """Read a model and check that its mechanism assembles and its starts can be drawn.
+
+    Args:
+        path: Of the file.
+        folder: That files named in the model must lie in; left out, the model's own.
+        floating: Whether a base that the file ties to nothing is free, not fixed in the world.
+
+    Raises:
+        InputError: One line: the file, what is wrong with it and where.
+    """
+    readers = registered("mbds_xsim.models")
+    if (suffix := path.suffix[1:].lower()) not in readers:
+        raise UnknownName.of("format of models", suffix, sorted(readers))
+    if not path.is_file():
+        msg = f"{path}: cannot be read (no such file); give the path of a model"
+        raise InputError(msg)
+    inside = (folder or path.parent).absolute()
+    question = (readers[suffix], path.absolute(), inside, floating)
+    (answer,) = run_tasks([Task(_read, question, _READING)], workers=1)
+    if isinstance(answer, Crash):
+        raise SceneError(f"{path}: {answer.reason}")
+    imported: Imported = answer
+    return imported
+
+
+def _read(point: EntryPoint, path: Path, folder: Path, floating: bool) -> Imported:
+    from mbds_xsim.scene.file import check_starts
+
+    reader: Reader = point.load()
+    imported = reader(path, folder, floating)
+    check_starts(imported.scene)
+    return imported
+
+
+def write_model(scene: Scene, kind: str) -> Written:
+    """Write a scene in another format.
+
+    Args:
+        scene: The scene.
+        kind: Of the format.
+
+    Raises:
+        InputError: The format has no place for the scene; the text says why.
+    """
+    writers = registered("mbds_xsim.model_writers")
+    if kind not in writers:
+        raise UnknownName.of("format of models", kind, sorted(writers))
+    writer: Writer = writers[kind].load()
+    return writer(scene)
 
 
 def package_version(distribution: str) -> str:

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 import pytest
 from hypothesis import strategies as st
 
-from mbds_xsim.simulate.models import read_model
+from mbds_xsim.simulate.registry import read_model
 from tests.fuzz.campaign import fuzz, refused
 
 pytest.importorskip("mujoco")

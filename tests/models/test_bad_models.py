@@ -97,10 +97,10 @@ def test_a_crash_of_the_compiler_is_one_line(
     run: CommandLine, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from mbds_xsim.base.isolate import Task
-    from mbds_xsim.simulate import models
+    from mbds_xsim.simulate import registry
 
     (here / "model.xml").write_text(_MJCF.format(_BODY, ""))
-    monkeypatch.setattr(models, "Task", lambda *_: Task(__import__("os").abort, ()))
+    monkeypatch.setattr(registry, "Task", lambda *_: Task(__import__("os").abort, ()))
 
     assert "model.xml: the process crashed with SIGABRT" in run("show", "model.xml").refusal
 

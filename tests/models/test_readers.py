@@ -13,8 +13,8 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.simulate.models import read_model
-from mbds_xsim.studies.readers.compare import compare
+from mbds_xsim.simulate.registry import read_model
+from mbds_xsim.studies.readers import compare
 from tests.command_line import CommandLine
 
 for _engine in ("mujoco", "pybullet", "dartpy"):

@@ -18,7 +18,7 @@ from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
-from mbds_xsim.simulate.models import read_model
+from mbds_xsim.simulate.registry import read_model
 
 mujoco = pytest.importorskip("mujoco")
 pytestmark = pytest.mark.usefixtures("in_process")

@@ -10,7 +10,7 @@ import pytest
 from mbds_xsim.base import rotation
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.models import read_model
+from mbds_xsim.simulate.registry import read_model
 from tests.command_line import CommandLine
 
 pytest.importorskip("dartpy")

@@ -12,7 +12,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.imported import Imported
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.simulate.models import read_model
+from mbds_xsim.simulate.registry import read_model
 from tests.command_line import CommandLine
 
 pytest.importorskip("pxr")

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene, SpringDamper
-from mbds_xsim.simulate.models import read_model, write_model
-from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.simulate.registry import load_scene, read_model, write_model
 from mbds_xsim.testing import CASES
 from tests.command_line import CommandLine
 from tests.random_scenes import Kind, random_tree

@@ -18,8 +18,8 @@ from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
 from mbds_xsim.studies.contact.present import (
     JUDGED,
+    ContactLine,
     ContactStudy,
-    Line,
     figure_of,
     heading,
     impact,
@@ -98,7 +98,7 @@ _NO_FAILURE = ("all up to", "told at", "silent at", "does not come back")
 
 Show = Callable[[ContactStudy, str, str], Cell]
 """What a cell says of a study, an engine and a profile."""
-Columns: TypeAlias = list[Line | tuple[str, Show]]
+Columns: TypeAlias = list[ContactLine | tuple[str, Show]]
 
 
 def _furthest(asked: float) -> tuple[str, Show]:
@@ -146,35 +146,35 @@ def _limit(name: str, unit: str) -> tuple[str, Show]:
     return f"{name} [{unit}]", cell
 
 
-def _by_heading(label: str, name: str, *headings: float) -> Iterator[Line]:
+def _by_heading(label: str, name: str, *headings: float) -> Iterator[ContactLine]:
     for angle in headings:
-        yield Line(f"{label} {angle:g}°", name, heading(angle))
+        yield ContactLine(f"{label} {angle:g}°", name, heading(angle))
 
 
-_REBOUNDS = [Line(f"{speed:g} m/s", "restitution", impact(speed)) for speed in SPEEDS]
+_REBOUNDS = [ContactLine(f"{speed:g} m/s", "restitution", impact(speed)) for speed in SPEEDS]
 _IMPACTS: Columns = [
     *map(_furthest, RESTITUTIONS),
-    *(Line(f"takes, {at:g} m/s", "impact duration", impact(at)) for at in (0.1, 1.0, 10.0)),
-    *(Line(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
+    *(ContactLine(f"takes, {at:g} m/s", "impact duration", impact(at)) for at in (0.1, 1.0, 10.0)),
+    *(ContactLine(f"depth, {at:g} m/s", "impact depth", impact(at)) for at in DEPTH_SPEEDS),
 ]
 _FRICTIONS = [
     *_by_heading("ball", "ball: sliding friction", 0.0, 15.0, 45.0),
     *_by_heading("aside", "ball: friction aside of the slip", 15.0),
     *_by_heading("wheel aside", "wheel: friction aside of the slip", 30.0),
-    Line("hops by", "ball: hops while it slides"),
+    ContactLine("hops by", "ball: hops while it slides"),
     *_by_heading("crate", "crate: sliding friction", 0.0, 45.0),
     *_by_heading("creep", "crate: creep at 0.9 of the limit", 0.0, 45.0),
     *_by_heading("starts", "crate: push that starts it", 0.0, 45.0),
 ]
 _ENERGIES: Columns = [
-    Line("elastic ball", "elastic ball: energy by bounce"),
-    Line("unexplained rise", "cubli: energy that no law explains"),
-    Line("whole rise", "cubli: largest rise of energy"),
-    Line("corners' rebound", "cubli: restitution of corners"),
+    ContactLine("elastic ball", "elastic ball: energy by bounce"),
+    ContactLine("unexplained rise", "cubli: energy that no law explains"),
+    ContactLine("whole rise", "cubli: largest rise of energy"),
+    ContactLine("corners' rebound", "cubli: restitution of corners"),
     _range("from … to", "cubli: restitution of corners"),
 ]
 _RESTS = [
-    Line(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
+    ContactLine(f"{what}: {how.removesuffix(' by')}", f"{what} dropped: {how}")
     for what in ("ball", "crate")
     for how in ("sinks by", "hops by", "moves at")
 ]
@@ -258,9 +258,9 @@ def _missing(study: ContactStudy) -> Iterator[str]:
         yield "\n".join(lines) + "\n"
 
 
-def _table(study: ContactStudy, columns: Sequence[Line | tuple[str, Show]]) -> str:
+def _table(study: ContactStudy, columns: Sequence[ContactLine | tuple[str, Show]]) -> str:
     """One row an engine and profile."""
-    shown = [(c.label, c.cell) if isinstance(c, Line) else c for c in columns]
+    shown = [(c.label, c.cell) if isinstance(c, ContactLine) else c for c in columns]
     rows = (
         [profile, engine, *(_marked(cell(study, engine, profile)) for _, cell in shown)]
         for profile in study.profiles

@@ -213,7 +213,7 @@ _WAYS: dict[str, tuple[Callable[[float], str], Callable[[float], bool]]] = {
 
 
 @dataclass(frozen=True)
-class Line:
+class ContactLine:
     """A quantity under one condition."""
 
     label: str
@@ -263,25 +263,27 @@ def heading(angle: float) -> dict[str, float]:
 _E, _MU = f"{RESTITUTION:.3f}", f"{FRICTION:.3f}"
 _START = "crate: push that starts it"
 LINES = (
-    Line("rebound at 1 m/s", "restitution", impact(1.0), _E),
-    Line("rebound at 0.1 m/s", "restitution", impact(0.1), _E),
-    Line("an impact at 1 m/s takes", "impact duration", impact(1.0)),
-    Line("depth at 5 m/s, of radius", "impact depth", impact(5.0), write=_of_radius),
-    Line("friction along x", "ball: sliding friction", heading(0.0), _MU),
-    Line("friction at 45°", "ball: sliding friction", heading(45.0), _MU),
-    Line("friction aside at 15°", "ball: friction aside of the slip", heading(15.0), "0"),
-    Line("under a wheel, aside at 30°", "wheel: friction aside of the slip", heading(30.0), "0"),
-    Line("sliding ball hops by", "ball: hops while it slides", asked="0"),
-    Line("creep at 0.9 μ m g, 45°", "crate: creep at 0.9 of the limit", heading(45.0), "0"),
-    Line("slides from × μ m g, 45°", _START, heading(45.0), f"{_FIRST_ABOVE:g}"),
-    Line("elastic ball, energy/bounce", "elastic ball: energy by bounce", asked="0"),
-    Line("cubli, energy from nowhere", "cubli: energy that no law explains", asked="0"),
-    Line("cubli, rebound of corners", "cubli: restitution of corners", asked=_E),
-    Line("ball at rest sinks by", "ball dropped: sinks by", asked="0"),
-    Line("crate at rest trembles at", "crate dropped: moves at", asked="0"),
-    Line("spin up to, rad/s", "free spin", most=SPINS[-1]),
-    Line("impacts held up to, m/s", "impact speed held", most=DROPS[-1]),
-    Line("cost of 1 s of balldrop", "cost of a simulated second"),
+    ContactLine("rebound at 1 m/s", "restitution", impact(1.0), _E),
+    ContactLine("rebound at 0.1 m/s", "restitution", impact(0.1), _E),
+    ContactLine("an impact at 1 m/s takes", "impact duration", impact(1.0)),
+    ContactLine("depth at 5 m/s, of radius", "impact depth", impact(5.0), write=_of_radius),
+    ContactLine("friction along x", "ball: sliding friction", heading(0.0), _MU),
+    ContactLine("friction at 45°", "ball: sliding friction", heading(45.0), _MU),
+    ContactLine("friction aside at 15°", "ball: friction aside of the slip", heading(15.0), "0"),
+    ContactLine(
+        "under a wheel, aside at 30°", "wheel: friction aside of the slip", heading(30.0), "0"
+    ),
+    ContactLine("sliding ball hops by", "ball: hops while it slides", asked="0"),
+    ContactLine("creep at 0.9 μ m g, 45°", "crate: creep at 0.9 of the limit", heading(45.0), "0"),
+    ContactLine("slides from × μ m g, 45°", _START, heading(45.0), f"{_FIRST_ABOVE:g}"),
+    ContactLine("elastic ball, energy/bounce", "elastic ball: energy by bounce", asked="0"),
+    ContactLine("cubli, energy from nowhere", "cubli: energy that no law explains", asked="0"),
+    ContactLine("cubli, rebound of corners", "cubli: restitution of corners", asked=_E),
+    ContactLine("ball at rest sinks by", "ball dropped: sinks by", asked="0"),
+    ContactLine("crate at rest trembles at", "crate dropped: moves at", asked="0"),
+    ContactLine("spin up to, rad/s", "free spin", most=SPINS[-1]),
+    ContactLine("impacts held up to, m/s", "impact speed held", most=DROPS[-1]),
+    ContactLine("cost of 1 s of balldrop", "cost of a simulated second"),
 )
 """What the summary shows, in this order."""
 

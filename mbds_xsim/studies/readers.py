@@ -1,25 +1,39 @@
-"""What engines' own readers make of a model: compared with what its file says, and as a report."""
+"""What engines' own readers make of a model, and how far it moves otherwise than its file says."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Literal, TypeVar
 
 import msgspec
 import numpy as np
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
+from mbds_xsim.reference import solve
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell, Report, Row, Table, columns_of
 from mbds_xsim.scene.imported import Imported, JointFacts, LinkFacts, ModelFacts
-from mbds_xsim.simulate.models import engine_facts, read_model
-from mbds_xsim.studies.readers.motion import moved
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Scene
+from mbds_xsim.simulate.registry import read_model, registered
+
+Loader = Callable[[Path, bool], ModelFacts]
+"""Takes the file and whether its base floats; raises `InputError` where the engine refuses it."""
 
 T = TypeVar("T", LinkFacts, JointFacts)
+_TIMEOUT = 300.0  # longest that a reader may take [s]
 _SAME = 1e-6
 """Deviation that rounding to single precision explains, over what is compared."""
+_CLOCK = Clock(frame=0.02, steps=50)
+_ROUNDED = 1e-6  # to single precision
+_STARTS = (1, 4, 7)  # of the medium interval
 _JOINT_FIELDS = ("damping", "friction", "stiffness", "armature")
 
 
@@ -40,7 +54,7 @@ class Difference(msgspec.Struct, frozen=True):
     """What the file says."""
 
 
-class Reading(msgspec.Struct, frozen=True):
+class EngineReading(msgspec.Struct, frozen=True):
     """What one engine makes of a file."""
 
     engine: str
@@ -65,7 +79,7 @@ class Readings(msgspec.Struct, frozen=True, tag_field="schema", tag="mbds-xsim/r
     floating: bool
     links: int
     joints: int
-    readings: tuple[Reading, ...]
+    readings: tuple[EngineReading, ...]
 
 
 def compare(
@@ -90,7 +104,7 @@ def compared(
     imported: Imported, path: Path, engines: Sequence[str], *, floating: bool = False
 ) -> Readings:
     """Let engines read the file of a model that was imported, as in `compare`."""
-    answers = engine_facts(path, engines, floating=floating)
+    answers = _engine_facts(path, engines, floating=floating)
     readings = tuple(_reading(engine, facts, imported) for engine, facts in answers.items())
     said = imported.facts
     return Readings(
@@ -98,11 +112,41 @@ def compared(
     )
 
 
-def _reading(engine: str, facts: ModelFacts | str, imported: Imported) -> Reading:
+def _engine_facts(
+    path: Path, engines: Sequence[str], *, floating: bool = False
+) -> dict[str, ModelFacts | str]:
+    """Let engines read a file with readers of their own.
+
+    Args:
+        path: Of the file.
+        engines: Names.
+        floating: Whether a base that the file ties to nothing is free.
+
+    Returns:
+        For each engine what it has read, or why it did not.
+    """
+    loaders = registered("mbds_xsim.model_loaders")
+    for engine in engines:
+        if engine not in loaders:
+            raise UnknownName.of("engine with a reader of its own", engine, sorted(loaders))
+    tasks = [Task(_load, (loaders[name], path.absolute(), floating), _TIMEOUT) for name in engines]
+    answers = run_tasks(tasks)
+    return {
+        engine: answer.reason if isinstance(answer, Crash) else answer
+        for engine, answer in zip(engines, answers, strict=True)
+    }
+
+
+def _load(point: EntryPoint, path: Path, floating: bool) -> ModelFacts:
+    loader: Loader = point.load()
+    return loader(path, floating)
+
+
+def _reading(engine: str, facts: ModelFacts | str, imported: Imported) -> EngineReading:
     if isinstance(facts, str):
-        return Reading(engine, facts, ())
+        return EngineReading(engine, facts, ())
     found = tuple(_differences(facts, imported))
-    return Reading(engine, "", found, moved(imported, facts) if found else 0.0)
+    return EngineReading(engine, "", found, moved(imported, facts) if found else 0.0)
 
 
 def _differences(read: ModelFacts, imported: Imported) -> Iterator[Difference]:
@@ -207,7 +251,7 @@ def _table(readings: Readings) -> Table:
     return Table(columns, tuple(rows), "what engines' own readers make of it", grouped=True)
 
 
-def _rows(reading: Reading) -> list[Row]:
+def _rows(reading: EngineReading) -> list[Row]:
     if reading.refused:
         cells = (reading.engine, "", "", "", "", f"refuses: {reading.refused}", "")
         return [Row((Cell(reading.engine, "fail"), *map(Cell, cells[1:])), "fail")]
@@ -230,3 +274,93 @@ def _row(engine: str, difference: Difference) -> Row:
         difference.stated,
     )
     return Row((Cell(engine, "fail"), *map(Cell, cells)))
+
+
+def moved(imported: Imported, read: ModelFacts) -> float | None:
+    """Solve the motion that the file says and the one that was read, from the same starts.
+
+    Masses, centres of mass, inertias, and places, axes, springs and dampers of joints are taken as
+    they were read; what was not read is as the file says.
+
+    Returns:
+        RMS distance after 1 s [m] of the points of the bodies that the file has for their centres
+        of mass; None where the one that was read has no
+        motion: bodies of no inertia, say.
+    """
+    said = msgspec.structs.replace(imported.scene, clock=_CLOCK)
+    try:
+        other = _scene_of(said, imported, read)
+        points = Mechanism.of(said).com
+        ends = [_ends(scene, points) for scene in (said, other)]
+    except InputError:
+        return None
+    return float(np.sqrt(np.mean(np.sum((ends[1] - ends[0]) ** 2, axis=-1))))
+
+
+def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
+    links = {link.name: link for link in read.links}
+    own: dict[str, list[LinkFacts]] = {}
+    other = set()
+    for link in imported.facts.links:
+        found = links.get(link.name, link)
+        own.setdefault(link.body, []).append(found)
+        if not _alike(found, link):
+            other.add(link.body)
+    joints = {joint.name: joint for joint in read.joints}
+    placed = [
+        msgspec.structs.replace(
+            joint,
+            anchor=tuple(own_joint.anchor),
+            axis=tuple(own_joint.axis),
+            damping=own_joint.damping,
+            stiffness=own_joint.stiffness,
+        )
+        if (own_joint := joints.get(joint.name)) and joint.axis and any(own_joint.axis)
+        else joint
+        for joint in scene.joints
+    ]
+    bodies = [_loaded(b, own[b.name]) if b.name in other else b for b in scene.bodies]
+    return msgspec.structs.replace(scene, bodies=tuple(bodies), joints=tuple(placed))
+
+
+def _alike(read: LinkFacts, said: LinkFacts) -> bool:
+    first, second = (np.array([link.mass, *link.com, *link.inertia]) for link in (read, said))
+    return bool(np.allclose(first, second, rtol=_ROUNDED, atol=_ROUNDED * np.abs(second).max()))
+
+
+def _loaded(body: Body, links: list[LinkFacts]) -> Body:
+    """Give a body the sum of its links; where they weigh nothing it stays as it is."""
+    mass = sum(link.mass for link in links)
+    if not mass > 0:
+        return body
+    com = np.asarray(sum(link.mass * np.array(link.com) for link in links) / mass)
+    tensor = np.zeros((3, 3))
+    for link in links:
+        arm = np.array(link.com) - com
+        tensor += link.tensor + link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    back = rotation.matrix(np.array(body.orientation)).T
+    tensor = back @ tensor @ back.T
+    inertia = Inertia(
+        mass=mass,
+        moments=(tensor[0, 0], tensor[1, 1], tensor[2, 2]),
+        products=(tensor[0, 1], tensor[0, 2], tensor[1, 2]),
+        com=(back @ (com - np.array(body.position))).tolist(),
+    )
+    return msgspec.structs.replace(body, inertia=inertia)
+
+
+def _ends(scene: Scene, points: Array) -> Array:
+    """Give where points of the bodies are at the end.
+
+    Args:
+        scene: What moves.
+        points: A point of each body, in W at the reference pose [m], shape (body, 3).
+
+    Returns:
+        Their places [m], shape (start, body, 3).
+    """
+    motion = solve(scene, draw_batch(scene, _STARTS), rtol=1e-9)
+    mechanism = Mechanism.of(scene)
+    arm = points - mechanism.com
+    native = mechanism.native_rotation(motion.orientation[:, -1])
+    return np.asarray(motion.position[:, -1] + rotation.rotate(native, arm))

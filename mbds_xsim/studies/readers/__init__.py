@@ -1,1 +1,0 @@
-"""What engines' own readers make of a model, held against what its file says."""
