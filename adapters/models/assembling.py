@@ -14,10 +14,11 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import Fate, Imported, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene.servo import Servo
 
 from .facts import facts_of
 from .masses import SHARE, physical, small
-from .parts import Closing, Freedom, Line, Mass, Part, Parts
+from .parts import Closing, Drive, Freedom, Line, Mass, Part, Parts
 from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
@@ -25,7 +26,7 @@ PROPERTIES = {
     "stiffness": "",
     "rest": "",
     "damping": "",
-    "armature": _NOT_YET,
+    "armature": "",
     "friction": _NOT_YET,
     "limits": _NOT_YET,
 }
@@ -60,6 +61,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         joints=tuple(builder.joints),
         distance_links=tuple(builder.links),
         springs=tuple(builder.springs),
+        servos=tuple(builder.servos),
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
@@ -80,6 +82,8 @@ class _Builder:
         self.limits: dict[str, tuple[float, float]] = {}
         """Of hinges and sliders by name."""
         self._names: set[str] = {WORLD}
+        self._joint_names: dict[str, str] = {}
+        """Of the scene, by the model's."""
         self._owner = self._owners()
         """Part as which each part moves; −1: the world."""
         self._own = [_NOTHING] * len(self._parts)
@@ -101,6 +105,9 @@ class _Builder:
         self.links: list[DistanceLink] = []
         for line in model.lines:
             self._draw(line)
+        self.servos: list[Servo] = []
+        for drive in model.drives:
+            self._drive(drive)
         for coupling in model.couplings:
             element, attribute = model.labels["coupling"]
             place = (f"{coupling.joint} follows {coupling.follows}",)
@@ -186,7 +193,8 @@ class _Builder:
     def _simplified(self, part: Part) -> tuple[Freedom, ...]:
         """Take three sliders and a turn as a free body, and three hinges in a point as a ball."""
         freedoms = part.freedoms
-        if any(freedom.properties for freedom in freedoms):
+        driven = {drive.joint for drive in self._model.drives}
+        if any(freedom.properties or freedom.name in driven for freedom in freedoms):
             return freedoms
         kinds = [freedom.kind for freedom in freedoms]
         last = freedoms[-3:]
@@ -215,6 +223,7 @@ class _Builder:
         if freedom.kind == "free":
             return
         name = _unique(freedom.name, {joint.name for joint in self.joints})
+        self._joint_names[freedom.name] = name
         axis = freedom.axis.tolist() if freedom.kind in ("hinge", "slider") else None
         limits = freedom.properties.get("limits")
         if axis and isinstance(limits, tuple):
@@ -257,6 +266,19 @@ class _Builder:
             k, c = line.stiffness, line.damping
             self.springs.append(SpringDamper(line.name, ends, points, k, c, line.length))
             self._tell("kept", "tendon", "a spring and damper between two points", line.name)
+
+    def _drive(self, drive: Drive) -> None:
+        joint = self._joint_names.get(drive.joint)
+        if joint is None:
+            self._tell("dropped", "actuator", _TIES_NOTHING, drive.name, moves=False)
+            return
+        k, c = drive.stiffness, drive.damping
+        self.servos.append(Servo(joint, (drive.position,), (drive.velocity,), k, c))
+        if drive.limited:
+            reason = "a servo at its command of 0, without the limit of its torque"
+            self._tell("approximated", "actuator", reason, drive.name)
+        else:
+            self._tell("kept", "actuator", "a servo at its command of 0", drive.name)
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
         """Name the bodies that parts are; none where they are one, or not there."""

@@ -23,9 +23,10 @@ from mbds_xsim.base.errors import EngineMissing, InputError
 from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
+from .drives import drives
 from .facts import facts_of
 from .fates import fates_of
-from .parts import Freedom, Mass, Part, Parts, Property
+from .parts import Drive, Freedom, Mass, Part, Parts, Property
 from .source import read_source
 from .ties import Ties, named
 
@@ -202,6 +203,7 @@ class Reading:
         if model.opt.disableflags & flags.mjDSBL_CONSTRAINT:
             self._off |= dict.fromkeys(("LIMIT", "FRICTIONLOSS", "EQUALITY", "CONTACT"), True)
         self._ties = Ties(mujoco, model, self._data, active=not self._off["EQUALITY"])
+        self._drives = tuple(drives(mujoco, model))
 
     def model(self, name: str, labels: Mapping[str, tuple[str, str]]) -> Parts:
         """Give the parts."""
@@ -212,6 +214,7 @@ class Reading:
             closings=tuple(self._ties.closings()),
             couplings=tuple(self._ties.couplings()),
             lines=tuple(self._ties.lines()),
+            drives=tuple(drive for drive in self._drives if isinstance(drive, Drive)),
             labels=labels,
         )
 
@@ -277,7 +280,7 @@ class Reading:
         return {key: value for key, value in found.items() if value}
 
     def fates(self) -> Iterator[Fate]:
-        """Say what becomes of contact, equalities and tendons."""
+        """Say what becomes of contact, equalities, tendons and actuators that lead no hinge."""
         model = self._model
         solid = [g for g in range(model.ngeom) if model.geom_contype[g] | model.geom_conaffinity[g]]
         if (len(solid) > 1 or model.npair) and not self._off["CONTACT"]:
@@ -285,6 +288,7 @@ class Reading:
             reason = "bodies do not collide in the scene description"
             yield Fate("geom", ("contact",), "dropped", reason, True, names, len(solid))
         yield from self._ties.fates()
+        yield from (fate for fate in self._drives if isinstance(fate, Fate))
 
     def _name(self, kind: str, k: int) -> str:
         return named(self._mujoco, self._model, kind, k)

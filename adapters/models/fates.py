@@ -69,13 +69,8 @@ _MJCF: tuple[_Row, ...] = (
     ),
     ("dropped", False, "data for other programs", "custom sensor user numeric text tuple"),
     ("dropped", False, "a pose beside the reference pose, at which the scene starts", "keyframe"),
-    ("dropped", False, "exerts nothing without a command, and a scene has none", "motor"),
-    (
-        "dropped",
-        True,
-        "servos and muscles are not yet in the scene description",
-        "position velocity intvelocity general damper cylinder muscle adhesion dcmotor",
-    ),
+    ("kept", True, "as the compiler resolves it for each actuator",
+     "motor position velocity intvelocity general damper cylinder muscle adhesion dcmotor"),
     ("dropped", True, "a plugin may exert anything", "extension plugin"),
     ("dropped", True, "bodies are rigid", "deformable flex flexcomp composite"),
 )  # fmt: skip
@@ -125,7 +120,7 @@ _SDF: tuple[_Row, ...] = (
      "gearbox_ratio gearbox_reference_body"),
 )  # fmt: skip
 _TABLES = {"mujoco": _MJCF, "robot": _URDF, "sdf": _SDF}
-_TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon"}, "robot": {"mimic"}, "sdf": set()}
+_TOLD_ELSEWHERE = {"mujoco": {"equality", "tendon", "actuator"}, "robot": {"mimic"}, "sdf": set()}
 """Elements of which the compiled model says more."""
 _WHOLE = {"visual", "custom", "sensor", "keyframe", "collision", "gazebo", "transmission",
           "material", "extension", "plugin", "skin", "ros2_control", "contact", "physics",

@@ -108,6 +108,21 @@ class Coupling:
     """Of the followed coordinate, from its constant term on; both are 0 at the reference pose."""
 
 
+@dataclass(frozen=True)
+class Drive:
+    """A motor that leads a hinge to a target."""
+
+    name: str
+    joint: str
+    stiffness: float
+    damping: float
+    position: float
+    """[rad], counted from the reference pose."""
+    velocity: float
+    limited: bool = False
+    """Whether the file limits its torque."""
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
     """A model without its format."""
@@ -121,3 +136,4 @@ class Parts:
     lines: tuple[Line, ...] = ()
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""
+    drives: tuple[Drive, ...] = ()

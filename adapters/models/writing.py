@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement
 
+import msgspec
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
@@ -12,6 +13,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.scene.imported import Fate, Written, gathered
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene
+from mbds_xsim.scene.servo import Servo
 
 from ..mujoco.contact import numbers
 from ..mujoco.model import mechanics, text
@@ -33,18 +35,23 @@ _NO_MODEL: dict[str, tuple[bool, str]] = {
 }
 """Fields of a scene that no format takes: whether they bear on the motion, and the reason."""
 _URDF_JOINTS = {"hinge": "continuous", "slider": "prismatic", "fixed": "fixed", None: "floating"}
+_URDF_LACKS = {"stiffness": "springs", "armature": "rotors"}
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _NO_URDF = "URDF is a tree of links with hinges and sliders"
 
 
 def to_mjcf(scene: Scene) -> Written:
     """Write MJCF; see `mbds_xsim.simulate.registry`."""
-    mechanism = Mechanism.of(scene)
+    mechanism = _without_servos(scene)
     root = Element("mujoco", model=scene.name)
     SubElement(root, "compiler", angle="radian", autolimits="false")
     SubElement(root, "option", gravity=numbers(scene.gravity))
     mechanics(root, mechanism, np.zeros((mechanism.body_count, 3)), {}, {})
-    fates = [*_common(scene), *_loops(mechanism)]
+    if scene.servos:
+        actuators = SubElement(root, "actuator")
+        for servo in scene.servos:
+            _servo(actuators, servo)
+    fates = [*_common(scene), *_loops(mechanism), *_targets(scene)]
     return Written(text(root), gathered(fates))
 
 
@@ -54,7 +61,7 @@ def to_urdf(scene: Scene) -> Written:
     Raises:
         InputError: A joint is of a kind that URDF does not have.
     """
-    mechanism = Mechanism.of(scene)
+    mechanism = _without_servos(scene)
     root = Element("robot", name=scene.name)
     SubElement(root, "link", name=WORLD)
     frames: dict[int, Array] = {WORLD_INDEX: np.zeros(3)}
@@ -68,9 +75,12 @@ def to_urdf(scene: Scene) -> Written:
     if loops := tuple(joint.name for joint in mechanism.loops):
         fates.append(Fate("joints", (), "dropped", _NO_URDF, True, loops, len(loops)))
     for joint in scene.joints:
-        if joint.stiffness:
-            reason = "URDF has no springs"
-            fates.append(Fate("joints", ("stiffness",), "dropped", reason, True, (joint.name,)))
+        for key, what in _URDF_LACKS.items():
+            if getattr(joint, key):
+                reason = f"URDF has no {what}"
+                fates.append(Fate("joints", (key,), "dropped", reason, True, (joint.name,)))
+    for servo in scene.servos:
+        fates.append(Fate("servos", (), "dropped", "URDF has no servos", True, (servo.joint,)))
     if scene.gravity != (0.0, 0.0, -9.81):
         fates.append(Fate("gravity", (), "dropped", "URDF has no gravity", True))
     return Written(text(root), gathered(fates))
@@ -107,6 +117,32 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
     for pair in mechanism.distances:
         reason = "a tendon of constant length, by a solver that is soft"
         yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))
+
+
+def _without_servos(scene: Scene) -> Mechanism:
+    """Give the mechanism with the springs and dampers that are its joints' own."""
+    return Mechanism.of(msgspec.structs.replace(scene, servos=()))
+
+
+def _servo(actuators: Element, servo: Servo) -> None:
+    """Write a servo that is at its first target without a command, which moves the target."""
+    push = servo.stiffness * servo.position[0] + servo.damping * servo.velocity[0]
+    gain, bias = servo.stiffness or servo.damping, (push, -servo.stiffness, -servo.damping)
+    SubElement(
+        actuators,
+        "general",
+        joint=servo.joint,
+        gainprm=repr(gain),
+        biastype="affine",
+        biasprm=numbers(bias),
+    )
+
+
+def _targets(scene: Scene) -> Iterator[Fate]:
+    for servo in scene.servos:
+        if len({*servo.position}) > 1 or len({*servo.velocity}) > 1:
+            reason = "the first target alone: an importing program has its own commands"
+            yield Fate("servos", ("series",), "approximated", reason, True, (servo.joint,))
 
 
 def _urdf_link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int, Array]) -> None:

@@ -322,8 +322,8 @@ def _spanning_tree(
 ) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
-    Of joints of one kind, the last listed closes the loop; those with a rotor, spring or
-    damper stay in the tree if any can, as reduced coordinates have them there.
+    Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
+    the tree if any can, as reduced coordinates have them there, and those with a rotor before all.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -365,8 +365,8 @@ def _spanning_tree(
     return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))
 
 
-def _cut_last(joint: PlacedJoint) -> tuple[int, bool, bool]:
-    return _CUT_LAST[joint.kind], not joint.armature, not joint.complies
+def _cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
+    return not joint.armature, _CUT_LAST[joint.kind], not joint.complies
 
 
 def _reversed(joint: PlacedJoint) -> PlacedJoint:

@@ -279,8 +279,8 @@ def _row(engine: str, difference: Difference) -> Row:
 def moved(imported: Imported, read: ModelFacts) -> float | None:
     """Solve the motion that the file says and the one that was read, from the same starts.
 
-    Masses, centres of mass, inertias, and places, axes, springs and dampers of joints are taken as
-    they were read; what was not read is as the file says.
+    Masses, centres of mass, inertias, and places, axes, springs, dampers and rotors of joints are
+    taken as they were read; what was not read is as the file says.
 
     Returns:
         RMS distance after 1 s [m] of the points of the bodies that the file has for their centres
@@ -314,6 +314,7 @@ def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
             axis=tuple(own_joint.axis),
             damping=own_joint.damping,
             stiffness=own_joint.stiffness,
+            armature=own_joint.armature,
         )
         if (own_joint := joints.get(joint.name)) and joint.axis and any(own_joint.axis)
         else joint

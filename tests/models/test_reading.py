@@ -116,17 +116,21 @@ def test_what_the_scene_has_no_place_for_is_dropped_by_name_with_its_value(here:
         f'<geom type="plane" size="1 1 1"/><body><joint name="j1" axis="0 1 0"/>{geom}'
         f'<body pos="0 0 1"><joint name="j2" axis="0 1 0" damping=".3" armature="0.5"/>{geom}'
         "</body></body></worldbody>"
-        '<actuator><motor joint="j1"/><position joint="j2" kp="5"/></actuator></mujoco>',
+        '<actuator><motor name="m" joint="j1"/><position joint="j2" kp="5" forcerange="-1 1"/>'
+        '<muscle name="arm" joint="j2" lengthrange="0 1"/></actuator></mujoco>',
     )
 
     dropped = _fates(imported, "dropped")
     assert _fates(imported, "kept")["joint damping"].places == ("j2: 0.3",)
-    assert imported.scene.joints[1].damping == 0.3
-    assert dropped["joint armature"].places == ("j2: 0.5",)
+    assert (imported.scene.joints[1].damping, imported.scene.joints[1].armature) == (0.3, 0.5)
+    assert [(servo.joint, servo.stiffness) for servo in imported.scene.servos] == [("j2", 5.0)]
+    assert "without the limit" in _fates(imported, "approximated")["actuator"].reason
     assert dropped["geom contact"].count == 3
     assert "no fluid" in dropped["option density"].reason
-    assert "position joint kp" in dropped
-    assert {"motor joint", "option timestep"} <= _fates(imported, "dropped", moves=False).keys()
+    assert dropped["actuator"].places == ("arm",)
+    idle = _fates(imported, "dropped", moves=False)
+    assert idle["actuator"].places == ("m",)
+    assert "option timestep" in idle
 
 
 def test_what_a_format_does_not_know_is_dropped_by_name(here: Path) -> None:
@@ -239,12 +243,14 @@ def test_a_model_moves_as_it_does_where_it_comes_from(
     xml = (
         '<mujoco><option timestep="0.0002" integrator="RK4"><flag contact="disable"/></option>'
         f'<worldbody><body name="first">{joints}<geom type="box" size=".1 .2 .3" pos=".4 .1 -.5"/>'
-        '<body name="second" pos=".4 0 -1"><joint name="k" axis="0.2 1 0"/>'
-        '<geom type="box" size=".2 .1 .1" pos=".3 0 0"/></body></body></worldbody></mujoco>'
+        '<body name="second" pos=".4 0 -1"><joint name="k" axis="0.2 1 0" ref="9" armature="3"/>'
+        '<geom type="box" size=".2 .1 .1" pos=".3 0 0"/></body></body></worldbody><actuator>'
+        '<position joint="k" kp="9" kv="1" gear="2" ctrlrange=".5 1"/><intvelocity joint="k" kp="9"'
+        ' actrange="-1 1"/><velocity joint="k" kv="3"/></actuator></mujoco>'
     )
     imported = _read(here, xml).scene
     scene = Scene(imported.name, imported.bodies, imported.length, joints=imported.joints,
-                  clock=Clock(frame=0.02, steps=10))  # fmt: skip
+                  servos=imported.servos, clock=Clock(frame=0.02, steps=10))  # fmt: skip
     reference = solve(scene, draw_batch(scene, [0]))
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)

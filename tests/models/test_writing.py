@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene, SpringDamper
+from mbds_xsim.scene.servo import Servo
 from mbds_xsim.simulate.registry import load_scene, read_model, write_model
 from mbds_xsim.testing import CASES
 from tests.command_line import CommandLine
@@ -49,10 +50,13 @@ def _same(first: Scene, second: Scene) -> None:
         turn = 1 if again.child == (order[joint.child] if joint.child >= 0 else -1) else -1
         apart = np.cross(again.axis, joint.axis)
         np.testing.assert_allclose(apart, 0, atol=1e-11)
-        laws = [(j.damping, j.stiffness, j.rest) for j in (joint, again)]
+        laws = [(j.damping, j.stiffness, j.rest, j.armature) for j in (joint, again)]
         assert laws[0] == pytest.approx(laws[1], abs=1e-12)
         assert joint.name in loops or turn * again.axis @ joint.axis >= 0
     assert len(held) + len(loops) == len(ours.joints)
+    for servo, other in zip(first.servos, second.servos, strict=True):
+        assert (other.joint, other.damping) == (servo.joint, servo.damping)
+        assert other.position == pytest.approx(servo.position, abs=1e-12)
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))
@@ -69,13 +73,16 @@ def test_any_tree_comes_back_from_mjcf(
     points = tuple(map(tuple, rng.standard_normal((2, 3)).tolist()))
     spring = SpringDamper("coil", (WORLD, scene.bodies[0].name), points, 30.0, 0.5, 0.7)  # type: ignore[arg-type]
     joints = tuple(
-        msgspec.structs.replace(joint, damping=0.3, stiffness=2.0, rest=0.1)
+        msgspec.structs.replace(joint, damping=0.3, stiffness=2.0, rest=0.1, armature=0.2)
         if joint.kind in ("hinge", "slider")
         else joint
         for joint in scene.joints
     )
+    servos = tuple(Servo(j.name, (0.4,), (0.0,), 9.0, 0.7) for j in joints if j.kind == "hinge")
     gravity = (1.0, 2.0, -3.0)
-    scene = msgspec.structs.replace(scene, springs=(spring,), gravity=gravity, joints=joints)
+    scene = msgspec.structs.replace(
+        scene, springs=(spring,), gravity=gravity, joints=joints, servos=servos
+    )
 
     again = _again(scene, "mjcf", tmp_path)
 
@@ -130,4 +137,7 @@ def test_losses_of_an_export_are_those_of_the_scene() -> None:
     parallelogram = next(case.scene for case in CASES if case.name == "parallelogram")
     told = {fate.element for fate in write_model(parallelogram, "urdf").fates}
     assert "joints" in told
+    led = next(case.scene for case in CASES if case.name == "servo")
+    assert {f.element for f in write_model(led, "urdf").fates} >= {"servos"}
+    assert "servos" in {f.element for f in write_model(led, "mjcf").fates}
     assert {f.element for f in write_model(load_scene("balldrop"), "urdf").fates} >= {"contacts"}

@@ -1,0 +1,77 @@
+"""What the actuators of a compiled model do to its joints while nobody commands them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.scene.imported import Fate
+
+from .parts import Drive
+from .ties import named
+
+_IDLE = "exerts nothing without a command, and a scene has none"
+_NOT_LINEAR = "its force is not linear in place and rate"
+
+
+def drives(mujoco: Any, model: Any) -> Iterator[Drive | Fate]:
+    """Give each actuator as a servo with its command held at 0, or say why it is none."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION:
+        return
+    for k in range(model.nu):
+        name, found = named(mujoco, model, "ACTUATOR", k), _drive(mujoco, model, k)
+        if isinstance(found, Drive):
+            yield found
+        else:
+            yield Fate("actuator", (), "dropped", found, found != _IDLE, (name,))
+
+
+def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
+    joint = int(model.actuator_trnid[k, 0])
+    linear = model.actuator_gaintype[k] <= int(mujoco.mjtGain.mjGAIN_AFFINE)
+    linear = linear and model.actuator_biastype[k] <= int(mujoco.mjtBias.mjBIAS_AFFINE)
+    if not linear or model.actuator_dyntype[k] > int(mujoco.mjtDyn.mjDYN_FILTEREXACT):
+        return _NOT_LINEAR
+    act, still = _activation(model, k)
+    gain, bias, gear = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_gear[k]
+    if model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
+        bias = 0.0 * bias
+    if model.actuator_gaintype[k] == mujoco.mjtGain.mjGAIN_FIXED:
+        gain = [gain[0], 0.0, 0.0]
+    push, stiffness, damping = (act * gain[j] + bias[j] for j in range(3))
+    stiffness, damping = -(gear[0] ** 2) * stiffness, -(gear[0] ** 2) * damping
+    if not (stiffness or damping or push):
+        return _IDLE
+    if model.actuator_trntype[k] > int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        return "it does not act on a joint"
+    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        return "the scene description has servos of hinges alone"
+    if not still:
+        return "its activation changes by itself"
+    if stiffness < 0 or damping < 0 or not (stiffness or damping):
+        return "it has a negative gain, or none"
+    push *= gear[0]
+    start = float(model.qpos0[model.jnt_qposadr[joint]])
+    return Drive(
+        name=named(mujoco, model, "ACTUATOR", k),
+        joint=named(mujoco, model, "JOINT", joint),
+        stiffness=float(stiffness),
+        damping=float(damping),
+        position=float(push / stiffness) - start if stiffness else 0.0,
+        velocity=0.0 if stiffness else float(push / damping),
+        limited=bool(model.actuator_forcelimited[k] or model.jnt_actfrclimited[joint]),
+    )
+
+
+def _activation(model: Any, k: int) -> tuple[float, bool]:
+    """Give what the gain multiplies at a command of 0, within its range, and whether it stays."""
+    command = _within(0.0, model.actuator_ctrllimited[k], model.actuator_ctrlrange[k])
+    if not model.actuator_dyntype[k]:
+        return command, True
+    return _within(0.0, model.actuator_actlimited[k], model.actuator_actrange[k]), command == 0
+
+
+def _within(value: float, limited: bool, span: Any) -> float:
+    return float(np.clip(value, *span)) if limited else value
