@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbds_xsim.measure.store import machine
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.report.files import table_lines
 
 Array = NDArray[Any]

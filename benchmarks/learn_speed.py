@@ -19,15 +19,14 @@ import torch
 
 from benchmarks.harness import Work, print_head, print_made, print_table, processor_s, take_turns
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.learn.device import check_device, compile_networks, put
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, build, load_model
-from mbds_xsim.learn.recipe import Recipe
+from mbds_xsim.learn.recipe import Recipe, check_device, compile_networks, put
 from mbds_xsim.learn.statistics import CHANNELS, Moments, Statistics
 from mbds_xsim.learn.train import optimiser
 from mbds_xsim.learn.trained import Known, carry_on, known_start
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample, Start
-from mbds_xsim.measure.store import machine
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene

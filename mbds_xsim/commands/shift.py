@@ -88,9 +88,9 @@ def shift(
     """Test models that were trained on one engine's data on every other engine's."""
     check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
-    from mbds_xsim.learn.device import check_device
+    from mbds_xsim.learn.recipe import check_device
+    from mbds_xsim.learn.shift.domains import Selection
     from mbds_xsim.learn.shift.evaluation import to_csv
-    from mbds_xsim.learn.shift.models import Selection
     from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.study import question_of, samples_of, study
     from mbds_xsim.report.files import link, write_if

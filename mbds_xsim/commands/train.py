@@ -184,7 +184,7 @@ def _trained(
 def _check_options(device: str, tensorboard: Path | None, *, fast: bool, far: bool) -> None:
     """Refuse what cannot be; a cluster's workers have devices of their own."""
     from mbds_xsim.learn.curves import check_events
-    from mbds_xsim.learn.device import check_device
+    from mbds_xsim.learn.recipe import check_device
 
     check_device(device, here=not far)
     if fast and device != "cuda":
@@ -209,7 +209,7 @@ def _carrier(
     """Give what carries runs out, and how many at a time."""
     from mbds_xsim.base.isolate import run_tasks
     from mbds_xsim.dataset.cluster import Cluster
-    from mbds_xsim.learn.device import process_count
+    from mbds_xsim.learn.recipe import process_count
 
     if scheduler is not None and workers is not None:
         msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import bounds
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.dataset.columns import TIME, groups, read_csv, rounding_of
+from mbds_xsim.dataset.export import TIME, groups, read_csv, rounding_of
 from mbds_xsim.dataset.hdf5 import (
     check_sources,
     datasets_in,

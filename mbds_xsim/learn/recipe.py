@@ -1,12 +1,21 @@
-"""How a model is trained: optimiser, schedule of its rate, batch; and for how long."""
+"""How a model is trained: optimiser, schedule of its rate, batch; for how long, and on what device.
+
+A GPU can be faster with bfloat16 in the networks, and with networks replayed as CUDA graphs.
+"""
 
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 
 import msgspec
+import torch
+from torch import nn
 
 from mbds_xsim.base import bounds
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import core_count
+from mbds_xsim.learn.model import LearnedModel, PointModel
 
 
 class Plateau(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True):
@@ -111,3 +120,58 @@ WITHOUT_END = Plateau(patience=3, factor=0.5)
 SETTLED = 1 / 32
 """Part of the recipe's rate to which plateaus must have lowered it before a run counts as level:
 at a higher rate validation wavers by more than it improves."""
+
+
+def check_device(device: str, *, here: bool = True) -> None:
+    """Raise InputError for a device that is not known or, if it is to be here, is not there."""
+    if device not in ("cpu", "cuda"):
+        msg = f"--device: got {device!r}, allowed is cpu or cuda"
+        raise InputError(msg)
+    if here and device == "cuda" and not torch.cuda.is_available():
+        msg = "--device: got 'cuda', but torch finds no GPU here; allowed is cpu"
+        raise InputError(msg)
+
+
+def process_count(asked: int | None, device: str) -> int:
+    """As many at a time as asked; left out, one for a GPU, which they would share, or all cores."""
+    if asked is not None:
+        return asked
+    return 1 if device == "cuda" else core_count()
+
+
+def put(model: LearnedModel, device: str) -> None:
+    """Move a model, and the graph that it asks in every step."""
+    model.to(device)
+    model.graph = model.graph.to(device)
+
+
+def precision(model: LearnedModel, *, mixed: bool) -> AbstractContextManager[object]:
+    """Give the block in which a model's loss is computed, mixed where it is asked for and can be.
+
+    Parameters, optimiser and integration stay float32, and so do the sums and norms that torch
+    keeps there. bfloat16 has float32's range: no gradient needs scaling.
+    """
+    if not (mixed and model.mixes):
+        return nullcontext()
+    return torch.autocast(next(model.parameters()).device.type, dtype=torch.bfloat16)
+
+
+def compile_networks(model: LearnedModel, *, backend: str | None = None) -> None:
+    """Have a model's networks compiled at their first use; its parameters keep their names.
+
+    A run has few shapes (a batch, its parts that are pushed on, a validation), so that the kernels
+    of each are recorded once, as a CUDA graph, and replayed. Models of an energy are left as they
+    are: torch does not compile through the second derivatives that their training needs. Another
+    backend than torch's own is without CUDA graphs.
+    """
+    if not isinstance(model, PointModel):
+        return
+    how = {"mode": "reduce-overhead"} if backend is None else {"backend": backend}
+    networks = [model] if _has_forward(model) else [*filter(_has_forward, model.children())]
+    for network in networks:
+        if any(True for _ in network.parameters()):
+            network.compile(**how, dynamic=False)
+
+
+def _has_forward(module: nn.Module) -> bool:
+    return type(module).forward is not nn.Module.forward

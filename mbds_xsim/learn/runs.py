@@ -25,11 +25,10 @@ from mbds_xsim.base.files import write_whole
 from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve
-from mbds_xsim.learn.device import put
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
 from mbds_xsim.learn.model import LearnedModel, build, load_model
 from mbds_xsim.learn.model_file import read_facts, save_model
-from mbds_xsim.learn.recipe import TRACKS, Profile, Recipe
+from mbds_xsim.learn.recipe import TRACKS, Profile, Recipe, put
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import Training, check_identity, read_identity, train
 from mbds_xsim.learn.window import HISTORY, Motions

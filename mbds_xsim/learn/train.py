@@ -21,10 +21,19 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import write_whole
-from mbds_xsim.learn.device import compile_networks, precision
 from mbds_xsim.learn.model import LearnedModel, roll
 from mbds_xsim.learn.model_file import array, arrays, read_stored
-from mbds_xsim.learn.recipe import SETTLED, WITHOUT_END, Cosine, Decay, Plateau, Profile, Recipe
+from mbds_xsim.learn.recipe import (
+    SETTLED,
+    WITHOUT_END,
+    Cosine,
+    Decay,
+    Plateau,
+    Profile,
+    Recipe,
+    compile_networks,
+    precision,
+)
 from mbds_xsim.learn.window import HISTORY, Motions, Sample
 
 _ANEW = "remove it to start anew"

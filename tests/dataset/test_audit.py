@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset import foreign
 from mbds_xsim.dataset.audit import Audited, audit_file
-from mbds_xsim.dataset.columns import groups
+from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import Provenance
 from mbds_xsim.dataset.points import Points, recover
 from mbds_xsim.dataset.read import load_dataset

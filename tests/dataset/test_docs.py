@@ -6,7 +6,7 @@ from pathlib import Path
 
 import h5py
 
-from mbds_xsim.dataset.columns import groups
+from mbds_xsim.dataset.export import groups
 from mbds_xsim.dataset.foreign import FACTS
 from mbds_xsim.dataset.gate import COLUMNS
 from mbds_xsim.dataset.layout import FIELDS, VERSION

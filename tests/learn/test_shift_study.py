@@ -30,12 +30,12 @@ from mbds_xsim.learn.model import LearnedModel, refusal
 from mbds_xsim.learn.model_file import save_model
 from mbds_xsim.learn.particles import RolloutFigures, figures_on
 from mbds_xsim.learn.shift import rollouts, study
-from mbds_xsim.learn.shift.domains import load_paired
-from mbds_xsim.learn.shift.models import (
+from mbds_xsim.learn.shift.domains import (
     Selection,
     check_budget,
     check_data,
     find_models,
+    load_paired,
     trivial_models,
 )
 from mbds_xsim.learn.shift.result import Shift

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.measure.store import Keyed, Store
+from mbds_xsim.measure.runner import Keyed, Store
 
 
 class _Row(Keyed, frozen=True, kw_only=True):

@@ -15,19 +15,18 @@ import pytest
 
 from mbds_xsim.base.isolate import Task
 from mbds_xsim.measure import runner
-from mbds_xsim.measure.store import Store
+from mbds_xsim.measure.runner import Store
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry, timed
 from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
-from mbds_xsim.studies.tradeoff import bench, sweep
+from mbds_xsim.studies.tradeoff import bench, rows
 from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
-from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
+from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, curves_of
 from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
-from mbds_xsim.studies.tradeoff.sweep import curves_of
 from tests.plugins import faulty
 
 _HANG = 2.0  # [s] until a hanging task is ended
@@ -37,8 +36,8 @@ _HANG = 2.0  # [s] until a hanging task is ended
 def _small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep rows and references apart, and try few steps."""
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(sweep, "COUNTS", (1, 2, 5, 10, 20))
-    monkeypatch.setattr(sweep, "_THIN", (5,))
+    monkeypatch.setattr(rows, "COUNTS", (1, 2, 5, 10, 20))
+    monkeypatch.setattr(rows, "_THIN", (5,))
     monkeypatch.setattr(timed, "_ENOUGH", 0.01)
 
 
@@ -155,8 +154,8 @@ def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
 def test_steps_go_on_until_the_budget_is_kept_tenfold(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweep, "COUNTS", (1, 2, 4, 8, 16, 32))
-    monkeypatch.setattr("mbds_xsim.studies.tradeoff.explore.SPAN", 4)
+    monkeypatch.setattr(rows, "COUNTS", (1, 2, 4, 8, 16, 32))
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.curves.SPAN", 4)
     budget = scene.budget.error_1s * scene.length
 
     study = _study(scene, "mujoco")
@@ -290,7 +289,7 @@ def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout
 def test_crash_time_out_and_nan_are_listed_results(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweep, "COUNTS", (4,))
+    monkeypatch.setattr(rows, "COUNTS", (4,))
     monkeypatch.setattr(runner, "Task", _impatient)
     engines = "mujoco,aborting,hanging,blowing"
 

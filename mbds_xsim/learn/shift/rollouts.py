@@ -27,9 +27,9 @@ from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.base.versions import MODELS
 from mbds_xsim.dataset.hdf5 import attributes_of
 from mbds_xsim.dataset.points import Points
-from mbds_xsim.learn.device import process_count, put
 from mbds_xsim.learn.model import LearnedModel
 from mbds_xsim.learn.particles import RolloutFigures, figures_on, measure, read_figures
+from mbds_xsim.learn.recipe import process_count, put
 from mbds_xsim.learn.shift.domains import Domain, Paired, Recorded
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions

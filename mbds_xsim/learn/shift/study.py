@@ -19,12 +19,18 @@ from mbds_xsim.learn.particles import EXPLODED, LOST
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.domains import (
     REFERENCE,
+    WHOLE,
     Domain,
     Paired,
     Recorded,
+    Selection,
+    check_budget,
+    check_data,
+    find_models,
     load_paired,
     read_reference,
     solve_domain,
+    trivial_models,
 )
 from mbds_xsim.learn.shift.evaluation import (
     RESTART,
@@ -36,19 +42,11 @@ from mbds_xsim.learn.shift.evaluation import (
     oracles,
 )
 from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
-from mbds_xsim.learn.shift.models import (
-    WHOLE,
-    Selection,
-    check_budget,
-    check_data,
-    find_models,
-    trivial_models,
-)
 from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, Shift, TrainedFacts
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY
-from mbds_xsim.measure.store import machine
+from mbds_xsim.measure.runner import machine
 from mbds_xsim.simulate.registry import package_version
 
 _AT = 10

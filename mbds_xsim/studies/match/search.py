@@ -14,8 +14,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.quick import Search
-from mbds_xsim.measure.runner import Meter
-from mbds_xsim.measure.store import machine
+from mbds_xsim.measure.runner import Meter, machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
@@ -26,7 +25,7 @@ from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.match.result import SCHEMA, Found, Match
-from mbds_xsim.studies.tradeoff.sweep import curves_of
+from mbds_xsim.studies.tradeoff.rows import curves_of
 
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0

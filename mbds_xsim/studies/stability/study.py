@@ -9,7 +9,7 @@ from typing import Any, Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.measure.store import Keyed
+from mbds_xsim.measure.runner import Keyed
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch

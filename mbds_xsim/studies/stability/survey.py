@@ -18,8 +18,16 @@ from mbds_xsim import reference
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.base.isolate import Crash, Silent, Task, core_count, run_tasks
 from mbds_xsim.base.versions import CHECKS
-from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
-from mbds_xsim.measure.store import Store, machine, row_key, versions_of
+from mbds_xsim.measure.runner import (
+    Meter,
+    Runner,
+    Store,
+    StudyCase,
+    in_time,
+    machine,
+    row_key,
+    versions_of,
+)
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory

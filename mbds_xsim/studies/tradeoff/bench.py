@@ -18,16 +18,14 @@ from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.checks import Finding, agreement, audit
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.judge import error_findings
-from mbds_xsim.measure.runner import Meter, Runner, StudyCase, in_time
-from mbds_xsim.measure.store import Store, machine, row_key
+from mbds_xsim.measure.runner import Meter, Runner, Store, StudyCase, in_time, machine, row_key
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.solution import confirmed
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulated, Simulator
-from mbds_xsim.studies.tradeoff.rows import Measurement
-from mbds_xsim.studies.tradeoff.sweep import SPAN
+from mbds_xsim.studies.tradeoff.rows import SPAN, Measurement
 
 INSTANT = 1.0
 """Time of the error that is charted, where the reference lasts so long [s]."""

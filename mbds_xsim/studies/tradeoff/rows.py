@@ -1,17 +1,24 @@
-"""What a trade-off study records: raw rows, and the points, curves and ratios made of them."""
+"""What a trade-off study tries, and records: raw rows, and the points and curves made of them."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.errors import InputError, Unsupported
 from mbds_xsim.base.files import read_file
-from mbds_xsim.measure.store import Keyed
-from mbds_xsim.simulate.simulator import NATIVE, Options
+from mbds_xsim.measure.runner import Keyed
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.choice import settings_for
+from mbds_xsim.simulate.claims import features_of
+from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Options
 
 SCHEMA = "mbds-xsim/tradeoff/1"
 
@@ -24,6 +31,13 @@ Kind = Literal["done", "failed", "crashed", "timed out", "refused", "too slow"]
 """How a run ended: at the last frame; early, by the engine's or the adapter's word; with its
 process; at the time limit; not at all, as the settings are not allowed; or it was not begun, as
 it would have taken longer than the limit."""
+COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Steps a frame that a method is tried at."""
+DIGITS = (5, 6, 7, 8, 9, 10, 11, 12)
+"""Of the tolerances that an adaptive method is tried at."""
+SPAN = 100
+"""A method is tried up to so many steps a frame whatever comes of it: two decades of steps."""
+_THIN = (2, 5, 20)  # steps a frame at which a changed option is tried
 
 
 class Measurement(Keyed, frozen=True, kw_only=True):
@@ -77,6 +91,10 @@ class Measurement(Keyed, frozen=True, kw_only=True):
     def unmeasured(self) -> bool:
         """Whether it was not waited for, so that nothing is known of it."""
         return self.kind == "timed out"
+
+
+Found = list[list[list[Measurement]]]
+"""Rows by curve, by point and by start."""
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
@@ -243,3 +261,83 @@ def read_tradeoff(path: Path) -> Tradeoff:
         msg = f"{path}: got schema {found.schema!r}, allowed is {SCHEMA!r}"
         raise InputError(msg)
     return found
+
+
+def curves_of(scene: Scene, engines: Sequence[str]) -> tuple[list[EngineMethod], dict[str, str]]:
+    """List the curves of a scene's chart.
+
+    The options in use are those of the engine's matched settings, for all of its methods. They
+    are changed for the matched method only, and where an option belongs to certain methods.
+
+    Returns:
+        The curves, and the methods left out as "engine method", each with the reason.
+    """
+    curves: list[EngineMethod] = []
+    left_out: dict[str, str] = {}
+    for name in engines:
+        adapter = registry.load_adapter(name)
+        try:
+            matched = settings_for(scene, adapter, "matched")
+        except Unsupported as error:
+            left_out[name] = str(error)
+            continue
+        for method in adapter.methods:
+            curve = _curve(scene, adapter, matched, method)
+            if refusal := curve.refusal(scene):
+                left_out[f"{name} {method}"] = refusal
+            elif curve.digits:
+                curves += [curve, dataclasses.replace(curve, variation=BATCH, together=AT_ONCE)]
+            else:
+                curves += [curve, *_variations(scene, adapter, curve, matched.method)]
+        curves += _native(scene, adapter)
+    return curves, left_out
+
+
+def _curve(scene: Scene, adapter: Adapter, matched: Settings, method: str) -> EngineMethod:
+    """Give a method at the matched options, and at steps or tolerances."""
+    if adapter.methods[method].adaptive:
+        return EngineMethod(adapter.name, method, given={}, counts=DIGITS, digits=True)
+    counts = _counts(scene, matched, method)
+    return EngineMethod(adapter.name, method, given=dict(matched.options), counts=counts)
+
+
+def _counts(scene: Scene, matched: Settings, method: str) -> tuple[int, ...]:
+    """Take the matched steps a frame in, so that the chart shows what is published."""
+    own = {matched.substeps(scene.clock.frame)} if method == matched.method else set()
+    return tuple(sorted(own | set(COUNTS)))
+
+
+def _variations(
+    scene: Scene, adapter: Adapter, base: EngineMethod, preferred: str
+) -> Iterator[EngineMethod]:
+    """Change one option at a time."""
+    needs = features_of(scene)
+    for option, sweep in adapter.sweeps.items():
+        acts = base.method in (sweep.methods or (preferred,))
+        if not acts or (sweep.needs and not sweep.needs & needs):
+            continue
+        usual = base.options(scene)
+        used = usual.get(option, adapter.options[option].default)
+        for value in sweep.values:
+            if value != used:
+                yield dataclasses.replace(
+                    base,
+                    variation=f"{option} = {value}",
+                    given={**usual, option: value},
+                    counts=_THIN,
+                )
+
+
+def _native(scene: Scene, adapter: Adapter) -> Iterator[EngineMethod]:
+    try:
+        settings = adapter.settings(scene, "native")
+        adapter.check(scene, settings)
+    except Unsupported:
+        return
+    if adapter.methods[settings.method].adaptive:  # on the curve, at the digits of its own
+        return
+    count = settings.substeps(scene.clock.frame)
+    yield EngineMethod(
+        adapter.name, settings.method, variation=NATIVE, given=dict(settings.options),
+        counts=(count,), profile="native",
+    )  # fmt: skip
