@@ -18,8 +18,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.studies.validate import figures, words
-from mbds_xsim.studies.validate.episodes import contact_of, contacts_of
-from mbds_xsim.studies.validate.motion import tables
+from mbds_xsim.studies.validate.motion import contact_of, contacts_of, tables
 
 from .conftest import Case, Fake, make_case
 from .test_page import numbers, viewer, written

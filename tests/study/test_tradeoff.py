@@ -155,7 +155,7 @@ def test_steps_go_on_until_the_budget_is_kept_tenfold(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rows, "COUNTS", (1, 2, 4, 8, 16, 32))
-    monkeypatch.setattr("mbds_xsim.studies.tradeoff.curves.SPAN", 4)
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.study.SPAN", 4)
     budget = scene.budget.error_1s * scene.length
 
     study = _study(scene, "mujoco")

@@ -1,4 +1,7 @@
-"""All studies by name; a further one is a `Study` beside these, and a word here."""
+"""All studies: scenes made harder by one value.
+
+A further one is a `Study` beside these, and a word in `STUDIES`.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,211 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import UnknownName
-from mbds_xsim.scene.sampling_terms import HingeRate, Throw
-from mbds_xsim.scene.scene import Body, Ground, Inertia, Joint, Scene
+from mbds_xsim.scene.sampling_terms import HingeRate, Swing, Throw, Turn, span_of
+from mbds_xsim.scene.scene import (
+    PARTICLE_INERTIA,
+    WORLD,
+    Body,
+    Ground,
+    Inertia,
+    Joint,
+    Particle,
+    Scene,
+    SpringDamper,
+)
 from mbds_xsim.simulate.registry import load_scene
-from mbds_xsim.studies.stability import chains
 from mbds_xsim.studies.stability.study import Study
+
+SCENES = Study(
+    "scenes", "the paper's scenes and an overconstrained mechanism, at steps up to 50 ms", "scene",
+    "", ("ballscroll", "balldrop", "5pendulum", "6pendulum", "2ladder", "3ladder", "particlecar",
+    "simplecubli", "bricard"), load_scene,
+)  # fmt: skip
+
+
+# Heavy bodies on light ones: a rung on ropes whose knots weigh 1 kg each.
+#
+# The load stretches the ropes and so decides how fast they swing sideways: with a tension T, rods
+# of length l and particles of mass m the fastest rate is 2 √(T / (m l)), 1400 rad/s at a ratio of
+# 1e4. An explicit method's step is limited by it, however still the ropes hang.
+
+_LADDER_TILT = (math.radians(20.0),) * 2
+_RUNG = "rung1"
+
+
+def _loaded_ladder(ratio: float) -> Scene:
+    scene = load_scene("1ladder")
+    bodies = tuple(_loaded(body, ratio) if body.name == _RUNG else body for body in scene.bodies)
+    swing = Turn((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), angle=_LADDER_TILT, rate=(1.0, 1.0))
+    return msgspec.structs.replace(scene, bodies=bodies, sampling=(swing,))
+
+
+def _loaded(rung: Body, ratio: float) -> Body:
+    share = ratio / len(rung.particles)
+    particles = tuple(
+        msgspec.structs.replace(p, mass=share, inertia=share * PARTICLE_INERTIA)
+        for p in rung.particles
+    )
+    return msgspec.structs.replace(rung, particles=particles)
+
+
+MASS_RATIO = Study(
+    "mass-ratio", "a heavy rung on two ropes of light particles, which close a loop",
+    "mass of the rung over that of a neighbour", "", (1.0, 10.0, 100.0, 1e3, 1e4), _loaded_ladder,
+)  # fmt: skip
+
+
+# Ever more links in a rope of one length and one mass.
+#
+# The shorter the links, the faster the rope swings sideways: 2 √(g n / l) at its top, with n links
+# of length l. An explicit method's step shrinks with n.
+
+_ROPE_LENGTH = 2.0  # [m]
+_MASS = 2.0  # [kg]
+_SLIM = 0.01  # inertia of a particle over mass times length² of its link
+_ROPE_TILT = (math.radians(60.0),) * 2
+
+
+def _rope(links: float) -> Scene:
+    count = max(1, round(links))
+    rod, mass = _ROPE_LENGTH / count, _MASS / count
+    names = [f"link{k}" for k in range(1, count + 1)]
+    inertia = _SLIM * mass * rod**2
+    return Scene(
+        name="rope",
+        bodies=tuple(
+            Body(name, particles=(Particle((0.0, 0.0, -rod * k), mass, inertia),))
+            for k, name in enumerate(names, 1)
+        ),
+        joints=tuple(
+            Joint(f"joint{k}", "ball", parent, name, (0.0, 0.0, -rod * (k - 1)))
+            for k, (parent, name) in enumerate(zip(["world", *names], names, strict=False), 1)
+        ),
+        length=_ROPE_LENGTH,
+        sampling=(Turn((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), angle=_ROPE_TILT, rate=(0.0, 0.0)),),
+    )
+
+
+CHAIN_LENGTH = Study(
+    "chain-length", "a rope of 2 m and 2 kg in ever more links on ball joints", "links", "",
+    (1.0, 4.0, 16.0, 32.0, 64.0, 128.0), _rope,
+)  # fmt: skip
+
+
+def _ladder(rungs: float) -> Scene:
+    return load_scene(f"{max(1, round(rungs))}ladder")
+
+
+LOOPS = Study(
+    "loops", "rope ladders in the wind, one closed loop more with every rung", "rungs", "",
+    (1.0, 2.0, 3.0, 5.0, 8.0), _ladder,
+)  # fmt: skip
+
+
+# Ever more links of the paper's pendulum, at one of its medium starts.
+#
+# Unlike the rope of `chain-length` it grows: links keep their length and mass. So it asks of a
+# model that was trained on one length whether it learned links, or that chain.
+
+
+def _chain(links: float) -> Scene:
+    return load_scene(f"{max(1, round(links))}pendulum")
+
+
+LINKS = Study(
+    "links", "the paper's pendulum, one rod of 0.5 m and 1 kg more with every link", "links", "",
+    (1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0), _chain,
+)  # fmt: skip
+
+
+_SWING_TILT = (math.pi / 3, math.pi / 3)
+
+
+def _fast_swing(speed: float) -> Scene:
+    scene = load_scene("2pendulum")
+    names = tuple(body.name for body in scene.bodies)
+    swing = Swing(names, polar=_SWING_TILT, speed=(speed, speed))
+    return msgspec.structs.replace(scene, sampling=(swing,))
+
+
+SWING = Study(
+    "swing", "a double pendulum in space, up to ten times as fast as the paper's",
+    "speed of each particle relative to its joint", "m/s", (0.0, 2.0, 5.0, 10.0, 20.0), _fast_swing,
+)  # fmt: skip
+
+
+# Pace of the paper's sixfold pendulum: up to ten times its fastest starts.
+#
+# Directions are those of a medium start; each speed is relative to the joint above, as the paper's
+# interval is, so that the last particle is up to six times as fast.
+
+
+def _paced(factor: float) -> Scene:
+    scene = load_scene("6pendulum")
+    (drawn,) = (draw for draw in scene.sampling if isinstance(draw, Swing))
+    speed = factor * span_of(drawn.speed, "high")[1]
+    polar = span_of(drawn.polar, "medium")
+    swing = msgspec.structs.replace(drawn, polar=polar, speed=(speed, speed))
+    return msgspec.structs.replace(scene, sampling=(swing,))
+
+
+PACE = Study(
+    "pace", "the paper's sixfold pendulum, up to ten times as fast as its fastest starts",
+    "speed over the fastest of the paper's", "", (0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0), _paced,
+)  # fmt: skip
+
+
+# Stiff springs: a pendulum on a spring whose own oscillation is of no interest.
+#
+# It is fast and small, and limits the step all the same. At the rate ω = √(k/m), semi-implicit
+# Euler bears h ω < 2 and RK4 h ω < 2.78; the trapezoidal rule and generalised-alpha bear any step
+# (Hairer & Wanner, Solving ODEs II, IV.2).
+
+_SPRING_LENGTH = 1.0  # of the spring, unstretched at the start [m]
+_SPRING_TILT = math.radians(60.0)
+
+
+def _spring_pendulum(stiffness: float) -> Scene:
+    place = (_SPRING_LENGTH * math.sin(_SPRING_TILT), 0.0, -_SPRING_LENGTH * math.cos(_SPRING_TILT))
+    bob = Body("bob", particles=(Particle(place),), velocity=(0.0, 0.0, 0.0))
+    ends = ((0.0, 0.0, 0.0), place)
+    spring = SpringDamper("spring", (WORLD, "bob"), ends, stiffness=stiffness)
+    return Scene(name="spring pendulum", bodies=(bob,), springs=(spring,), length=_SPRING_LENGTH)
+
+
+STIFFNESS = Study(
+    "stiffness", "a pendulum of 1 kg on a spring, which itself swings at √k = 10 to 1000 rad/s",
+    "stiffness", "N/m", (1e2, 1e3, 1e4, 1e5, 1e6), _spring_pendulum,
+)  # fmt: skip
+
+
+# Spin of a body in free flight, about no axis in particular: it tumbles, without chaos.
+#
+# The rotation has a step limit of its own: an explicit method makes energy with ω h, as the
+# gyroscopic moment is that of the last step, and an engine may cut the turn of a step or the rate.
+
+_DIRECTION = (0.6, 0.3, 0.74161984870956629)  # unit
+_ARM = 0.5  # [m]
+_MASSES = (0.5, 1.0, 2.0)  # of the particles on x, y and z [kg]
+
+
+def _spinning(rate: float) -> Scene:
+    arms = [(k, sign * _ARM) for k in range(3) for sign in (1.0, -1.0)]
+    particles = tuple(
+        Particle((arm * (k == 0), arm * (k == 1), arm * (k == 2)), _MASSES[k], 0.0)
+        for k, arm in arms
+    )
+    spin = (_DIRECTION[0] * rate, _DIRECTION[1] * rate, _DIRECTION[2] * rate)
+    still = (0.0, 0.0, 0.0)
+    jack = Body("jack", particles=particles, velocity=still, angular_velocity=spin)
+    return Scene(name="spin", bodies=(jack,), length=2.0 * _ARM, gravity=still)
+
+
+SPIN = Study(
+    "spin", "a free body of three different moments of inertia that tumbles", "spin", "rad/s",
+    (1.0, 10.0, 30.0, 100.0, 300.0, 1000.0), _spinning,
+)  # fmt: skip
+
 
 # Bodies that meet the ground, made harder by one value.
 
@@ -85,7 +288,7 @@ RESTITUTION = Study(
 
 _CRANK = 1.0  # length [m]
 _APART = 1.0  # between cranks [m]
-_SLIM = 1e-3  # of a rod's inertia about its own line
+_THIN = 1e-3  # of a rod's inertia about its own line
 _AXIS = (0.0, -1.0, 0.0)
 
 
@@ -137,7 +340,7 @@ def _cranks(count: int, angle: float, rate: float) -> Scene:
 
 def _rod(length: float) -> Inertia:
     moment = length**3 / 12.0
-    return Inertia(mass=length, moments=(_SLIM * moment, moment, moment))
+    return Inertia(mass=length, moments=(_THIN * moment, moment, moment))
 
 
 # Ever more constraints than there are coordinates to constrain.
@@ -181,22 +384,15 @@ SINGULAR = Study(
 )  # fmt: skip
 
 
-_ALL = (
-    chains.SCENES, chains.MASS_RATIO, chains.CHAIN_LENGTH, chains.LOOPS, REDUNDANCY,
-    SINGULAR, chains.STIFFNESS, chains.SPIN, WHEELS, THROW, chains.SWING,
-    chains.PACE, chains.LINKS, FRICTION, RESTITUTION,
-)  # fmt: skip
-
-STUDIES: dict[str, Study] = {study.name: study for study in _ALL}
+STUDIES: dict[str, Study] = {study.name: study for study in (
+    SCENES, MASS_RATIO, CHAIN_LENGTH, LOOPS, REDUNDANCY, SINGULAR, STIFFNESS, SPIN, WHEELS, THROW,
+    SWING, PACE, LINKS, FRICTION, RESTITUTION,
+)}  # fmt: skip
 """In the order in which they are listed and run."""
 
 
 def study_named(name: str) -> Study:
-    """Find a study.
-
-    Raises:
-        UnknownName: There is none of that name.
-    """
+    """Find a study, or raise UnknownName."""
     if name not in STUDIES:
         raise UnknownName.of("study", name, list(STUDIES))
     return STUDIES[name]

@@ -11,11 +11,10 @@ from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Figure
-from mbds_xsim.report.themed import DOTTED, GREY, INK, LIGHT, PAPER, Style, level
+from mbds_xsim.report.themed import DOTTED, GREY, INK, LIGHT, PAPER, Style, engine_style, level
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import words
-from mbds_xsim.studies.validate.episodes import Contact
-from mbds_xsim.studies.validate.motion import styles
+from mbds_xsim.studies.validate.motion import Contact
 
 T = TypeVar("T")
 
@@ -26,6 +25,13 @@ _GROWTH_LIMIT = 100.0
 """Beyond this growth an error is chaos and not judged."""
 _AGREEMENT = 0.01
 """Part of the scene's length up to which trajectories agree."""
+
+
+def styles(results: Iterable[EngineResult]) -> tuple[Style, ...]:
+    """Give the results of engines their styles."""
+    listed = list(results)
+    others = [result.engine for result in listed]
+    return tuple(engine_style(r.engine, others, dashed=r.profile == "native") for r in listed)
 
 
 def error_growth(validation: Validation, evidence: Evidence) -> list[Figure]:

@@ -26,8 +26,8 @@ from mbds_xsim.report.blocks import (
 from mbds_xsim.report.themed import Style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.validate import figures, motion, words
-from mbds_xsim.studies.validate.episodes import Contact, contacts_of
-from mbds_xsim.studies.validate.motion import styles
+from mbds_xsim.studies.validate.figures import styles
+from mbds_xsim.studies.validate.motion import Contact, contacts_of
 
 _PAGE: frozenset[Place] = frozenset({"page"})
 _VERDICTS: dict[str, Mark] = {"pass": "pass", "warn": "warn", "fail": "fail"}
