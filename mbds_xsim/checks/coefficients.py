@@ -167,8 +167,8 @@ def _work(record: Record, shift: int) -> Array:
     if shift == 0:
         return np.diff(input_work(record), axis=1)
     frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
-    moved = np.diff(record.bodies.position, axis=1)
-    work = np.einsum("tsbi,tsbi->ts", record.batch.force[:, frames], moved)
+    shifted = np.asfortranarray(record.force[:, frames])
+    work = np.einsum("tsbi,tsbi->ts", shifted, record.moved)
     if record.mechanism.hinges:
         work += np.einsum("tsh,tsh->ts", record.batch.torque[:, frames], hinge_turns(record))
     return work
@@ -189,20 +189,20 @@ def _left(record: Record) -> Array:
 def _power_gained(record: Record) -> Array:
     """Change of the power of a step's inputs, gravity and springs [W], (trajectory, step)."""
     mechanism, steps = record.mechanism, slice(record.steps)
-    load = record.batch.force[:, steps] + mechanism.mass[:, None] * np.array(record.scene.gravity)
+    load = record.force + mechanism.mass[:, None] * np.array(record.scene.gravity)
     gained = np.einsum("tsbi,tsbi->ts", np.diff(record.bodies.velocity, axis=1), load)
     if mechanism.hinges:
         rates = np.diff(hinge_rates(record), axis=1)
         gained += np.einsum("tsh,tsh->ts", rates, record.batch.torque[:, steps])
     if mechanism.springs:
-        states, springs = record.bodies.with_world(), mechanism.springs
+        states, springs = record.world, mechanism.springs
         rate = pair_rate(states, springs)
         stretch = pair_distance(states, springs) - [spring.length for spring in springs]
         tension = stretch * [spring.stiffness for spring in springs]
         tension = tension + rate * [spring.damping for spring in springs]
         gained -= np.diff((tension * rate).sum(axis=-1), axis=1)
     for joint in mechanism.compliant:
-        rate = joint_rate(joint, record.bodies.with_world())
+        rate = joint_rate(joint, record.world)
         gained += np.diff(joint.effort(coordinate_of(record, joint), rate) * rate, axis=1)
     return gained
 

@@ -76,7 +76,7 @@ def energy_of(record: Record) -> Energy:
     weight = -mechanism.mass * (bodies.position @ gravity)
     stored = np.zeros(record.finite.shape)
     if mechanism.springs:
-        stretch = pair_distance(bodies.with_world(), mechanism.springs)
+        stretch = pair_distance(record.world, mechanism.springs)
         stretch = stretch - [spring.length for spring in mechanism.springs]
         stored = 0.5 * stretch**2 @ np.array([spring.stiffness for spring in mechanism.springs])
     for joint in mechanism.compliant:
@@ -84,7 +84,7 @@ def energy_of(record: Record) -> Energy:
     floor = _FLOOR * float(mechanism.mass.sum()) * record.usual_pull * record.scene.length
     rotors = np.zeros(record.finite.shape)
     for joint in mechanism.rotors:
-        rotors += 0.5 * joint.armature * joint_rate(joint, bodies.with_world()) ** 2
+        rotors += 0.5 * joint.armature * joint_rate(joint, record.world) ** 2
     return Energy(np.concatenate([kinetic, weight], axis=-1), rotors, stored, floor)
 
 
@@ -94,11 +94,9 @@ def input_work(record: Record) -> Array:
 
     Inputs are constant over a step, so a step's work is exactly F·Δx + τ·Δθ.
     """
-    moved = np.diff(record.bodies.position, axis=1)
-    steps = moved.shape[1]
-    work = np.einsum("tsbi,tsbi->ts", record.batch.force[:, :steps], moved)
+    work = np.einsum("tsbi,tsbi->ts", record.force, record.moved)
     if record.mechanism.hinges:
-        work += np.sum(record.batch.torque[:, :steps] * hinge_turns(record), axis=2)
+        work += np.sum(record.batch.torque[:, : record.steps] * hinge_turns(record), axis=2)
     return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
 
 
@@ -133,7 +131,7 @@ def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
 @functools.lru_cache(maxsize=1)
 def hinge_rates(record: Record) -> Array:
     """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world, hinges = record.bodies.with_world(), record.mechanism.hinges
+    world, hinges = record.world, record.mechanism.hinges
     return np.stack([joint_rate(joint, world) for joint in hinges], axis=-1)
 
 
@@ -148,7 +146,7 @@ def damper_loss(record: Record) -> tuple[Array, Array]:
         return np.zeros(record.finite.shape), np.zeros(len(record.finite))
     from scipy.integrate import cumulative_simpson  # takes long to import
 
-    world = record.bodies.with_world()
+    world = record.world
     power = pair_rate(world, mechanism.springs) ** 2 @ np.array(damping)
     for joint in mechanism.compliant:
         power = power + joint.damping * joint_rate(joint, world) ** 2
@@ -202,7 +200,7 @@ def gain_of(record: Record, balance: Balance) -> Gain:
     """Take momenta, inputs and gravity of a group together."""
     bodies = _rows(balance)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
-    force, mass = record.batch.force[:, : record.steps, bodies], record.mechanism.mass[bodies]
+    force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
     if balance.angular:
         given, weight, blur = _moments(record, balance, force, mass)
     else:

@@ -11,7 +11,6 @@ this asks how often, or when, a contact was hit.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -35,6 +34,7 @@ _LATE = 0.5  # of a frame; what is late by a whole one must show
 _SYSTEMATIC = 0.5  # of the allowance for bending, in the mean over a trajectory
 _STEADY = 0.1  # of the floor, in the same
 _ERRORS = 4.0  # standard errors
+_TINY = np.finfo(float).tiny
 
 
 @check("displacement", 1.0)
@@ -48,22 +48,23 @@ def displacement(record: Record) -> Figures | None:
     """
     if record.steps < 1:
         return None
-    parts, names = [np.empty((*record.finite.shape, 0))], []
+    parts, names = [], []
     bodies = tuple(body.name for body in record.scene.bodies)
     place, turn = _Residual.of_places(record), _Residual.of_turns(record)
     for kind, residual in (("place", place), ("turn", turn)):
-        parts += [residual.by_frame, residual.drift]
+        parts += [residual.by_frame, residual.drift(residual.left)]
         names += [f"{kind} of {name}" for name in bodies]
         names += [f"mean {kind} of {name}" for name in bodies]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
-    parts.append(dataclasses.replace(turn, left=own).drift)
+    parts.append(turn.drift(own))
     names += [f"mean turn of {name} about its own axes" for name in bodies]
     parts.append(_delay(record, place, turn))
     names.append("delay of places")
     for push in pushes_of(record):
         parts.append(_of_group(record, push, place.left))
         names.append(f"centre of mass, {push.name}")
-    found = np.concatenate(parts, axis=-1)
+    columns = [each[..., k] for each in parts for k in range(each.shape[-1])]
+    found = record.by_frame(columns)
     found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
     return Figures(found, names, f"turns are known to {allowed:.2g} rad/s in half of the frames")
@@ -89,7 +90,7 @@ class _Residual:
     @staticmethod
     def of_places(record: Record) -> _Residual:
         velocity = record.bodies.velocity
-        mean = np.diff(record.bodies.position, axis=1) / record.frame
+        mean = record.moved / record.frame
         left = mean - (velocity[:, 1:] + velocity[:, :-1]) / 2
         return _residual(record, left, velocity, 1.0, _hidden(record, angular=False))
 
@@ -109,20 +110,21 @@ class _Residual:
     def allowed(self) -> Array:
         return self.bend + self.hidden + self.floor
 
-    @functools.cached_property
+    @property
     def by_frame(self) -> Array:
         """Left over allowed, shape (trajectory, frame, body)."""
         return _framed(rotation.norm(self.left) / self.allowed)
 
     @functools.cached_property
-    def drift(self) -> Array:
-        """Weighted mean of the trajectory over what it may be, at its last frame."""
-        known = np.isfinite(self.left[..., 0])
-        weight = np.where(known, 1.0 / self.allowed**2, 0.0)
-        total = np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-        share = weight / total
-        left = self.left if known.all() else np.nan_to_num(self.left)
-        bends = self.bend if known.all() else np.nan_to_num(self.bend)
+    def weight(self) -> Array:
+        """Of each step in means, 0 where nothing is known, shape (trajectory, step, body)."""
+        return np.where(np.isfinite(self.left[..., 0]), 1.0 / self.allowed**2, 0.0)
+
+    def drift(self, left: Array) -> Array:
+        """Weighted mean over the trajectory of what is left over what it may be, at its end."""
+        known = np.isfinite(left[..., 0])
+        share = self.weight / np.maximum(self.weight.sum(axis=1, keepdims=True), _TINY)
+        left, bends = _numbers(left), _numbers(self.bend)
         mean = np.einsum("tsb,tsbi->tbi", share, left)[:, None]
         scatter = share * rotation.norm(left - mean)
         error = np.sqrt(np.einsum("tsb,tsb->tb", scatter, scatter))
@@ -139,14 +141,16 @@ def _residual(
     record: Record, left: Array, velocity: Array, per_length: float, hidden: Array
 ) -> _Residual:
     gained = np.diff(velocity, axis=1)
-    left = left + record.lag / record.frame * gained
-    change = rotation.norm(np.diff(np.pad(gained, _ENDS, mode="edge"), axis=1))
     share = (record.step or 0.0) / record.frame
     own = min(_METHOD * share**2, _BEND)
+    change = np.zeros_like(velocity[..., 0])
+    change[:, 1:-1] = rotation.norm(np.diff(gained, axis=1))
     bend = (_BEND + own) * _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
-    fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
-    bend = bend + _LAG * abs(record.lag) / record.frame * fastest
-    repeats = _same(record.bodies.position) & _same(record.bodies.native)
+    if record.lag:
+        left = left + record.lag / record.frame * gained
+        fastest = _window(rotation.norm(gained).max(axis=2, keepdims=True))
+        bend = bend + _LAG * abs(record.lag) / record.frame * fastest
+    repeats = _repeats(record)
     speed = np.nanmax(rotation.norm(velocity), axis=(1, 2), initial=0.0)
     least = record.frame * record.usual_pull * per_length
     floor = _FLOOR * np.maximum(speed, least)[:, None, None]
@@ -155,12 +159,15 @@ def _residual(
         gained,
         np.where(repeats, 0.0, bend),
         np.where(repeats, 0.0, hidden),
-        np.maximum(floor, np.finfo(float).tiny),
+        np.maximum(floor, _TINY),
         share,
     )
 
 
-_ENDS = ((0, 0), (1, 1), (0, 0), (0, 0))
+@functools.lru_cache(maxsize=1)
+def _repeats(record: Record) -> Mask:
+    """Whether bodies neither move nor turn in a step, to the last bit, (trajectory, step, body)."""
+    return _same(record.bodies.position) & _same(record.bodies.native)
 
 
 def _same(values: Array) -> Mask:
@@ -174,13 +181,15 @@ def _same(values: Array) -> Mask:
 
 def _window(values: Array) -> Array:
     """Largest of each step and its two neighbours, shape (trajectory, step, body)."""
-    padded = np.pad(values, _ENDS[:3], mode="edge")
-    return np.asarray(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), padded[:, 1:-1]))
+    found = values.copy("K")
+    np.maximum(values[:, 1:], values[:, :-1], out=found[:, 1:])
+    found[:, :-1] = np.maximum(found[:, :-1], values[:, 1:])
+    return found
 
 
 def _with_ends(window: Array) -> Array:
     """Let the first and last step have their neighbour's window: on one side they see nothing."""
-    found = window.copy()
+    found = window.copy("K")
     for end, inside in ((0, 1), (-1, -2)):
         found[:, end] = np.maximum(window[:, end], window[:, inside % window.shape[1]])
     return found
@@ -189,7 +198,7 @@ def _with_ends(window: Array) -> Array:
 def _hidden(record: Record, angular: bool) -> Array:
     """What impulses may do to the mean velocities of bodies, (trajectory, step, body)."""
     mechanism = record.mechanism
-    found = np.zeros((len(record.finite), record.steps, mechanism.body_count))
+    found = np.zeros_like(record.bodies.position[:, 1:, :, 0])
     if not len(mechanism.sphere_body):
         return found
     moved = responses(mechanism)[angular]
@@ -227,26 +236,34 @@ def _of_group(record: Record, push: Push, left: Array) -> Array:
 
 def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
     """Slope of the residuals over the accelerations, over what it may be, at the last frame."""
-    square, product, spread = 0.0, 0.0, 0.0
     known = record.finite[:, 1:] & record.finite[:, :-1]
-    terms = []
-    for residual in (place, turn):
-        pull = np.nan_to_num(residual.gained / residual.allowed[..., None])
-        left = np.nan_to_num(residual.left / residual.allowed[..., None])
-        terms.append((pull, left))
-        square = square + np.einsum("tsbi,tsbi->t", pull, pull)
-        product = product + np.einsum("tsbi,tsbi->t", pull, left)
-    slope = product / np.maximum(square, np.finfo(float).tiny)
-    for pull, left in terms:
-        rest = np.einsum("tsbi,tsbi->ts", pull, left - slope[:, None, None, None] * pull)
-        spread = spread + np.sum(rest**2, axis=1)
-    error = np.sqrt(spread) / np.maximum(square, np.finfo(float).tiny)
+    squares, products = (
+        [
+            _numbers(each.weight * rotation.dot(each.gained, other)).sum(axis=2)
+            for each, other in pairs
+        ]
+        for pairs in (
+            [(place, place.gained), (turn, turn.gained)],
+            [(place, place.left), (turn, turn.left)],
+        )
+    )
+    square = np.maximum(sum(each.sum(axis=1) for each in squares), _TINY)
+    slope = sum(each.sum(axis=1) for each in products) / square
+    rests = [b - slope[:, None] * a for a, b in zip(squares, products, strict=True)]
+    error = np.sqrt(sum(np.sum(rest**2, axis=1) for rest in rests)) / square
     return _at_end(known, (np.abs(slope) / (_LATE + _ERRORS * error))[:, None])
 
 
 def _framed(values: Array) -> Array:
     """Put a figure of each step at the frame at its end."""
-    return np.pad(values, ((0, 0), (1, 0), (0, 0)), constant_values=np.nan)
+    found = np.empty_like(values, shape=(len(values), values.shape[1] + 1, values.shape[2]))
+    found[:, 0], found[:, 1:] = np.nan, values
+    return found
+
+
+def _numbers(values: Array) -> Array:
+    """Let what is unknown be 0."""
+    return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def _at_end(known: Mask, values: Array) -> Array:

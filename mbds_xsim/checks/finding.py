@@ -47,23 +47,38 @@ class Record:
     @functools.cached_property
     def finite(self) -> Mask:
         """Frames before the first number that is not finite, shape (trajectory, frame)."""
-        fields = (
-            self.trajectory.position,
-            self.trajectory.orientation,
-            self.trajectory.velocity,
-            self.trajectory.angular_velocity,
-        )
-        each = [np.isfinite(field).all(axis=(2, 3)) for field in fields]
+        each = [np.isfinite(field).all(axis=(2, 3)) for field in vars(self._states).values()]
         return np.logical_and.accumulate(np.logical_and.reduce(each), axis=1)
 
     @functools.cached_property
+    def _states(self) -> BodyStates:
+        return BodyStates.of(self.mechanism, self.trajectory).each(np.asfortranarray)
+
+    @functools.cached_property
     def bodies(self) -> BodyStates:
-        """States with native rotations, NaN from the first frame that is not finite."""
-        states = BodyStates.of(self.mechanism, self.trajectory)
+        """States with native rotations, NaN from the first frame that is not finite.
+
+        In memory components are apart, then bodies, then frames: numpy has long rows to work on.
+        """
         if self.finite.all():
-            return states
+            return self._states
         keep = self.finite[:, :, None, None]
-        return states.each(lambda values: np.where(keep, values, np.nan))
+        return self._states.each(lambda values: np.where(keep, values, np.nan))
+
+    @functools.cached_property
+    def world(self) -> BodyStates:
+        """The same with the world as a last body."""
+        return self.bodies.with_world()
+
+    @functools.cached_property
+    def moved(self) -> Array:
+        """Displacements of the centres of mass in each step [m], (trajectory, step, body, 3)."""
+        return np.diff(self.bodies.position, axis=1)
+
+    @functools.cached_property
+    def force(self) -> Array:
+        """Held forces [N], shape (trajectory, step, body, 3), laid out as the bodies."""
+        return np.asfortranarray(self.batch.force[:, : self.steps])
 
     @functools.cached_property
     def spheres(self) -> Spheres:
@@ -103,7 +118,7 @@ class Record:
     def turning(self) -> Array:
         """Angular momenta about centres of mass in the native frames [kg·m²/s], shape as spin."""
         inertia, (x, y, z) = self.mechanism.inertia, np.moveaxis(self.spin, -1, 0)
-        found = np.empty(self.spin.shape)
+        found = np.empty_like(self.spin)
         for k, row in enumerate(np.moveaxis(inertia, 1, 0)):  # einsum takes four times as long
             np.add(row[:, 0] * x + row[:, 1] * y, row[:, 2] * z, out=found[..., k])
         return found
@@ -124,21 +139,28 @@ class Record:
 
     def by_step(self, parts: Sequence[Array]) -> Array:
         """Put values of steps at the frames at their ends, 0 at the first: (…, frame, part)."""
-        found = np.zeros((*self.finite.shape, len(parts)))
+        found = self._filled(0.0, len(parts))
         for k, part in enumerate(parts):
             found[:, 1:, k] = part
         return found
 
     def by_frame(self, parts: Sequence[Array]) -> Array:
         """Put values of frames side by side, shape (trajectory, frame, part)."""
-        return np.stack(parts, axis=-1) if parts else np.zeros((*self.finite.shape, 0))
+        found = self._filled(0.0, len(parts))
+        for k, part in enumerate(parts):
+            found[..., k] = part
+        return found
 
     def at_end(self, values: Array) -> Array:
         """Put values of trajectories at their last finite frames, (trajectory, frame, part)."""
-        found = np.full((*self.finite.shape, values.shape[-1]), np.nan)
+        found = self._filled(np.nan, values.shape[-1])
         last = np.maximum(self.finite.sum(axis=1) - 1, 0)
         found[np.arange(len(found)), last] = values
         return found
+
+    def _filled(self, value: float, parts: int) -> Array:
+        """Make an array of shape (trajectory, frame, part), with the parts apart in memory."""
+        return np.full((parts, *self.finite.T.shape), value).T
 
     @property
     def ground(self) -> Ground:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -132,14 +134,14 @@ def gap(record: Record) -> Figures:
     Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
     link the change of its length.
     """
-    mechanism, states = record.mechanism, record.bodies.with_world()
-    joints, sliders = _parted(mechanism)
+    apart, slid = _of_kinds(record, _apart(record))
+    links = record.mechanism.distances
     parts = [
-        rotation.norm(_apart(states, joints)),
-        _off_axis(states, sliders),
-        np.abs(pair_distance(states, mechanism.distances) - _lengths(mechanism.distances)),
+        rotation.norm(apart),
+        rotation.norm(rotation.cross(_axes(record), slid)),
+        np.abs(pair_distance(record.world, links) - [link.length for link in links]),
     ]
-    return Figures(np.concatenate(parts, axis=-1), _names(mechanism))
+    return Figures(record.by_frame(_columns(parts)), _names(record.mechanism))
 
 
 @check("gap rate", lambda record: record.scene.budget.gap / record.frame, "m/s")
@@ -149,18 +151,19 @@ def gap_rate(record: Record) -> Figures:
     It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
     joints as they were a step before; what places that turn make of that is left out.
     """
-    mechanism, states = record.mechanism, record.bodies.with_world()
-    joints, sliders = _parted(mechanism)
-    shift = _parting(states, sliders)
-    carried = states.angular_velocity[..., _ends(sliders)[0], :]
-    shift = shift - rotation.cross(carried, _apart(states, sliders))
+    parting, sliding = _of_kinds(record, _parting(record))
+    carried = record.world.angular_velocity[..., _ends(_parted(record.mechanism)[1])[0], :]
+    sliding = sliding - rotation.cross(carried, _of_kinds(record, _apart(record))[1])
     parts = [
-        rotation.norm(_parting(states, joints)),
-        rotation.norm(rotation.cross(_axes(states, sliders), shift)),
-        np.abs(pair_rate(states, mechanism.distances)),
+        rotation.norm(parting),
+        rotation.norm(rotation.cross(_axes(record), sliding)),
+        np.abs(pair_rate(record.world, record.mechanism.distances)),
     ]
-    late = _turned(record, rotation.norm(record.bodies.velocity))
-    return Figures(np.maximum(np.concatenate(parts, axis=-1) - late, 0.0), _names(mechanism))
+    opening = record.by_frame(_columns(parts))
+    if record.lag:
+        late = _turned(record, rotation.norm(record.bodies.velocity))
+        opening = np.maximum(opening - late, 0.0)
+    return Figures(opening, _names(record.mechanism))
 
 
 @check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
@@ -172,13 +175,15 @@ def angle_gap_rate(record: Record) -> Figures | None:
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
         return None
-    states = record.bodies.with_world()
+    states = record.world
     parent, child = _ends(joints)
     turning = states.angular_velocity[..., child, :] - states.angular_velocity[..., parent, :]
     free = states.arms(parent, _free(joints))
     across = turning - rotation.dot(turning, free)[..., None] * free
-    late = _turned(record, rotation.norm(record.bodies.angular_velocity))
-    rate = np.maximum(rotation.norm(across) - late, 0.0)
+    rate = rotation.norm(across)
+    if record.lag:
+        late = _turned(record, rotation.norm(record.bodies.angular_velocity))
+        rate = np.maximum(rate - late, 0.0)
     return Figures(rate, [f"joint {j.name}" for j in joints])
 
 
@@ -188,7 +193,7 @@ def angle_gap(record: Record) -> Figures | None:
     joints = [j for j in record.mechanism.joints if j.kind != "ball"]
     if not joints:
         return None
-    states = record.bodies.with_world()
+    states = record.world
     parent, child = _ends(joints)
     back = rotation.conjugate(states.native[..., parent, :])
     turn = rotation.multiply(back, states.native[..., child, :])
@@ -235,6 +240,16 @@ def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]
     return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
 
 
+def _of_kinds(record: Record, values: Array) -> tuple[Array, Array]:
+    """Take values of all joints apart, shape (…, joint, 3)."""
+    count = len(_parted(record.mechanism)[0])
+    return values[..., :count, :], values[..., count:, :]
+
+
+def _columns(parts: list[Array]) -> list[Array]:
+    return [part[..., k] for part in parts for k in range(part.shape[-1])]
+
+
 def _names(mechanism: Mechanism) -> tuple[str, ...]:
     """Of the parts of gaps and their rates."""
     joints, sliders = _parted(mechanism)
@@ -255,32 +270,39 @@ def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
     ]
 
 
-def _parting(states: BodyStates, joints: list[PlacedJoint]) -> Array:
-    """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
-    parent, child = _anchors(joints)
-    return states.speeds(*child) - states.speeds(*parent)
-
-
-def _apart(states: BodyStates, joints: list[PlacedJoint]) -> Array:
-    parent, child = _anchors(joints)
-    return states.points(*child) - states.points(*parent)
-
-
-def _off_axis(states: BodyStates, sliders: list[PlacedJoint]) -> Array:
-    return rotation.norm(rotation.cross(_axes(states, sliders), _apart(states, sliders)))
-
-
-def _axes(states: BodyStates, joints: list[PlacedJoint]) -> Array:
-    """Free axes of hinges and sliders, fixed in the parents, in W; zero of other joints."""
-    return states.arms(_ends(joints)[0], _vectors([j.axis for j in joints]))
-
-
-def _anchors(joints: list[PlacedJoint]) -> list[tuple[list[int], Array]]:
+@functools.lru_cache(maxsize=1)
+def _arms(record: Record) -> tuple[list[int], Array, list[int], Array]:
+    """Bodies of all joints' ends and arms of their anchors [m]; sliders are the last."""
+    joints = [joint for kind in _parted(record.mechanism) for joint in kind]
     parent, child = _ends(joints)
-    return [
-        (parent, _vectors([j.in_parent for j in joints])),
-        (child, _vectors([j.in_child for j in joints])),
-    ]
+    return (
+        parent,
+        record.world.arms(parent, _vectors([joint.in_parent for joint in joints])),
+        child,
+        record.world.arms(child, _vectors([joint.in_child for joint in joints])),
+    )
+
+
+def _apart(record: Record) -> Array:
+    """Place of the child's anchor from the parent's, in W [m], shape (…, joint, 3)."""
+    parent, begin, child, end = _arms(record)
+    places = record.world.position
+    return (places[..., child, :] + end) - (places[..., parent, :] + begin)
+
+
+def _parting(record: Record) -> Array:
+    """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
+    parent, begin, child, end = _arms(record)
+    speeds, spins = record.world.velocity, record.world.angular_velocity
+    far = speeds[..., child, :] + rotation.cross(spins[..., child, :], end)
+    near = speeds[..., parent, :] + rotation.cross(spins[..., parent, :], begin)
+    return far - near
+
+
+def _axes(record: Record) -> Array:
+    """Axes of the sliders in W, which are fixed in the parents."""
+    sliders = _parted(record.mechanism)[1]
+    return record.world.arms(_ends(sliders)[0], _vectors([j.axis for j in sliders]))
 
 
 def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:
@@ -289,7 +311,3 @@ def _ends(joints: list[PlacedJoint]) -> tuple[list[int], list[int]]:
 
 def _vectors(values: list[Array]) -> Array:
     return np.array(values).reshape(-1, 3)
-
-
-def _lengths(pairs: tuple[PointPair, ...]) -> Array:
-    return np.array([pair.length for pair in pairs])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, markers
 from mbds_xsim.scene.sampling import noise_components
 from mbds_xsim.scene.scene import Scene
@@ -36,11 +37,12 @@ class Points:
 
     def motion(self, trajectory: Trajectory) -> tuple[Array, Array]:
         """Positions [m] and velocities [m/s], each of shape (trajectory, frame, point, axis)."""
-        native = self.mechanism.native_rotation(trajectory.orientation)
-        arm = rotation.rotate(native[..., self.body, :], self.offset)
-        swing = rotation.cross(trajectory.angular_velocity[..., self.body, :], arm)
-        position = trajectory.position[..., self.body, :] + arm
-        velocity = trajectory.velocity[..., self.body, :] + swing
+        # So laid out in memory, components are apart, and numpy is several times faster.
+        states = BodyStates.of(self.mechanism, trajectory).each(np.asfortranarray)
+        arm = states.arms(self.body, self.offset)
+        swing = rotation.cross(states.angular_velocity[..., self.body, :], arm)
+        position = states.position[..., self.body, :] + arm
+        velocity = states.velocity[..., self.body, :] + swing
         if len(self.axes) == 3:
             return position, velocity
         return position[..., self.axes], velocity[..., self.axes]
