@@ -1,7 +1,8 @@
-"""What a call of the command line came to."""
+"""What a call of the command line came to, and what takes a while to happen."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +22,13 @@ class Ended:
 
 
 CommandLine = Callable[..., Ended]
+
+
+def wait(happened: Callable[[], bool]) -> None:
+    end = time.monotonic() + 30
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def bob(*facts: str) -> str:

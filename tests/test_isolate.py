@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,6 +17,7 @@ from mbds_xsim.base import isolate
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.process import held_back
 from mbds_xsim.simulate import registry, timed
+from tests.command_line import wait
 
 
 def test_answers_come_in_the_order_of_the_tasks() -> None:
@@ -95,12 +95,12 @@ def test_an_error_of_many_lines_is_one_line() -> None:
 def test_no_task_outlives_a_parent_that_is_killed(tmp_path: Path) -> None:
     told = tmp_path / "number"
     parent = subprocess.Popen([sys.executable, "-c", _PARENT.format(told=str(told))])
-    _wait(lambda: told.exists() and bool(told.read_text()))
+    wait(lambda: told.exists() and bool(told.read_text()))
 
     parent.kill()
     parent.wait()
 
-    _wait(lambda: not _alive(int(told.read_text())))
+    wait(lambda: not _alive(int(told.read_text())))
 
 
 _PARENT = """
@@ -188,13 +188,6 @@ def test_what_came_is_let_through_where_it_is_asked_for_or_at_the_end(
     finally:
         signal.signal(number, before)
     assert reached == reaches
-
-
-def _wait(happened: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def _alive(process: int) -> bool:

@@ -12,6 +12,7 @@ import pytest
 from mbds_xsim import reference
 from mbds_xsim.checks.conservation import energy_of
 from mbds_xsim.checks.finding import Record
+from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.sampling_terms import HingeRate
@@ -52,6 +53,16 @@ class Runs:
         motion = self.rollout(scene, batch, Settings(preset.method, step, used))
         assert motion.failures == (None,)
         return motion
+
+
+def worst_gap(scene: Scene, motion: Trajectory) -> float:
+    """Largest residual of the joints and links at any frame [m, or a sine]."""
+    mechanism = Mechanism.of(scene)
+    native = mechanism.native_rotation(motion.orientation)
+    rows = constraint_rows(
+        mechanism, motion.position, native, motion.velocity, motion.angular_velocity
+    )
+    return float(np.abs(rows.residual).max())
 
 
 def ballscroll_followed(rollout: Rollout, *, noise: bool, within: float = 1e-3) -> Trajectory:

@@ -12,7 +12,6 @@ import pytest
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, Unsupported
-from mbds_xsim.scene.constraints import constraint_rows
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
@@ -29,6 +28,7 @@ from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from tests.adapters.exact import worst_gap
 
 pytest.importorskip("pybullet")
 
@@ -65,15 +65,6 @@ def extrapolated(probe: Scene, substeps: int, **options: float) -> Trajectory:
         2 * fine.angular_velocity - coarse.angular_velocity,
         fine.failures,
     )
-
-
-def worst_gap(probe: Scene, motion: Trajectory) -> float:
-    mechanism = Mechanism.of(probe)
-    native = mechanism.native_rotation(motion.orientation)
-    rows = constraint_rows(
-        mechanism, motion.position, native, motion.velocity, motion.angular_velocity
-    )
-    return float(np.abs(rows.residual).max())
 
 
 @pytest.mark.parametrize("substeps", [1, 7, 49, 103])

@@ -13,10 +13,8 @@ import pytest
 
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
-from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.stability import study as stability_rows
 from mbds_xsim.studies.tradeoff import rows
-from tests.tradeoffs import curve, tradeoff
+from tests.results import curve, found, matched, survey, tradeoff
 
 CommandLine = Callable[..., Any]
 Json = dict[str, Any]
@@ -59,92 +57,11 @@ def _tradeoff() -> Json:
 
 
 def _match() -> Json:
-    found = match.Found(
-        engine="mujoco",
-        version="4.0.0",
-        method="RK4",
-        steps_per_frame=2,
-        step_s=0.01,
-        options={},
-        meets_budget=True,
-        reasons=(),
-        held_out=60,
-        wall_per_simulated_s=0.01,
-        cpu_per_simulated_s=0.01,
-        error_1s_m=1e-4,
-        error_weighted_m=1e-4,
-        constraint_gap_m=1e-6,
-        energy_balance=1e-5,
-        used_method="RK4",
-        used_steps_per_frame=4,
-        cost_ratio=0.5,
-        trials=9,
-    )
-    told = match.Match(
-        schema=match.SCHEMA,
-        scene="pair",
-        command="mbds-xsim match pair",
-        seed=0,
-        held_out_seed=1,
-        trajectories=2,
-        held_out=20,
-        machine="a machine",
-        engines=(found,),
-        left_out={},
-    )
-    return json.loads(msgspec.json.encode(told))
+    return json.loads(msgspec.json.encode(matched(found())))
 
 
 def _stability() -> Json:
-    cell = stability_rows.MapCell(
-        key="k",
-        study="spin",
-        value=10.0,
-        engine="mujoco",
-        version="4.0.0",
-        method="RK4",
-        family="Runge–Kutta",
-        profile="matched",
-        options={},
-        step_s=0.01,
-        duration_s=1.0,
-        limit_s=30.0,
-        machine="a machine",
-        outcome="stable",
-        told="nobody",
-        energy=1e-4,
-    )
-    sweep = stability_rows.Survey(
-        schema=stability_rows.SCHEMA,
-        study="spin",
-        sentence="a body",
-        quantity="spin",
-        unit="rad/s",
-        values=(10.0,),
-        steps_s=(0.01,),
-        duration_s=1.0,
-        criteria="stable: finite",
-        panels=(
-            stability_rows.Panel(
-                engine="mujoco",
-                version="4.0.0",
-                method="RK4",
-                family="Runge–Kutta",
-                profile="matched",
-                cells=((cell,),),
-            ),
-        ),
-        left_out={},
-        unknown={},
-        command="mbds-xsim stability spin",
-        versions={"mujoco": "4.0.0"},
-        machine="a machine",
-        workers=1,
-        measured=1,
-        kept=0,
-        wall_s=1.0,
-    )
-    return json.loads(results_json([sweep]))
+    return json.loads(results_json([survey()]))
 
 
 _RESULTS = {

@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from mbds_xsim.measure.result import (
     Validation,
 )
 from mbds_xsim.simulate import registry
-from tests.command_line import bob
+from tests.command_line import bob, wait
 
 CommandLine = Callable[..., Any]
 
@@ -157,7 +156,7 @@ def test_an_interrupted_run_leaves_nothing_behind(
         # A shell's background jobs ignore Ctrl-C, and so would what they start.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    _wait(lambda: any(scratch.glob("mbds-xsim-*/*.log")))
+    wait(lambda: any(scratch.glob("mbds-xsim-*/*.log")))
 
     running.send_signal(by)
     out, err = running.communicate(timeout=300)
@@ -165,7 +164,7 @@ def test_an_interrupted_run_leaves_nothing_behind(
     assert (running.returncode, out, err) == (130, "", "mbds-xsim: interrupted\n")
     assert list(here.iterdir()) == []
     assert list(scratch.iterdir()) == []
-    _wait(lambda: not _living(running.pid))
+    wait(lambda: not _living(running.pid))
 
 
 def _living(session: int) -> list[Path]:
@@ -189,13 +188,6 @@ def test_the_page_of_the_json_names_every_key_and_no_other(kind: type[msgspec.St
     keys = [key for cell in re.findall(r"^\| (`.*?) \|", section, re.M) for key in cell.split(", ")]
 
     assert keys == [f"`{key}`" for key in kind.__struct_fields__]
-
-
-def _wait(happened: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def _decoded(text: str) -> Validation:

@@ -32,6 +32,7 @@ from mbds_xsim.studies.tradeoff.rows import curves_of
 from mbds_xsim.studies.validate.validation import validate_with_evidence
 from tests.fuzz.campaign import fuzz
 
+Call = Callable[..., None]
 _SOUND = type(load_adapter("mujoco"))
 _SCENE = msgspec.structs.replace(
     load_scene("1pendulum"),
@@ -135,14 +136,9 @@ def _allowed(kind: str, name: str, what: object) -> bool:
 
 
 def _carried_out(
-    tasks: Sequence[Task],
-    *,
-    workers: int | None = None,
-    started: Callable[[int], None] | None = None,
-    finished: Callable[[int, Any], None] | None = None,
+    tasks: Sequence[Task], *, started: Call | None = None, finished: Call | None = None, **_: Any
 ) -> list[Any]:
     """Do as processes of their own would."""
-    del workers
     answers = []
     for number, task in enumerate(tasks):
         if started is not None:

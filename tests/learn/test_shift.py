@@ -556,12 +556,15 @@ def _answers(board: Evaluation) -> dict[str, str]:
     return {a.question: a.answer for a in answers_of(Draws(board), _gaps(board), FRAMES)}
 
 
+def _of_matched_data(board: Evaluation, oracles: dict[tuple[str, str], RolloutFigures]) -> str:
+    found = _answers(dataclasses.replace(board, oracles=oracles))
+    return found["Does matched data remove the shift of gns?"]
+
+
 def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
     same = {pair: _figures(np.zeros((COUNT, FRAMES))) for pair in board.oracles}
-    board = dataclasses.replace(board, oracles=same)
-    found = _answers(board)
-    told = found["Does matched data remove the shift of gns?"]
+    told = _of_matched_data(board, same)
     assert "this cannot be told: where no gap is resolved" in told
     assert "Mean gap ratio 4 [4, 4] on native" in told
 
@@ -573,9 +576,7 @@ def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
         pair: _figures(np.zeros((COUNT, FRAMES))) if all("matched" in n for n in pair) else apart
         for pair, apart in board.oracles.items()
     }
-    board = dataclasses.replace(board, oracles=oracles)
-    found = _answers(board)
-    told = found["Does matched data remove the shift of gns?"]
+    told = _of_matched_data(board, oracles)
     assert "no shift is resolved on matched data, whose engines differ by less than" in told
     assert "2 [2, 2] on matched data" in told
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,35 +16,17 @@ from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
+from mbds_xsim.scene.scene import DistanceLink, Scene
 from mbds_xsim.simulate.registry import load_scene
+from tests.learn.mechanisms import every_joint
 
 BATCH = 3
 
 
 def everything() -> Scene:
     """A tree with every joint kind, a distance link, a spring and skew inertias."""
-    inertia = Inertia(2.0, (0.3, 0.4, 0.5), (0.02, -0.03, 0.04), (0.1, 0.2, -0.1))
-    bodies = tuple(
-        Body(f"b{k}", inertia=inertia, position=(float(k), 0.2 * k, 0.0)) for k in range(5)
-    )
-    joints = (
-        Joint("h", "hinge", "world", "b0", (0.0, 0.0, 0.0), (1.0, 0.5, 0.2)),
-        Joint("s", "slider", "b0", "b1", (0.5, 0.0, 0.0), (0.3, 1.0, 0.2)),
-        Joint("f", "fixed", "b1", "b2", (1.5, 0.1, 0.0)),
-        Joint("b", "ball", "b3", "b2", (2.5, 0.1, 0.3)),
-        Joint("h2", "hinge", "b4", "b3", (3.5, 0.1, 0.3), (0.0, 0.0, 1.0)),
-    )
-    return Scene(
-        "everything",
-        bodies,
-        1.0,
-        joints=joints,
-        distance_links=(DistanceLink("d", ("b4", "world"), ((4.0, 0.0, 0.0), (4.0, 2.0, 1.0))),),
-        springs=(
-            SpringDamper("k", ("b0", "b4"), ((0.0, 0.3, 0.0), (3.0, 2.0, 1.0)), 100.0, 3.0, 0.5),
-        ),
-    )
+    link = DistanceLink("d", ("b4", "world"), ((4.0, 0.0, 0.0), (4.0, 2.0, 1.0)))
+    return msgspec.structs.replace(every_joint(), distance_links=(link,))
 
 
 SCENES = [everything(), load_scene("2ladder"), load_scene("5pendulum")]
@@ -51,13 +34,10 @@ SCENES = [everything(), load_scene("2ladder"), load_scene("5pendulum")]
 
 def any_states(mechanism: Mechanism) -> BodyStates:
     """Random states; the joints are not kept together."""
-    rng = np.random.default_rng(5)
-    shape = (BATCH, mechanism.body_count)
-    native = rng.standard_normal((*shape, 4))
-    native /= np.linalg.norm(native, axis=-1, keepdims=True)
+    rng, shape = np.random.default_rng(5), (BATCH, mechanism.body_count)
     return BodyStates(
         rng.standard_normal((*shape, 3)),
-        native,
+        turns(rng, shape),
         rng.standard_normal((*shape, 3)),
         rng.standard_normal((*shape, 3)),
     )
@@ -65,14 +45,11 @@ def any_states(mechanism: Mechanism) -> BodyStates:
 
 def tree_states(mechanism: Mechanism) -> BodyStates:
     """Random states that keep the joints of the tree together."""
-    rng = np.random.default_rng(6)
-    shape = (BATCH, mechanism.body_count)
-    turn = rng.standard_normal((*shape, 4))
-    turn /= np.linalg.norm(turn, axis=-1, keepdims=True)
+    rng, shape = np.random.default_rng(6), (BATCH, mechanism.body_count)
     return to_bodies(
         mechanism,
         LinkStates(
-            turn,
+            turns(rng, shape),
             rng.standard_normal((*shape, 3)),
             rng.uniform(-1.0, 1.0, shape),
             rng.standard_normal(shape),
@@ -80,6 +57,11 @@ def tree_states(mechanism: Mechanism) -> BodyStates:
             rng.standard_normal((*shape, 3)),
         ),
     )
+
+
+def turns(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+    native = rng.standard_normal((*shape, 4))
+    return np.asarray(native / np.linalg.norm(native, axis=-1, keepdims=True))
 
 
 def inputs(mechanism: Mechanism) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import msgspec
 from benchmarks.choose_table import choose_table
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.tradeoff.rows import CurveResult, Kind, Point, Tradeoff
-from tests.tradeoffs import curve, tradeoff
+from tests.results import curve, tradeoff
 
 _ROOT = Path(__file__).parents[2]
 

@@ -15,7 +15,7 @@ from mbds_xsim.learn.train import CurvePoint
 from mbds_xsim.studies.tradeoff.figures import charts_of
 from mbds_xsim.studies.tradeoff.rows import Point
 from mbds_xsim.studies.validate.figures import consistency, plotted_checks, restitution
-from tests.tradeoffs import curve, tradeoff
+from tests.results import curve, tradeoff
 
 from .conftest import Case
 

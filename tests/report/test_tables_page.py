@@ -18,7 +18,8 @@ from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
 from mbds_xsim.studies import audit
 from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.match.result import SCHEMA, Found, Match
+from mbds_xsim.studies.match.result import Found, Match
+from tests.results import found, matched
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')
 
@@ -56,42 +57,14 @@ def _audited(*findings: FindingResult) -> Audited:
 
 
 def _found(engine: str, cost: float, *, met: bool = True) -> Found:
-    return Found(
-        engine=engine,
-        version="1.0",
-        method="RK4",
-        steps_per_frame=2,
-        step_s=0.01,
-        options={"turn": 0.5},
-        meets_budget=met,
-        reasons=() if met else ("gap: 3 mm, allowed 1 mm",),
-        held_out=60,
-        wall_per_simulated_s=cost,
-        cpu_per_simulated_s=cost,
-        error_1s_m=1e-5,
-        error_weighted_m=1e-5,
-        constraint_gap_m=0.0,
-        energy_balance=1e-6,
-        used_method="RK4",
-        used_steps_per_frame=4,
-        cost_ratio=0.5,
-        trials=9,
-    )
+    reasons = () if met else ("gap: 3 mm, allowed 1 mm",)
+    times = {"wall_per_simulated_s": cost, "cpu_per_simulated_s": cost}
+    return found(engine=engine, meets_budget=met, reasons=reasons, **times)
 
 
 def _match(*engines: Found) -> Match:
-    return Match(
-        schema=SCHEMA,
-        scene="my <b>bold</b> scene",
-        command="mbds-xsim match my.toml",
-        seed=0,
-        held_out_seed=1,
-        trajectories=2,
-        held_out=20,
-        machine="none",
-        engines=engines,
-        left_out={"dart": "dart cannot do distance link"},
-    )
+    left_out = {"dart": "dart cannot do distance link"}
+    return matched(*engines, scene="my <b>bold</b> scene", left_out=left_out)
 
 
 def test_an_audit_says_first_whether_the_trajectories_hold() -> None:

@@ -23,7 +23,7 @@ from mbds_xsim.studies.tradeoff.rows import (
     Tradeoff,
 )
 from tests.command_line import CommandLine
-from tests.tradeoffs import curve, tradeoff
+from tests.results import curve, tradeoff
 
 
 def _point(count: int, wall: float | None, error: float, **other: object) -> Point:
