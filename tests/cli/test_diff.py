@@ -35,19 +35,10 @@ def _finding(told: Json, engine: str, check: str) -> Json:
     return next(f for f in _engine(told, engine)["findings"] if f["check"] == check)
 
 
-def _point(step_s: float, error_m: float, broken: tuple[str, ...] = ()) -> rows.Point:
-    return rows.Point(
-        steps_per_frame=round(0.02 / step_s),
-        step_s=step_s,
-        kind="done",
-        error_m=error_m,
-        wall_s=0.01,
-        broken=broken,
-    )
-
-
 def _tradeoff() -> Json:
-    points = (_point(0.02, 1e-2, broken=("gap",)), _point(0.01, 1e-4))
+    plain = rows.Point(steps_per_frame=2, step_s=0.01, kind="done", error_m=1e-4, wall_s=0.01)
+    far = {"steps_per_frame": 1, "step_s": 0.02, "error_m": 1e-2, "broken": ("gap",)}
+    points = (msgspec.structs.replace(plain, **far), plain)
     study = tradeoff(
         *(curve("mujoco", method, *points, measured_order=4.0) for method in ("RK4", "Euler")),
         ratios=(rows.Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 0.1), best=0),),

@@ -11,6 +11,9 @@ import torch
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.groups import TrainingGroup, groups
+from mbds_xsim.learn.recipe import Profile
+from mbds_xsim.learn.runs import TrainingRequest
 from mbds_xsim.learn.window import KnownInputs, Motions
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
@@ -19,6 +22,9 @@ from mbds_xsim.simulate.registry import load_scene
 torch.set_num_threads(1)
 
 Analytic = Callable[..., Motions]
+Ask = Callable[..., TrainingRequest]
+
+TINY = Profile(steps=12, every=4, windows=4, horizon=2, until_level=False, least=5)
 
 
 @pytest.fixture(scope="session")
@@ -83,3 +89,35 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Dataset]:
 def scratch(tmp_path: Path) -> Path:
     """A folder for checkpoints."""
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of a short chain in two engines."""
+    scene = msgspec.structs.replace(load_scene("2pendulum"), clock=Clock(steps=12))
+    out = tmp_path_factory.mktemp("made")
+    choice = Choice.parse(engines="mujoco,pybullet", profiles="native")
+    generate(Request((scene,), choice, 40, out), workers=0)
+    return out
+
+
+@pytest.fixture(scope="session")
+def group(made: Path) -> TrainingGroup:
+    (found,) = groups([made])
+    return found
+
+
+@pytest.fixture
+def ask(group: TrainingGroup, tmp_path: Path) -> Ask:
+    def make(*models: str, on: str = "all", seeds: int = 1, out: str = "models") -> TrainingRequest:
+        return TrainingRequest(
+            groups=[group],
+            models=models or ("gns",),
+            on=on,
+            seeds=seeds,
+            profile_name="smoke",
+            profile=TINY,
+            out=tmp_path / out,
+        )
+
+    return make

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import base64
 import csv
-import dataclasses
 import json
 import math
 import shutil
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import msgspec
 import numpy as np
 import pytest
@@ -22,79 +20,32 @@ import torch
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.commands import app
-from mbds_xsim.dataset.generate import Request, generate
-from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.learn.gns import GNS, GNSSettings
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal
-from mbds_xsim.learn.model_file import save_model
 from mbds_xsim.learn.particles import RolloutFigures, figures_on
 from mbds_xsim.learn.shift import rollouts, study
-from mbds_xsim.learn.shift.domains import (
-    Selection,
-    check_budget,
-    check_data,
-    find_models,
-    load_paired,
-    trivial_models,
-)
+from mbds_xsim.learn.shift.domains import Selection, find_models, load_paired, trivial_models
 from mbds_xsim.learn.shift.result import Shift
-from mbds_xsim.learn.statistics import Statistics
-from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, Motions
-from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
-from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.shift.present import present
 from mbds_xsim.studies.shift.tables import tables
+from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, make, train
 
-SCENE = "1pendulum"
-ENGINES = ("mujoco", "exudyn")
-STEPS, COUNT, SEEDS = 18, 40, 2
-TRAININGS = {"mujoco": ("mujoco",), "exudyn": ("exudyn",), "all": ENGINES}
+pytestmark = pytest.mark.usefixtures("apart")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data of two engines, and models of all trainings, not much trained."""
-    folder = tmp_path_factory.mktemp("shift")
-    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
-    choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
-    request = Request((scene,), choice, COUNT, folder / "data")
-    generate(request, workers=0)
-    for training, engines in TRAININGS.items():
-        for seed in range(SEEDS):
-            _train(folder, training, engines, seed)
-    return folder
-
-
-def _train(folder: Path, training: str, engines: tuple[str, ...], seed: int, **more: str) -> None:
-    files = [load_dataset(folder / "data" / SCENE / f"{name}-native.h5") for name in engines]
-    motions = Motions.joined([Motions.of(file, "train") for file in files])
-    statistics, settings = Statistics.of(motions), GNSSettings(width=8, steps=1)
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        model = GNS(motions.graph, statistics, settings)
-    facts = {
-        "train_engines": ",".join(engines), "variant": "native", "training": training,
-        "seed": str(seed), "profile": "tiny", "ended": "steps", **more,
-    }  # fmt: skip
-    path = folder / "models" / SCENE / "native" / "gns" / f"{training}-s{seed}.pt"
-    save_model(path, model, "gns", settings, statistics, **facts)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache(folder: Path) -> Iterator[None]:
-    """Nothing is kept beside the test's own files."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MBDS_XSIM_CACHE", str(folder / "cache"))
-        yield
+    return make(tmp_path_factory.mktemp("shift"))
 
 
 @pytest.fixture(scope="module")
-def shift(folder: Path, cache: None) -> Shift:
-    del cache
+def shift(folder: Path, apart: None) -> Shift:
+    del apart
     return study.study(
         study.question_of(folder / "models", folder / "data", SCENE), workers=0
     ).shift
@@ -358,7 +309,7 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
     for part in ("data", "models"):
         shutil.copytree(folder / part, tmp_path / part)
     for interval in ("low", "medium", "high"):
-        _train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
+        train(tmp_path, f"mujoco-{interval}", ("mujoco",), 0, interval=interval)
     parts = find_models(tmp_path / "models", SCENE, Selection.parse(None, "by-interval", None))
     assert [entry.interval for entry in parts] == ["low", "medium", "high"]
     found = study.study(
@@ -373,35 +324,6 @@ def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path)
     ]
     # All are the same untrained model: what remains is how hard the intervals are.
     assert [row.texts[4:] for row in table.rows] == [("1", "1", "1")] * 3
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (["--settings", "natural"], "--settings: got 'natural', allowed is native, matched"),
-        (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
-    ],
-)
-def test_a_part_that_is_not_known_is_refused(folder: Path, words: list[str], line: str) -> None:
-    with pytest.raises(InputError, match=line):
-        app(["shift", str(folder / "models"), str(folder / "data"), *words], standalone_mode=False)
-
-
-@pytest.mark.parametrize(
-    ("device", "line"),
-    [
-        ("tpu", "--device: got 'tpu', allowed is cpu or cuda"),
-        pytest.param(
-            "cuda",
-            "torch finds no GPU here; allowed is cpu",
-            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
-        ),
-    ],
-)
-def test_a_device_that_is_not_there_is_refused(folder: Path, device: str, line: str) -> None:
-    words = ["shift", str(folder / "models"), str(folder / "data"), "--device", device]
-    with pytest.raises(InputError, match=line):
-        app(words, standalone_mode=False)
 
 
 def _check_viewer(page: str) -> None:
@@ -420,62 +342,6 @@ def _check_viewer(page: str) -> None:
         error = np.frombuffer(base64.b64decode(entry["error"]), "<f4").reshape(shape[:2])
         assert (error[:, 0] == 0.0).all()
         assert (error[:, -1] > 0.0).all()
-
-
-def _copied(folder: Path, tmp_path: Path) -> Path:
-    shutil.copytree(folder / "data" / SCENE, tmp_path / SCENE)
-    return tmp_path
-
-
-@pytest.mark.parametrize("name", ["start/velocity", "input/force"])
-def test_unpaired_domains_are_refused(
-    folder: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data = _copied(folder, tmp_path)
-    paired = load_paired(data, SCENE)
-    shard = next((data / SCENE / "mujoco-native").glob("*.h5"))
-    with h5py.File(shard, "r+") as file:
-        file[name][int(paired.domains[1].rows[0]), ..., 0] += 1e-9
-    with pytest.raises(InputError, match=rf"0\.h5: dataset {name} is not what was written; get"):
-        load_paired(data, SCENE)
-    # Checksums that fit say nothing of pairing.
-    monkeypatch.setattr(Dataset, "check", lambda *_: None)
-    with pytest.raises(InputError, match=f"{name} of trajectory {paired.index[0]} is not that"):
-        load_paired(data, SCENE)
-
-
-def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
-    data = _copied(folder, tmp_path)
-    with h5py.File(data / SCENE / "mujoco-native.h5", "r+") as file:
-        file.attrs["seed"] = 7
-    with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
-        load_paired(data, SCENE)
-
-
-def test_without_torch_the_command_says_what_to_install(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mbds_xsim.commands.shared.find_spec", lambda _: None)
-    with pytest.raises(InputError, match=r"shift needs torch, which is not installed: pip"):
-        app(["shift", str(folder / "models"), str(folder / "data")], standalone_mode=False)
-
-
-def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no data files"):
-        load_paired(tmp_path, SCENE)
-    with pytest.raises(InputError, match="no trained models"):
-        find_models(tmp_path, SCENE)
-    path = tmp_path / SCENE / "native" / "gns" / "mujoco-s0.pt"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"nothing")
-    with pytest.raises(InputError, match=r"-s0\.pt: no trained model, or a damaged one; give an"):
-        find_models(tmp_path, SCENE)
-
-
-def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
-    entry = find_models(folder / "models", SCENE)[0]
-    with pytest.raises(InputError, match="a model of another scene"):
-        entry.load(load_scene(SCENE))
 
 
 def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
@@ -514,70 +380,3 @@ def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     plate = Scene("plate", (Body("plate", inertia=flat),), 1.0, joints=(hinge,))
     assert refusal("gns", Graph.of(plate)) == ""
     assert "points stand for bodies, which of a flat one" in refusal("lgnn", Graph.of(plate))
-
-
-def test_other_training_data_are_refused(folder: Path) -> None:
-    paired = load_paired(folder / "data", SCENE)
-    entry = find_models(folder / "models", SCENE)[0]
-    content = {domain.engine: domain.content for domain in paired.domains}
-    good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
-    check_data([entry, good], paired)
-    bad = dataclasses.replace(entry, data=(("mujoco", content["exudyn"]),))
-    with pytest.raises(InputError, match="another data set mujoco-native than is tested on"):
-        check_data([good, bad], paired)
-
-
-def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
-    entry = find_models(folder / "models", SCENE)[0]
-
-    def trained(**facts: str) -> TrainedModel:
-        return dataclasses.replace(entry, budget=tuple(facts.items()))
-
-    check_budget([trained(profile="a", starts="b"), trained(profile="a"), trained()])
-    other = dataclasses.replace(trained(profile="c"), model="sgnn")
-    check_budget([trained(profile="a"), other])
-    with pytest.raises(InputError, match="another starts than"):
-        check_budget([trained(profile="a", starts="b"), trained(profile="a", starts="c")])
-    matched = dataclasses.replace(trained(profile="a", starts="c"), variant="matched")
-    check_budget([trained(profile="a", starts="b"), matched])
-    with pytest.raises(InputError, match="another profile than"):
-        check_budget([trained(profile="b", starts="b"), matched])
-
-
-def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
-    """None of its domains is there, so checksums say nothing; a larger set has another split."""
-    paired = load_paired(folder / "data", SCENE)
-    entry = dataclasses.replace(find_models(folder / "models", SCENE)[0], data=())
-    same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
-    for drawn in (None, (0, same), (1, 10 * same)):
-        check_data([dataclasses.replace(entry, drawn=drawn)], paired)
-    seen = dataclasses.replace(entry, drawn=(0, 10 * same))
-    with pytest.raises(InputError, match=f"by trajectory {paired.index[0]} of the test part"):
-        check_data([seen], paired)
-
-
-def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
-    whole, part = (load_paired(folder / "data", SCENE, count) for count in (None, 3))
-    assert part.index.tolist() == whole.index[:3].tolist()
-    assert sorted(part.index % 3) == [0, 1, 2]
-    assert [len(domain.rows) for domain in part.domains] == [3, 3]
-    assert len(part.batch) == 3
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("in_process")
-def test_fewer_test_trajectories_than_intervals_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
-    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
-    choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
-    generate(Request((scene,), choice, 10, tmp_path / "data"), workers=0)
-    for training, engines in TRAININGS.items():
-        _train(tmp_path, training, engines, 0)
-    writes = [f"--{name}={tmp_path / name}" for name in ("html", "rollouts", "png", "csv")]
-
-    app(["shift", str(tmp_path / "models"), str(tmp_path / "data"), *writes], standalone_mode=False)
-
-    assert '<script type="application/json" id="data">' in (tmp_path / "html").read_text()
-    assert (tmp_path / "rollouts").read_bytes().startswith(b"\x89PNG")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -21,12 +22,12 @@ from mbds_xsim.scene.scene import (
     Force,
     Ground,
     Inertia,
-    Particle,
     Scene,
     Vector,
 )
 from mbds_xsim.scene.state import Trajectory
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.testing import contact_cases
 
 G, MU = 9.81, 0.43
 MASS, MOMENT = 1.0, 6.17e-4
@@ -47,17 +48,8 @@ def ball(
     clock: Clock = CLOCK,
 ) -> Scene:
     """Make a homogeneous sphere whose lowest point starts at a height."""
-    centre = (0.0, 0.0, RADIUS + height)
-    body = Body("ball", particles=(Particle(centre),), velocity=velocity, angular_velocity=spin)
-    return Scene(
-        "ball",
-        (body,),
-        1.0,
-        contacts=(ContactSphere("ball", centre, RADIUS),),
-        ground=Ground(friction, restitution),
-        forces=forces,
-        clock=clock,
-    )
+    plain = contact_cases.ball(height, velocity, spin, Ground(friction, restitution))
+    return msgspec.structs.replace(plain, forces=forces, clock=clock)
 
 
 def run(scene: Scene) -> Trajectory:
@@ -374,14 +366,8 @@ def test_several_balls_do_not_mind_each_other() -> None:
     one, two = ball(height=0.4, restitution=0.7), ball(velocity=(3.0, 1.0, 0.0), restitution=0.7)
     other = Body("other", particles=two.bodies[0].particles, velocity=two.bodies[0].velocity)
     sphere = ContactSphere("other", two.contacts[0].center, RADIUS)
-    both = Scene(
-        "two",
-        (other, *one.bodies),
-        1.0,
-        contacts=(*one.contacts, sphere),
-        ground=one.ground,
-        clock=one.clock,
-    )
+    parts = {"bodies": (other, *one.bodies), "contacts": (*one.contacts, sphere)}
+    both = msgspec.structs.replace(one, **parts)
     together = run(both)
     np.testing.assert_array_equal(together.position[0, :, 1], run(one).position[0, :, 0])
     np.testing.assert_array_equal(together.position[0, :, 0], run(two).position[0, :, 0])
@@ -394,7 +380,6 @@ def test_start_in_the_ground() -> None:
 
 def test_several_free_bodies_fly() -> None:
     """No joints at all, and no ground."""
-    names = ("a", "b", "c")
     bodies = tuple(
         Body(
             name,
@@ -402,7 +387,7 @@ def test_several_free_bodies_fly() -> None:
             velocity=(0.0, float(k), 1.0),
             angular_velocity=(1.0, 2.0, 3.0 * k),
         )
-        for k, name in enumerate(names)
+        for k, name in enumerate("abc")
     )
     scene = Scene("free", bodies, 1.0, clock=Clock(0.02, 20))
     result = run(scene)
@@ -411,6 +396,5 @@ def test_several_free_bodies_fly() -> None:
         expected = np.stack([k + 0 * t, k * t, t - 0.5 * G * t**2], axis=-1)
         np.testing.assert_allclose(result.position[0, :, k], expected, rtol=0, atol=1e-12)
         alone = run(Scene("one", bodies[k : k + 1], 1.0, clock=scene.clock))
-        np.testing.assert_allclose(
-            alone.orientation[0, :, 0], result.orientation[0, :, k], rtol=0, atol=1e-10
-        )
+        own = alone.orientation[0, :, 0]
+        np.testing.assert_allclose(own, result.orientation[0, :, k], rtol=0, atol=1e-10)

@@ -1,0 +1,182 @@
+"""Data and models that a shift study refuses, each in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import h5py
+import msgspec
+import pytest
+import torch
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.commands import app
+from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.learn.shift.domains import check_budget, check_data, find_models, load_paired
+from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.scene.scene import Clock
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.registry import load_scene
+from tests.learn.shifts import ENGINES, SCENE, STEPS, TRAININGS, make, train
+
+pytestmark = pytest.mark.usefixtures("apart")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("shift"))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--settings", "natural"], "--settings: got 'natural', allowed is native, matched"),
+        (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
+    ],
+)
+def test_a_part_that_is_not_known_is_refused(folder: Path, words: list[str], line: str) -> None:
+    with pytest.raises(InputError, match=line):
+        app(["shift", str(folder / "models"), str(folder / "data"), *words], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("device", "line"),
+    [
+        ("tpu", "--device: got 'tpu', allowed is cpu or cuda"),
+        pytest.param(
+            "cuda",
+            "torch finds no GPU here; allowed is cpu",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU"),
+        ),
+    ],
+)
+def test_a_device_that_is_not_there_is_refused(folder: Path, device: str, line: str) -> None:
+    words = ["shift", str(folder / "models"), str(folder / "data"), "--device", device]
+    with pytest.raises(InputError, match=line):
+        app(words, standalone_mode=False)
+
+
+def _copied(folder: Path, tmp_path: Path) -> Path:
+    shutil.copytree(folder / "data" / SCENE, tmp_path / SCENE)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["start/velocity", "input/force"])
+def test_unpaired_domains_are_refused(
+    folder: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = _copied(folder, tmp_path)
+    paired = load_paired(data, SCENE)
+    shard = next((data / SCENE / "mujoco-native").glob("*.h5"))
+    with h5py.File(shard, "r+") as file:
+        file[name][int(paired.domains[1].rows[0]), ..., 0] += 1e-9
+    with pytest.raises(InputError, match=rf"0\.h5: dataset {name} is not what was written; get"):
+        load_paired(data, SCENE)
+    # Checksums that fit say nothing of pairing.
+    monkeypatch.setattr(Dataset, "check", lambda *_: None)
+    with pytest.raises(InputError, match=f"{name} of trajectory {paired.index[0]} is not that"):
+        load_paired(data, SCENE)
+
+
+def test_other_seeds_are_refused(folder: Path, tmp_path: Path) -> None:
+    data = _copied(folder, tmp_path)
+    with h5py.File(data / SCENE / "mujoco-native.h5", "r+") as file:
+        file.attrs["seed"] = 7
+    with pytest.raises(InputError, match="seed 7, unlike exudyn-native"):
+        load_paired(data, SCENE)
+
+
+def test_without_torch_the_command_says_what_to_install(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.commands.shared.find_spec", lambda _: None)
+    with pytest.raises(InputError, match=r"shift needs torch, which is not installed: pip"):
+        app(["shift", str(folder / "models"), str(folder / "data")], standalone_mode=False)
+
+
+def test_missing_data_and_models_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no data files"):
+        load_paired(tmp_path, SCENE)
+    with pytest.raises(InputError, match="no trained models"):
+        find_models(tmp_path, SCENE)
+    path = tmp_path / SCENE / "native" / "gns" / "mujoco-s0.pt"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"-s0\.pt: no trained model, or a damaged one; give an"):
+        find_models(tmp_path, SCENE)
+
+
+def test_a_model_of_another_scene_is_refused(folder: Path) -> None:
+    entry = find_models(folder / "models", SCENE)[0]
+    with pytest.raises(InputError, match="a model of another scene"):
+        entry.load(load_scene(SCENE))
+
+
+def test_other_training_data_are_refused(folder: Path) -> None:
+    paired = load_paired(folder / "data", SCENE)
+    entry = find_models(folder / "models", SCENE)[0]
+    content = {domain.engine: domain.content for domain in paired.domains}
+    good = dataclasses.replace(entry, data=(("mujoco", content["mujoco"]),))
+    check_data([entry, good], paired)
+    bad = dataclasses.replace(entry, data=(("mujoco", content["exudyn"]),))
+    with pytest.raises(InputError, match="another data set mujoco-native than is tested on"):
+        check_data([good, bad], paired)
+
+
+def test_trainings_that_differ_in_more_than_their_engines_are_refused(folder: Path) -> None:
+    entry = find_models(folder / "models", SCENE)[0]
+
+    def trained(**facts: str) -> TrainedModel:
+        return dataclasses.replace(entry, budget=tuple(facts.items()))
+
+    check_budget([trained(profile="a", starts="b"), trained(profile="a"), trained()])
+    other = dataclasses.replace(trained(profile="c"), model="sgnn")
+    check_budget([trained(profile="a"), other])
+    with pytest.raises(InputError, match="another starts than"):
+        check_budget([trained(profile="a", starts="b"), trained(profile="a", starts="c")])
+    matched = dataclasses.replace(trained(profile="a", starts="c"), variant="matched")
+    check_budget([trained(profile="a", starts="b"), matched])
+    with pytest.raises(InputError, match="another profile than"):
+        check_budget([trained(profile="b", starts="b"), matched])
+
+
+def test_a_model_that_has_seen_the_test_part_is_refused(folder: Path) -> None:
+    """None of its domains is there, so checksums say nothing; a larger set has another split."""
+    paired = load_paired(folder / "data", SCENE)
+    entry = dataclasses.replace(find_models(folder / "models", SCENE)[0], data=())
+    same = int(load_dataset(folder / "data" / SCENE / "mujoco-native.h5").attributes["count"])
+    for drawn in (None, (0, same), (1, 10 * same)):
+        check_data([dataclasses.replace(entry, drawn=drawn)], paired)
+    seen = dataclasses.replace(entry, drawn=(0, 10 * same))
+    with pytest.raises(InputError, match=f"by trajectory {paired.index[0]} of the test part"):
+        check_data([seen], paired)
+
+
+def test_fewer_trajectories_are_the_first_ones(folder: Path) -> None:
+    whole, part = (load_paired(folder / "data", SCENE, count) for count in (None, 3))
+    assert part.index.tolist() == whole.index[:3].tolist()
+    assert sorted(part.index % 3) == [0, 1, 2]
+    assert [len(domain.rows) for domain in part.domains] == [3, 3]
+    assert len(part.batch) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_process")
+def test_fewer_test_trajectories_than_intervals_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
+    scene = msgspec.structs.replace(load_scene(SCENE), clock=Clock(steps=STEPS))
+    choice = Choice.parse(engines=",".join(ENGINES), profiles="native")
+    generate(Request((scene,), choice, 10, tmp_path / "data"), workers=0)
+    for training, engines in TRAININGS.items():
+        train(tmp_path, training, engines, 0)
+    writes = [f"--{name}={tmp_path / name}" for name in ("html", "rollouts", "png", "csv")]
+
+    app(["shift", str(tmp_path / "models"), str(tmp_path / "data"), *writes], standalone_mode=False)
+
+    assert '<script type="application/json" id="data">' in (tmp_path / "html").read_text()
+    assert (tmp_path / "rollouts").read_bytes().startswith(b"\x89PNG")
