@@ -19,7 +19,9 @@ _FAILS = "# exit code 1"
 def walk(page: str) -> None:
     """Do all that a tutorial says, in order, in the current folder."""
     names: dict[str, object] = {}
-    for name, kind, text in _BLOCK.findall((PAGES / page).read_text("utf-8")):
+    blocks = _BLOCK.findall((PAGES / page).read_text("utf-8"))
+    assert blocks
+    for name, kind, text in blocks:
         if kind in ("toml", "xml"):
             Path(name).write_text(text, "utf-8")
         elif kind == "sh":

@@ -44,6 +44,10 @@ class FindingResult(msgspec.Struct, frozen=True):
     """What else the check saw: how much it resolves, what was delivered; empty where nothing."""
 
 
+FIGURES = ("error_1s_m", "error_weighted_m", "constraint_gap_m", "energy_balance")
+"""Figures of an engine's accuracy, as fields of its result."""
+
+
 class EngineResult(msgspec.Struct, frozen=True):
     """One engine at one profile of settings: a row of the table."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mbds_xsim.base.isolate import Crash
 from mbds_xsim.checks import Finding, agreement
 from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, further_step, other_steps
 from mbds_xsim.measure.judge import Judged, failed_lines, finding_result, judge
-from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.measure.result import FIGURES, EngineResult
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
@@ -43,10 +43,8 @@ class Trial:
     """Processor time per simulated second."""
     wall_s: float
     """Wall time per simulated second."""
-    error_1s_m: float | None = None
-    error_weighted_m: float | None = None
-    gap_m: float | None = None
-    energy: float | None = None
+    figures: Mapping[str, float | None] = field(default_factory=lambda: dict.fromkeys(FIGURES))
+    """Those of its accuracy, by name."""
     trajectories: int = 0
 
     @property
@@ -104,10 +102,7 @@ def run_trial(
         excess=math.inf if result.failures else _excess(batch, result, limits),
         cpu_s=simulation.cpu_s / simulated,
         wall_s=simulation.rollout_s / simulated,
-        error_1s_m=result.error_1s_m,
-        error_weighted_m=result.error_weighted_m,
-        gap_m=result.constraint_gap_m,
-        energy=result.energy_balance,
+        figures={name: getattr(result, name) for name in FIGURES},
         trajectories=len(batch),
     )
 
@@ -126,16 +121,16 @@ def joined(parts: Sequence[Trial]) -> Trial:
         return float(np.average(times, weights=counts)) if all(counts) else math.inf
 
     figures = {}
-    for name in ("error_1s_m", "error_weighted_m", "gap_m", "energy"):
-        values = [getattr(part, name) for part in parts]
+    for name in FIGURES:
+        values = [part.figures[name] for part in parts]
         figures[name] = max((value for value in values if value is not None), default=None)
     return Trial(
         reasons=tuple(reason for part in parts for reason in part.reasons),
         excess=max(part.excess for part in parts),
         cpu_s=mean([part.cpu_s for part in parts]),
         wall_s=mean([part.wall_s for part in parts]),
+        figures=figures,
         trajectories=sum(counts),
-        **figures,
     )
 
 

@@ -11,26 +11,17 @@ from torch import Tensor
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
+from mbds_xsim.learn import recipe
 from mbds_xsim.learn.gns import GNS, GNSSettings
 from mbds_xsim.learn.model import build, load_model
-from mbds_xsim.learn.recipe import (
-    PROFILES,
-    SETTLED,
-    WITHOUT_END,
-    Cosine,
-    Decay,
-    Plateau,
-    Profile,
-    Recipe,
-)
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.train import CurvePoint, Training, train
 from mbds_xsim.learn.window import Motions, Sample
 from tests.learn.models import squared_error
 
 Data = Callable[..., Dataset]
-RECIPE = Recipe(rate=3e-3, batch=16, schedule=Plateau(patience=0, factor=0.5))
-SHORT = Profile(steps=40, every=10, windows=8, horizon=3, until_level=False)
+RECIPE = recipe.Recipe(rate=3e-3, batch=16, schedule=recipe.Plateau(patience=0, factor=0.5))
+SHORT = recipe.Profile(steps=40, every=10, windows=8, horizon=3, until_level=False)
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +46,8 @@ def test_it_beats_the_trivial_models(data: Data) -> None:
     training, test = Motions.of(file, "train"), Motions.of(file, "test")
     model = _model(training)
     profile = msgspec.structs.replace(SHORT, steps=400, every=100, windows=64, horizon=10)
-    recipe = Recipe(rate=3e-3, batch=64, schedule=Plateau())
-    train(model, training, Motions.of(file, "validation"), recipe, profile)
+    adam = recipe.Recipe(rate=3e-3, batch=64, schedule=recipe.Plateau())
+    train(model, training, Motions.of(file, "validation"), adam, profile)
     learned = squared_error(model, test, steps=10)[:, -1].mean()
     for name in ("hold", "constant_velocity", "constant_acceleration"):
         trivial = build(name, test.graph, Statistics.of(training))
@@ -145,7 +136,7 @@ def test_seeds_decide(parts: tuple[Motions, Motions]) -> None:
 def test_divergence_ends_the_run_with_the_best_parameters(parts: tuple[Motions, Motions]) -> None:
     model = _model(parts[0])
     before = {key: value.clone() for key, value in model.state_dict().items()}
-    wild = Recipe(rate=1e14, batch=8)
+    wild = recipe.Recipe(rate=1e14, batch=8)
     found = train(model, *parts, wild, SHORT)
     assert found.ended == "diverged"
     assert found.curve[-1].step < SHORT.steps
@@ -189,7 +180,7 @@ def test_it_stops_where_the_last_fifth_improved_too_little(
     parts: tuple[Motions, Motions],
 ) -> None:
     level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=5)
-    frozen = Recipe(rate=1e-12, batch=2)
+    frozen = recipe.Recipe(rate=1e-12, batch=2)
     found = train(_model(parts[0]), *parts, frozen, level)
     assert found.ended == "level"
     assert found.curve[-1].step == level.every * level.least
@@ -203,10 +194,10 @@ def test_improvement_is_that_of_the_last_fifth(parts: tuple[Motions, Motions]) -
 
 
 def test_rates_follow_their_schedules(parts: tuple[Motions, Motions]) -> None:
-    decay = Recipe(rate=1e-2, batch=2, schedule=Decay(tenth=20, floor=1e-3))
+    decay = recipe.Recipe(rate=1e-2, batch=2, schedule=recipe.Decay(tenth=20, floor=1e-3))
     rates = [point.rate for point in train(_model(parts[0]), *parts, decay, SHORT).curve]
     assert rates[1] == pytest.approx(1e-3 + 9e-3 * 0.1 ** (19 / 20))
-    still = Recipe(rate=1e-13, batch=2, schedule=Plateau(patience=1, factor=0.5))
+    still = recipe.Recipe(rate=1e-13, batch=2, schedule=recipe.Plateau(patience=1, factor=0.5))
     longer = msgspec.structs.replace(SHORT, steps=80)
     rates = [point.rate for point in train(_model(parts[0]), *parts, still, longer).curve]
     assert rates[0] == 1e-13
@@ -215,38 +206,44 @@ def test_rates_follow_their_schedules(parts: tuple[Motions, Motions]) -> None:
 
 
 def test_a_cosine_ends_with_the_run_however_long_it_is(parts: tuple[Motions, Motions]) -> None:
-    recipe = Recipe(rate=1e-3, batch=2, schedule=Cosine())
+    adam = recipe.Recipe(rate=1e-3, batch=2, schedule=recipe.Cosine())
     for steps in (20, 40):
         profile = msgspec.structs.replace(SHORT, steps=steps, every=steps // 2)
-        curve = train(_model(parts[0]), *parts, recipe, profile).curve
+        curve = train(_model(parts[0]), *parts, adam, profile).curve
         # A point has the rate of the step before it.
         angles = [math.pi * (point.step - 1) / steps for point in curve]
         expected = [0.5e-3 * (1.0 + math.cos(angle)) for angle in angles]
         assert [point.rate for point in curve] == pytest.approx(expected)
-    assert Cosine().at(1e-3, 40, 40) == 0.0
+    assert recipe.Cosine().at(1e-3, 40, 40) == 0.0
 
 
 def test_a_run_that_ends_when_level_has_no_cosine_to_end(parts: tuple[Motions, Motions]) -> None:
     """Nor does it end before its rate has fallen far: validation wavers at a high one."""
-    still = Recipe(rate=1e-13, batch=2, schedule=Cosine())
+    still = recipe.Recipe(rate=1e-13, batch=2, schedule=recipe.Cosine())
     level = msgspec.structs.replace(SHORT, steps=10_000, every=2, until_level=True, least=5)
     found = train(_model(parts[0]), *parts, still, level)
-    falls = -round(math.log(SETTLED, 1 / WITHOUT_END.factor))
+    falls = -round(math.log(recipe.SETTLED, 1 / recipe.WITHOUT_END.factor))
     rates = [
-        1e-13 * WITHOUT_END.factor**k for k in range(falls) for _ in range(WITHOUT_END.patience + 1)
+        1e-13 * recipe.WITHOUT_END.factor**k
+        for k in range(falls)
+        for _ in range(recipe.WITHOUT_END.patience + 1)
     ]
     assert found.ended == "level"
     assert [point.rate for point in found.curve] == [rates[0], *rates]
 
 
-@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("name", recipe.PROFILES)
 @pytest.mark.parametrize("steps", [7, 1000, 3000])
 def test_a_run_of_exactly_so_many_steps_is_validated_often_enough(name: str, steps: int) -> None:
-    profile = PROFILES[name].of_exactly(steps)
+    profile = recipe.PROFILES[name].of_exactly(steps)
     assert (profile.steps, profile.until_level) == (steps, False)
-    assert profile.every <= PROFILES[name].every
+    assert profile.every <= recipe.PROFILES[name].every
     assert profile.every == 1 or steps // profile.every >= profile.least
 
 
 def test_smoke_is_short() -> None:
-    assert PROFILES["smoke"].steps < PROFILES["lite"].steps < PROFILES["paper"].steps
+    assert (
+        recipe.PROFILES["smoke"].steps
+        < recipe.PROFILES["lite"].steps
+        < recipe.PROFILES["paper"].steps
+    )

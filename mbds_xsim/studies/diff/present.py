@@ -4,31 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbds_xsim.report import quantity
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Remark,
-    Remarks,
-    Report,
-    Row,
-    Section,
-    Table,
-)
+from mbds_xsim.report import blocks, quantity
 from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
 from mbds_xsim.studies.diff.view import Value
 
 _HEADINGS = ("entry", "what", "before", "now", "change")
-_COLUMNS = tuple(Column(heading, words=heading != "change") for heading in _HEADINGS)
+_COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)
 _MOST_FIGURES, _MOST_TIMES = 40, 12
 """Rows of a table on a terminal; Markdown and JSON have them all."""
 
 
-def present(comparison: Comparison) -> Iterator[Report]:
+def present(comparison: Comparison) -> Iterator[blocks.Report]:
     """Say of each scene what changed, and whether anything is worse."""
     for diff in comparison.scenes:
-        yield Report(
+        yield blocks.Report(
             title=diff.scene,
             what="worse" if diff.worse else "nothing worse",
             conclusion=_conclusion(diff),
@@ -38,15 +27,15 @@ def present(comparison: Comparison) -> Iterator[Report]:
         )
 
 
-def remarks_of(comparison: Comparison) -> Remarks:
+def remarks_of(comparison: Comparison) -> blocks.Remarks:
     """Name the scenes that only one of the results has."""
     sides = (("old", comparison.scenes_only_old), ("new", comparison.scenes_only_new))
-    return Remarks.of(
+    return blocks.Remarks.of(
         (f"scenes only in the {which} one", ", ".join(names)) for which, names in sides if names
     )
 
 
-def _blocks(diff: Diff, comparison: Comparison) -> Iterator[Block]:
+def _blocks(diff: Diff, comparison: Comparison) -> Iterator[blocks.Block]:
     figures = tuple(row for entry in diff.entries for row in _entry_rows(entry))
     times = tuple(_figure(e.name, change) for e in diff.entries for change in e.timings)
     for title, rows, most in (
@@ -54,19 +43,21 @@ def _blocks(diff: Diff, comparison: Comparison) -> Iterator[Block]:
         ("Times", times, _MOST_TIMES),
     ):
         if rows:
-            yield Section(title, (Table(_COLUMNS, rows, most=most, grouped=True),))
-    yield Remarks.of(_remarks(diff))
-    yield Remarks(tuple(Remark("worse", line, "fail") for line in diff.worse), _MOST_FIGURES)
+            yield blocks.Section(title, (blocks.Table(_COLUMNS, rows, most=most, grouped=True),))
+    yield blocks.Remarks.of(_remarks(diff))
+    yield blocks.Remarks(
+        tuple(blocks.Remark("worse", line, "fail") for line in diff.worse), _MOST_FIGURES
+    )
     commands = f"old: {diff.old_command}; new: {diff.new_command}"
-    yield Remarks.of([("compared", commands), ("counted", _thresholds(comparison))])
+    yield blocks.Remarks.of([("compared", commands), ("counted", _thresholds(comparison))])
 
 
-def _entry_rows(entry: EntryDiff) -> Iterator[Row]:
+def _entry_rows(entry: EntryDiff) -> Iterator[blocks.Row]:
     name = entry.name
     if entry.worse or entry.old_verdict != entry.new_verdict:
         words = "worse" if entry.worse else "better" if entry.better else ""
         told = (name, "verdict", entry.old_verdict, entry.new_verdict)
-        yield Row((*map(Cell, (*told, words)),), "over" if entry.worse else "")
+        yield blocks.Row((*map(blocks.Cell, (*told, words)),), "over" if entry.worse else "")
     for change in entry.settings:
         yield _row(name, change.what, _value(change.old), _value(change.new), "")
     for figure in entry.figures:
@@ -77,11 +68,11 @@ def _entry_rows(entry: EntryDiff) -> Iterator[Row]:
         yield _row(name, "reason", quantity.NONE, reason, "new")
 
 
-def _row(*texts: str) -> Row:
-    return Row(tuple(map(Cell, texts)))
+def _row(*texts: str) -> blocks.Row:
+    return blocks.Row(tuple(map(blocks.Cell, texts)))
 
 
-def _figure(name: str, figure: FigureChange) -> Row:
+def _figure(name: str, figure: FigureChange) -> blocks.Row:
     before, now = (quantity.with_unit(value, figure.unit) for value in (figure.old, figure.new))
     return _row(name, figure.what, before, now, _change(figure))
 

@@ -195,13 +195,12 @@ def _match(part: object) -> View:
 
 def _found_entry(found: match.Found) -> Entry:
     settings = _fields(found, "version", "method", "steps_per_frame", "step_s")
-    figures = ("error_1s_m", "error_weighted_m", "constraint_gap_m", "energy_balance")
     return Entry(
         verdict="keeps all budgets" if found.meets_budget else "over budget",
         rank=0 if found.meets_budget else FAILING,
         settings={**settings, **found.options},
         reasons=found.reasons,
-        figures=_figures(found, *figures),
+        figures=_figures(found, *result.FIGURES),
         timings={
             _LABELS[name]: _finite(getattr(found, name))
             for name in ("wall_per_simulated_s", "cpu_per_simulated_s")

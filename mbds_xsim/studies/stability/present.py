@@ -7,24 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted
-from mbds_xsim.report import quantity, themed
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Figure,
-    FigureGroup,
-    Key,
-    Legend,
-    Place,
-    Remark,
-    Remarks,
-    Report,
-    Section,
-    Table,
-    Text,
-    table_of,
-)
+from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK
 from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.study import Study, Survey, text_of
@@ -48,27 +31,28 @@ _HEAD = 0.9
 """Height of title and legend of a picture [in]."""
 
 
-def listing(studies: Iterable[Study]) -> Table:
+def listing(studies: Iterable[Study]) -> blocks.Table:
     """List the studies there are, a row each."""
     columns = [
-        Column(h, words=True) for h in ("study", "what is swept", "values", "what it is about")
+        blocks.Column(h, words=True)
+        for h in ("study", "what is swept", "values", "what it is about")
     ]
-    rows: list[list[Cell | str]] = [
+    rows: list[list[blocks.Cell | str]] = [
         [
-            Cell(study.name, "strong"),
+            blocks.Cell(study.name, "strong"),
             f"{study.quantity} [{study.unit}]" if study.unit else study.quantity,
             ", ".join(map(text_of, study.values)),
             study.sentence,
         ]
         for study in studies
     ]
-    return table_of(columns, rows)
+    return blocks.table_of(columns, rows)
 
 
-def present(sweep: Survey) -> Report:
+def present(sweep: Survey) -> blocks.Report:
     """Say what a study comes to, and show what is behind it."""
     versions = ", ".join(f"{name} {version}" for name, version in sweep.versions.items())
-    return Report(
+    return blocks.Report(
         title=sweep.study,
         what="largest stable step [ms]",
         description=sweep.sentence,
@@ -81,10 +65,10 @@ def present(sweep: Survey) -> Report:
     )
 
 
-def _blocks(sweep: Survey) -> Iterator[Block]:
+def _blocks(sweep: Survey) -> Iterator[blocks.Block]:
     yield _limits(sweep)
     told = words.learned_told(sweep)
-    yield Remarks.of(
+    yield blocks.Remarks.of(
         [
             ("reading", words.reading(sweep)),
             ("stable", sweep.criteria.removeprefix("stable: ")),
@@ -95,49 +79,53 @@ def _blocks(sweep: Survey) -> Iterator[Block]:
             *((f"no reference at {name}", reason) for name, reason in sweep.unknown.items()),
         ]
     )
-    only: frozenset[Place] = frozenset({"page"})
-    yield Section("What breaks first", tuple(_maps(sweep)), on=only)
-    yield Section(
+    only: frozenset[blocks.Place] = frozenset({"page"})
+    yield blocks.Section("What breaks first", tuple(_maps(sweep)), on=only)
+    yield blocks.Section(
         "All cells that are not stable and on course", (_cells(sweep),), folded=True, on=only
     )
 
 
-def _limits(sweep: Survey) -> Table:
-    first = Column(f"engine and method / {words.swept(sweep)}", words=True)
+def _limits(sweep: Survey) -> blocks.Table:
+    first = blocks.Column(f"engine and method / {words.swept(sweep)}", words=True)
     rows = [
         [panel.name, *(words.limit(panel, row) for row in range(len(sweep.values)))]
         for panel in sweep.panels
     ]
-    return table_of([first, *(Column(text_of(value)) for value in sweep.values)], rows)
+    return blocks.table_of(
+        [first, *(blocks.Column(text_of(value)) for value in sweep.values)], rows
+    )
 
 
-def _maps(sweep: Survey) -> Iterator[Block]:
-    yield Text(
+def _maps(sweep: Survey) -> Iterator[blocks.Block]:
+    yield blocks.Text(
         f"Across: the step; upwards: {words.swept(sweep)}. The colour says what breaks first "
         f"within {sweep.duration_s:g} s; hatched cells go wrong without a word of the engine. "
         "Point at a cell for its figures and the command that runs it again"
     )
     present_ones = {cell.outcome for cell in sweep.cells}
     keys = [
-        Key(look.meaning, look.colour, look.letter, dark=outcome not in LIGHT_LOOKS)
+        blocks.Key(look.meaning, look.colour, look.letter, dark=outcome not in LIGHT_LOOKS)
         for outcome, look in LOOKS.items()
         if outcome in present_ones
     ]
-    yield Legend((*keys, Key("without a word of the engine", hatched=True)))
+    yield blocks.Legend((*keys, blocks.Key("without a word of the engine", hatched=True)))
     told = tips(sweep)
-    yield FigureGroup(tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275)
+    yield blocks.FigureGroup(
+        tuple(_map(sweep, places, told) for places in charts_of(sweep)), least=275
+    )
 
 
-def _map(sweep: Survey, places: tuple[int, ...], told: dict[str, str]) -> Figure:
+def _map(sweep: Survey, places: tuple[int, ...], told: dict[str, str]) -> blocks.Figure:
     title = f"{sweep.study}: {', '.join(sweep.panels[place].name for place in places)}"
 
     def draw(figure: Any) -> None:
         draw_map(figure.subplots(), sweep, places)
 
-    return Figure(title, draw, size_of(sweep, places), told)
+    return blocks.Figure(title, draw, size_of(sweep, places), told)
 
 
-def _cells(sweep: Survey) -> Table:
+def _cells(sweep: Survey) -> blocks.Table:
     headings = (
         "engine and method",
         "value",
@@ -147,34 +135,34 @@ def _cells(sweep: Survey) -> Table:
         "in its words",
         "figures",
     )
-    columns = [Column(h, words=h not in ("value", "step")) for h in headings]
-    rows: list[list[Cell | str]] = [
+    columns = [blocks.Column(h, words=h not in ("value", "step")) for h in headings]
+    rows: list[list[blocks.Cell | str]] = [
         [
             f"{cell.engine} {cell.method}{'' if cell.profile == 'matched' else f' {cell.profile}'}",
             text_of(cell.value),
             quantity.span(cell.step_s),
             words.what_happened(cell),
-            Cell(cell.told, "over" if cell.silent else ""),
+            blocks.Cell(cell.told, "over" if cell.silent else ""),
             cell.reason,
             dict(words.told(cell, sweep)).get("figures", ""),
         ]
         for cell in sweep.cells
         if cell.outcome != "stable"
     ]
-    return table_of(columns, rows)
+    return blocks.table_of(columns, rows)
 
 
-def cells_of(sweep: Survey) -> Iterator[Block]:
+def cells_of(sweep: Survey) -> Iterator[blocks.Block]:
     """Say what happened in each cell of a few, and why."""
     for cell in sweep.cells:
-        yield Text(words.name_of(cell, sweep), "strong")
-        yield Remarks(
+        yield blocks.Text(words.name_of(cell, sweep), "strong")
+        yield blocks.Remarks(
             tuple(
-                Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
+                blocks.Remark(subject, text, "fail" if cell.failed and subject == "outcome" else "")
                 for subject, text in words.told(cell, sweep)
             )
         )
-    yield Remarks.of(
+    yield blocks.Remarks.of(
         [
             ("stable", sweep.criteria.removeprefix("stable: ")),
             *((f"{name} left out", reason) for name, reason in sweep.left_out.items()),

@@ -7,24 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from mbds_xsim.base.text import counted, in_figure, sentence
-from mbds_xsim.report import quantity, themed
-from mbds_xsim.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Figure,
-    FigureGroup,
-    Key,
-    Legend,
-    Mark,
-    Remark,
-    Remarks,
-    Report,
-    Row,
-    Section,
-    Table,
-    Text,
-)
+from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK, PAPER
 from mbds_xsim.studies.tradeoff import words
 from mbds_xsim.studies.tradeoff.figures import (
@@ -49,7 +32,7 @@ _READING = (
     "Point at a mark for its figures"
 )
 _POINTS = tuple(
-    Column(heading, words=heading in ("settings", "over budget"))
+    blocks.Column(heading, words=heading in ("settings", "over budget"))
     for heading in (
         "settings", "step", "cost", "spread", "processor", "set-up", "error", "all times", "gap",
         "energy", "over budget",
@@ -57,11 +40,11 @@ _POINTS = tuple(
 )  # fmt: skip
 
 
-def present(study: Tradeoff, picture: str = "") -> Report:
+def present(study: Tradeoff, picture: str = "") -> blocks.Report:
     """Say what a study comes to, and show what is behind it."""
     versions = ", ".join(f"{name} {version}" for name, version in study.versions.items())
     rows = f"{counted(study.measured, 'row')} measured, {study.kept} kept from earlier"
-    return Report(
+    return blocks.Report(
         title=study.scene,
         what="speed against accuracy",
         description=study.description,
@@ -73,55 +56,60 @@ def present(study: Tradeoff, picture: str = "") -> Report:
     )
 
 
-def _blocks(study: Tradeoff) -> Iterator[Block]:
+def _blocks(study: Tradeoff) -> Iterator[blocks.Block]:
     yield _main(study)
     if study.models:
         yield words.models_table(study)
-        yield Remarks.of([("trained models", words.models_told(study))])
-    yield Remarks.of(
+        yield blocks.Remarks.of([("trained models", words.models_told(study))])
+    yield blocks.Remarks.of(
         [
             ("error", words.what_is_charted(study)),
             *(("option that pays", line) for line in words.options_that_pay(study)),
         ]
     )
-    yield Section("Charts", tuple(_charts(study)), on=frozenset({"page"}))
+    yield blocks.Section("Charts", tuple(_charts(study)), on=frozenset({"page"}))
     failed = words.failures(study)
     if failed or study.left_out:
-        lines = [Remark(name, f"{steps}: {what}", "fail") for name, steps, what in failed]
-        lines += [Remark("left out", reason) for reason in study.left_out.values()]
-        yield Section("Failures", (Remarks(tuple(lines), _MOST_LINES + 1),))
-    points = Table(_POINTS, tuple(_point_rows(study)))
-    yield Section("All points", (points,), folded=True, on=frozenset({"page"}))
+        lines = [blocks.Remark(name, f"{steps}: {what}", "fail") for name, steps, what in failed]
+        lines += [blocks.Remark("left out", reason) for reason in study.left_out.values()]
+        yield blocks.Section("Failures", (blocks.Remarks(tuple(lines), _MOST_LINES + 1),))
+    points = blocks.Table(_POINTS, tuple(_point_rows(study)))
+    yield blocks.Section("All points", (points,), folded=True, on=frozenset({"page"}))
 
 
-def _main(study: Tradeoff) -> Table:
+def _main(study: Tradeoff) -> blocks.Table:
     columns = words.columns(study)
     rows = [
-        Row(tuple(Cell(tell(curve)) for _, tell in columns), "muted" if curve.variation else "")
+        blocks.Row(
+            tuple(blocks.Cell(tell(curve)) for _, tell in columns),
+            "muted" if curve.variation else "",
+        )
         for curve in words.main_curves(study)
     ]
-    return Table(tuple(column for column, _ in columns), tuple(rows), grouped=True)
+    return blocks.Table(tuple(column for column, _ in columns), tuple(rows), grouped=True)
 
 
-def _charts(study: Tradeoff) -> Iterator[Block]:
-    yield Text(_READING)
+def _charts(study: Tradeoff) -> Iterator[blocks.Block]:
+    yield blocks.Text(_READING)
     keys = [
-        (curve.variation, Key(curve.name, colour_of(curve.engine), curve=str(place)))
+        (curve.variation, blocks.Key(curve.name, colour_of(curve.engine), curve=str(place)))
         for place, curve in enumerate(study.curves)
     ]
-    models = [Key("trained models", "", curve="model")] if study.models else []
-    yield Legend((*(key for varied, key in keys if varied in _USUAL), *models))
+    models = [blocks.Key("trained models", "", curve="model")] if study.models else []
+    yield blocks.Legend((*(key for varied, key in keys if varied in _USUAL), *models))
     changed = tuple(key for varied, key in keys if varied not in _USUAL)
     if changed:
-        yield Section("changed options and native settings", (Legend(changed),), folded=True)
+        yield blocks.Section(
+            "changed options and native settings", (blocks.Legend(changed),), folded=True
+        )
     told = tips(study)
-    yield FigureGroup(
+    yield blocks.FigureGroup(
         tuple(_figure(study, chart, told, main=not k) for k, chart in enumerate(charts_of(study))),
         least=480,
     )
 
 
-def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) -> Figure:
+def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) -> blocks.Figure:
     def draw(figure: Any) -> None:
         axes = figure.subplots()
         draw_chart(axes, study, chart)
@@ -130,15 +118,19 @@ def _figure(study: Tradeoff, chart: Chart, told: dict[str, str], *, main: bool) 
                 axes.plot([], [], marker, color=colour, label=label, ls="-")
             figure.legend(loc="outside right upper", frameon=False, fontsize=8)
 
-    return Figure(chart.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
+    return blocks.Figure(chart.title(study), draw, _MAIN if main else _SMALL, told, wide=main)
 
 
-def _point_rows(study: Tradeoff) -> Iterator[Row]:
+def _point_rows(study: Tradeoff) -> Iterator[blocks.Row]:
     for curve in study.curves:
         for point in curve.points:
             texts = (curve.name, quantity.pace(point.step_s, point.rtol), *_figures(point))
-            tone: Mark = "strong" if point.on_front else "" if point.kind == "done" else "muted"
-            yield Row(tuple(Cell(text, "strong" if point.on_front else "") for text in texts), tone)
+            tone: blocks.Mark = (
+                "strong" if point.on_front else "" if point.kind == "done" else "muted"
+            )
+            yield blocks.Row(
+                tuple(blocks.Cell(text, "strong" if point.on_front else "") for text in texts), tone
+            )
 
 
 def _figures(point: Point) -> Iterator[str]:
