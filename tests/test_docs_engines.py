@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.commands.listing import engines_page
+from mbds_xsim.report.engines_page import engines_page
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.catalogue import engine_rows
 

@@ -22,10 +22,7 @@ Folder = Annotated[
 ]
 
 
-@shared.command(
-    "check",
-    epilog="Examples:  mbds-xsim validate 3ladder  ·  mbds-xsim validate my.toml --engines mujoco",
-)
+@shared.command("check", writes="json html opened markdown")
 def validate(
     scene: shared.SceneName,
     engines: shared.EngineNames = None,
@@ -43,23 +40,22 @@ def validate(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    json: shared.JsonFile = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
-    markdown: Annotated[
-        Path | None, Option(metavar="FILE", help="Write the table as Markdown.")
-    ] = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Run a scene in all engines, check every trajectory, and tell which to trust."""
+    """Run a scene in all engines, check every trajectory, and tell which to trust.
+
+    Examples:
+        mbds-xsim validate 3ladder
+        mbds-xsim validate my.toml --engines mujoco
+    """
     from mbds_xsim.measure.result import to_json
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.validate.present import present
     from mbds_xsim.studies.validate.validation import Choice, validate_with_evidence
 
-    console = shared.console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step, limit=limit)
-    shared.check_targets(json=json, html=html, markdown=markdown)
-    with shared.progress_on(console) as progress:
+    with shared.progress_on(to.console) as progress:
         validation, evidence = validate_with_evidence(
             shared.scene_named(scene),
             choice=choice,
@@ -72,18 +68,13 @@ def validate(
             progress=progress,
             command=shared.command_line(),
         )
-    print_report(present(validation), console)
-    shown = present(validation, evidence if html is not None or opened else None)
-    shared.deliver([shown], validation.scene, console, html=html, markdown=markdown, opened=opened)
-    shared.write_json(to_json(validation), json)
+    print_report(present(validation), to.console)
+    shown = present(validation, evidence if to.paged else None)
+    to.give([shown], validation.scene, to_json(validation))
     raise Exit(0 if validation.verdict != "fail" else 1)
 
 
-@shared.command(
-    "check",
-    epilog="Examples:  mbds-xsim diff reports/3ladder.json new.json  ·  "
-    "mbds-xsim diff before.json after.json --markdown changes.md",
-)
+@shared.command("check", writes="json markdown")
 def diff(
     old: Annotated[Path, Argument(metavar="OLD", help="JSON of the earlier result.")],
     new: Annotated[Path, Argument(metavar="NEW", help="JSON of the later one.")],
@@ -93,76 +84,71 @@ def diff(
     factor: Annotated[
         float, Option(help="Factor between two times that is no change.", min=1.0)
     ] = 1.5,
-    json: shared.JsonFile = None,
-    markdown: Annotated[
-        Path | None, Option(metavar="FILE", help="Write everything as Markdown.")
-    ] = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Compare two results of one command and scene: 0 nothing is worse, 1 something is."""
+    """Compare two results of one command and scene: 0 nothing is worse, 1 something is.
+
+    Examples:
+        mbds-xsim diff reports/3ladder.json new.json
+        mbds-xsim diff before.json after.json --markdown changes.md
+    """
     from mbds_xsim.report.terminal import print_blocks, print_report
     from mbds_xsim.studies.diff.compare import compare_files
     from mbds_xsim.studies.diff.present import present, remarks_of
 
-    shared.check_targets(json=json, markdown=markdown)
     comparison = compare_files(old, new, rtol=rtol, factor=factor)
-    console, reports = shared.console_for(json), list(present(comparison))
-    print_blocks([remarks_of(comparison)], console)
+    reports = list(present(comparison))
+    print_blocks([remarks_of(comparison)], to.console)
     for report in reports:
-        print_report(report, console)
-    shared.deliver(reports, "", console, markdown=markdown)
-    shared.write_json(shared.encoded(comparison), json)
+        print_report(report, to.console)
+    to.give(reports, "", shared.encoded(comparison))
     raise Exit(1 if comparison.verdict == "worse" else 0)
 
 
-@shared.command(
-    "check",
-    name="import",
-    epilog="Examples:  mbds-xsim import ant.xml --out ant.toml  ·  "
-    "mbds-xsim import anymal.urdf --floating --json losses.json",
-)
+@shared.command("check", name="import", writes="json html opened markdown")
 def import_model(
     model: Model,
     out: Annotated[Path | None, Option(metavar="FILE", help="Write the scene file.")] = None,
     floating: Floating = False,
     folder: Folder = None,
-    json: shared.JsonFile = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
-    markdown: shared.MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Make a scene file of another program's model, and tell what of it is lost."""
+    """Make a scene file of another program's model, and tell what of it is lost.
+
+    Examples:
+        mbds-xsim import ant.xml --out ant.toml
+        mbds-xsim import anymal.urdf --floating --json losses.json
+    """
     from mbds_xsim.report.losses import import_row, present
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.scene.file import save_scene
     from mbds_xsim.simulate.registry import read_model
 
-    shared.check_targets(out=out, json=json, html=html, markdown=markdown)
-    console = shared.console_for(json)
-    with shared.progress_on(console) as progress:
+    to.check(out=out)
+    with shared.progress_on(to.console) as progress:
         progress.begin(1, f"reading {model}")
         imported = read_model(model, folder=folder, floating=floating)
     if out is not None:
         save_scene(imported.scene, out)
     report = present(imported, shared.command_line())
-    print_report(report, console)
-    shared.deliver(
-        [report], imported.scene.name, console, html=html, markdown=markdown, opened=opened
-    )
-    shared.write_json(shared.encoded(import_row(imported), "import"), json)
+    print_report(report, to.console)
+    to.give([report], imported.scene.name, shared.encoded(import_row(imported), "import"))
 
 
-@shared.command(
-    "check",
-    name="export-model",
-    epilog="Example:  mbds-xsim export-model bricard --format mjcf --out bricard.xml",
-)
+@shared.command("check", name="export-model")
 def export_model(
     scene: shared.SceneName,
     out: Annotated[Path, Option(metavar="FILE", help="Write the model.")],
     kind: Annotated[str, Option("--format", metavar="NAME", help="mjcf or urdf.")] = "mjcf",
     json: shared.JsonFile = None,
 ) -> None:
-    """Write a scene as another program's model, and tell what of it is lost."""
+    """Write a scene as another program's model, and tell what of it is lost.
+
+    Example:
+        mbds-xsim export-model bricard --format mjcf --out bricard.xml
+    """
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.report.losses import loss_blocks
     from mbds_xsim.simulate.registry import write_model
@@ -174,7 +160,7 @@ def export_model(
     shared.answer(loss_blocks(written), result, json, "export-model")
 
 
-@shared.command("check", epilog="Example:  mbds-xsim readers arm.urdf --engines pybullet,dart")
+@shared.command("check", writes="json html opened markdown")
 def readers(
     model: Model,
     engines: Annotated[
@@ -182,22 +168,21 @@ def readers(
     ] = "mujoco,pybullet,dart",
     floating: Floating = False,
     folder: Folder = None,
-    json: shared.JsonFile = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
-    markdown: shared.MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Hold what engines' own readers make of a model against what its file says."""
+    """Hold what engines' own readers make of a model against what its file says.
+
+    Example:
+        mbds-xsim readers arm.urdf --engines pybullet,dart
+    """
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.readers import compare, present
 
-    shared.check_targets(json=json, html=html, markdown=markdown)
-    console = shared.console_for(json)
-    with shared.progress_on(console) as progress:
+    with shared.progress_on(to.console) as progress:
         progress.begin(1, f"reading {model}")
         readings = compare(model, engines.split(","), folder=folder, floating=floating)
     report = present(readings, shared.command_line())
-    print_report(report, console)
-    shared.deliver([report], readings.file, console, html=html, markdown=markdown, opened=opened)
-    shared.write_json(shared.encoded(readings), json)
+    print_report(report, to.console)
+    to.give([report], readings.file, shared.encoded(readings))
     raise Exit(0 if all(reading.alike for reading in readings.readings) else 1)

@@ -21,11 +21,7 @@ if TYPE_CHECKING:
     from mbds_xsim.dataset.verify import Verified
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim inspect data  ·  "
-    "mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png",
-)
+@shared.command("data")
 def inspect(
     path: Annotated[Path, Argument(metavar="FILE|DIR", help="A data file or a folder.")],
     png: Annotated[
@@ -33,7 +29,12 @@ def inspect(
     ] = None,
     json: shared.JsonFile = None,
 ) -> None:
-    """Sum up data sets: scene, engine, counts, figures of the checks, versions, size."""
+    """Sum up data sets: scene, engine, counts, figures of the checks, versions, size.
+
+    Examples:
+        mbds-xsim inspect data
+        mbds-xsim inspect data/6pendulum/mujoco-matched.h5 --png paths.png
+    """
     from mbds_xsim.dataset.read import load_dataset
     from mbds_xsim.dataset.summary import draw_paths, summaries
 
@@ -107,11 +108,7 @@ def _cells(figure: Range) -> list[Cell | str]:
     return [*known, allowed, Cell("", "pass" if kept else "fail")]
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim export data --out npz --format npz  ·  "
-    "mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9",
-)
+@shared.command("data")
 def export(
     dataset: Annotated[Path, Argument(metavar="DATASET", help="A data file or folder.")],
     out: Annotated[Path, Option(metavar="DIR", help="Folder to write, made if needed.")],
@@ -124,7 +121,12 @@ def export(
     ] = None,
     json: shared.JsonFile = None,
 ) -> None:
-    """Write data sets in a form that any program reads, and say what it does not carry."""
+    """Write data sets in a form that any program reads, and say what it does not carry.
+
+    Examples:
+        mbds-xsim export data --out npz --format npz
+        mbds-xsim export data/6pendulum/mujoco-matched.h5 --out csv --format csv --indices 0-9
+    """
     from mbds_xsim.base.text import counted
     from mbds_xsim.dataset.export import export as run
     from mbds_xsim.dataset.read import parse_numbers
@@ -151,11 +153,7 @@ def export(
     shared.write_json(shared.encoded(done, "export"), json)
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim audit lab.csv --scene 6pendulum  ·  "
-    "mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0",
-)
+@shared.command("data", writes="json html opened")
 def audit(
     file: Annotated[Path, Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
     scene: Annotated[
@@ -181,19 +179,21 @@ def audit(
     contact_time: Annotated[
         float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
     ] = None,
-    json: shared.JsonFile = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Check trajectories from anywhere: another engine, a lab, a learned model."""
+    """Check trajectories from anywhere: another engine, a lab, a learned model.
+
+    Examples:
+        mbds-xsim audit lab.csv --scene 6pendulum
+        mbds-xsim audit model.npz --scene 6pendulum --index 0-9 --seed 0
+    """
     from mbds_xsim.dataset.audit import audit_file
     from mbds_xsim.dataset.foreign import Provenance
     from mbds_xsim.dataset.read import parse_numbers
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.audit import present
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json, html=html)
     origin = Provenance(
         index=None if index is None else tuple(parse_numbers(index, "--index")),
         seed=seed,
@@ -205,9 +205,8 @@ def audit(
     )
     audited = audit_file(file, None if scene is None else shared.scene_named(scene), origin)
     report = present(audited, shared.command_line())
-    print_report(report, console)
-    shared.deliver([report], audited.file, console, html=html, opened=opened)
-    shared.write_json(shared.encoded(audited, "audit"), json)
+    print_report(report, to.console)
+    to.give([report], audited.file, shared.encoded(audited, "audit"))
     raise Exit(0 if audited.verdict == "pass" else 1)
 
 
@@ -215,10 +214,7 @@ _MOST = 20
 """Problems that are listed."""
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim verify data  ·  mbds-xsim verify data/6pendulum/mujoco-matched.h5",
-)
+@shared.command("data")
 def verify(
     path: Annotated[
         Path, Argument(metavar="FILE|DIR", help="A data file, with its shards, or a folder.")
@@ -231,7 +227,12 @@ def verify(
     limit: shared.TimeLimit = LIMIT,
     json: shared.JsonFile = None,
 ) -> None:
-    """Check data again: layout, checksums, pairing, every check, some trajectories made anew."""
+    """Check data again: layout, checksums, pairing, every check, some trajectories made anew.
+
+    Examples:
+        mbds-xsim verify data
+        mbds-xsim verify data/6pendulum/mujoco-matched.h5
+    """
     from mbds_xsim.dataset.verify import verify as run
 
     console = shared.console_for(json)

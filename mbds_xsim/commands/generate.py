@@ -26,11 +26,7 @@ _TIMES = ((8766.0, "years"), (24.0, "days"), (1.0, "h"), (1 / 60, "min"), (1 / 3
 _FIGURES = ("each", "simulate", "check", "core-h", "wall", "size", "published")
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim plan 6pendulum --trajectories 1000000000  ·  "
-    "mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64",
-)
+@shared.command("data")
 def plan(
     scene: shared.SceneName,
     trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
@@ -47,7 +43,12 @@ def plan(
     limit: shared.TimeLimit = LIMIT,
     json: shared.JsonFile = None,
 ) -> None:
-    """Measure a few trajectories and tell core-hours and bytes of a data set of any size."""
+    """Measure a few trajectories and tell core-hours and bytes of a data set of any size.
+
+    Examples:
+        mbds-xsim plan 6pendulum --trajectories 1000000000
+        mbds-xsim plan 3ladder --engines mujoco,dart --trajectories 15000 --workers 64
+    """
     from mbds_xsim.dataset.estimate import plan as run
     from mbds_xsim.simulate.choice import Choice
 
@@ -107,11 +108,7 @@ def _scaled(value: float, units: tuple[tuple[float, str], ...]) -> str:
     return f"{value / size:.3g} {unit}"
 
 
-@shared.command(
-    "data",
-    epilog="Examples:  mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data"
-    "  ·  run it again after any interruption, and it goes on",
-)
+@shared.command("data")
 def generate(
     scenes: shared.SceneNames,
     out: Annotated[Path, Option(metavar="DIR", help="Folder of the data, made if needed.")],
@@ -138,7 +135,12 @@ def generate(
     ] = None,
     json: shared.JsonFile = None,
 ) -> None:
-    """Make data sets: simulate, check every trajectory, publish what passes."""
+    """Make data sets: simulate, check every trajectory, publish what passes.
+
+    Examples:
+        mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data
+        run it again after any interruption, and it goes on
+    """
     from mbds_xsim.base.isolate import Carrier, run_tasks
     from mbds_xsim.dataset.cluster import Cluster
     from mbds_xsim.dataset.generate import Request

@@ -5,10 +5,12 @@ Every command imports what it needs when it runs: `--help` stays quick.
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -121,11 +123,46 @@ _Version = Annotated[
 def _of_all_commands(_version: _Version = False) -> None: ...
 
 
-def command(
-    chapter: Chapter, epilog: str | None = None, *, name: str | None = None
-) -> Callable[[F], F]:
-    """Add a function to the command line, under its own name or another."""
-    return app.command(name, cls=Command, rich_help_panel=chapter, epilog=epilog)
+def command(chapter: Chapter, *, name: str | None = None, writes: str = "") -> Callable[[F], F]:
+    """Add a function to the command line, under its own name or another.
+
+    Its help is the docstring; examples stand at the end of it, one a line.
+
+    Args:
+        chapter: Where it is listed.
+        name: Of the command, where it is not the function's.
+        writes: Options of `Outputs` that it has; the function takes these as one argument, `to`.
+    """
+
+    def add(function: F) -> F:
+        text, heading, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExample")
+        first, *lines = examples.splitlines() or [""]
+        epilog = heading.strip() + first + "  " + "  ·  ".join(map(str.strip, lines))
+        register = app.command(
+            name, cls=Command, rich_help_panel=chapter, help=text, epilog=epilog.strip() or None
+        )
+        register(_with_outputs(function, writes.split()) if writes else function)
+        return function
+
+    return add
+
+
+def _with_outputs(function: F, names: list[str]) -> Callable[..., None]:
+    """Give a function that has an option for each output in place of the argument `to`."""
+
+    def run(**words: Any) -> None:
+        to = Outputs(**{name: words.pop(name) for name in names})
+        to.check()
+        function(**words, to=to)
+
+    outputs = inspect.signature(Outputs, eval_str=True).parameters
+    own = inspect.signature(function, eval_str=True).parameters
+    kept = [each for each in own.values() if each.name != "to"]
+    added = [outputs[name] for name in names]
+    parameters = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in (*kept, *added)]
+    vars(run)["__signature__"] = inspect.Signature(parameters)
+    run.__name__ = function.__name__
+    return run
 
 
 def _complete_scene(incomplete: str) -> list[str]:
@@ -184,17 +221,6 @@ Device = Annotated[str, typer.Option(help="cpu or cuda.")]
 DeviceWorkers = Annotated[
     int | None, typer.Option(help="Processes at a time; left out, all cores, on cuda 1.", min=1)
 ]
-HtmlFile = Annotated[
-    Path | None,
-    typer.Option("--html", metavar="FILE", help="Write a self-contained page."),
-]
-MarkdownFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
-]
-Opened = Annotated[
-    bool,
-    typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
-]
 TimeLimit = Annotated[
     float,
     typer.Option(
@@ -204,6 +230,52 @@ TimeLimit = Annotated[
 JsonFile = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write JSON; - is standard output.")
 ]
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where the result of a command goes besides the terminal: options that many have."""
+
+    json: JsonFile = None
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write all that was measured as CSV.")
+    ] = None
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a self-contained page.")
+    ] = None
+    opened: Annotated[
+        bool,
+        typer.Option("--open", help="Open the page in a browser; a temporary file without --html."),
+    ] = False
+    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the pictures.")] = None
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the tables as Markdown.")
+    ] = None
+
+    @property
+    def console(self) -> Console:
+        """Where people read."""
+        return console_for(self.json)
+
+    @property
+    def paged(self) -> bool:
+        """Whether a page is asked for."""
+        return self.html is not None or self.opened
+
+    def check(self, **others: Path | None) -> None:
+        """Refuse files that cannot be written, of these and others, before long work."""
+        files = {name: path for name, path in vars(self).items() if name != "opened"}
+        check_targets(**files, **others)
+
+    def give(
+        self, reports: Sequence[Report], title: str, result: bytes, *, quiet: bool = False
+    ) -> None:
+        """Write the page, the Markdown and the JSON; see `deliver`."""
+        deliver(
+            reports, title, self.console,
+            html=self.html, markdown=self.markdown, opened=self.opened, quiet=quiet,
+        )  # fmt: skip
+        write_json(result, self.json)
 
 
 def command_line() -> str:

@@ -7,22 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbds_xsim.commands.shared import (
-    Device,
-    DeviceWorkers,
-    HtmlFile,
-    JsonFile,
-    MarkdownFile,
-    Opened,
-    check_targets,
-    check_torch,
-    command,
-    command_line,
-    console_for,
-    deliver,
-    progress_on,
-    write_json,
-)
+from mbds_xsim.commands import shared
 
 if TYPE_CHECKING:
     from mbds_xsim.learn.shift.study import ShiftStudy
@@ -51,20 +36,12 @@ _At = Annotated[
     typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
 ]
 _Cache = Annotated[bool, typer.Option(help="Use what was solved, predicted and simulated before.")]
-_Csv = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the figures of every trajectory as CSV.")
-]
-_Png = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the heat maps.")]
 _Rollouts = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
 ]
 
 
-@command(
-    "learn",
-    epilog="Examples:  mbds-xsim shift models data --html shift.html  ·  "
-    "mbds-xsim shift models data --scene 6pendulum --json - --workers 2",
-)
+@shared.command("learn", writes="json csv html opened png markdown")
 def shift(
     models: _Models,
     data: _Data,
@@ -75,18 +52,19 @@ def shift(
     seeds: _Seeds = None,
     at: _At = None,
     cache: _Cache = True,
-    workers: DeviceWorkers = None,
-    device: Device = "cpu",
-    json: JsonFile = None,
-    csv: _Csv = None,
-    html: HtmlFile = None,
-    opened: Opened = False,
-    png: _Png = None,
+    workers: shared.DeviceWorkers = None,
+    device: shared.Device = "cpu",
     rollouts: _Rollouts = None,
-    markdown: MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Test models that were trained on one engine's data on every other engine's."""
-    check_torch("shift")
+    """Test models that were trained on one engine's data on every other engine's.
+
+    Examples:
+        mbds-xsim shift models data --html shift.html
+        mbds-xsim shift models data --scene 6pendulum --json - --workers 2
+    """
+    shared.check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.recipe import check_device
     from mbds_xsim.learn.shift.domains import Selection
@@ -98,8 +76,7 @@ def shift(
     from mbds_xsim.studies.shift.figures import to_png
     from mbds_xsim.studies.shift.present import present, samples_png
 
-    console = console_for(json)
-    check_targets(json=json, csv=csv, html=html, png=png, rollouts=rollouts, markdown=markdown)
+    to.check(rollouts=rollouts)
     check_device(device)
     part = Selection.parse(settings, on, seeds)
     names = map(folder_name, scene or _scenes(models, data))
@@ -108,18 +85,16 @@ def shift(
     how: dict[str, Any] = {"at": at, "cache": cache, "workers": workers, "device": device}
     studies = []
     for question in questions:
-        with progress_on(console) as meter:
-            found = study(question, meter=meter, command=command_line(), **how)
-        print_report(present(found.shift), console)
+        with shared.progress_on(to.console) as meter:
+            found = study(question, meter=meter, command=shared.command_line(), **how)
+        print_report(present(found.shift), to.console)
         studies.append(found)
     stored = to_json([found.shift for found in studies])
-    write_if(csv, lambda: to_csv([found.evaluation for found in studies]))
-    write_if(png, lambda: to_png([found.shift for found in studies], stored))
+    write_if(to.csv, lambda: to_csv([found.evaluation for found in studies]))
+    write_if(to.png, lambda: to_png([found.shift for found in studies], stored))
     write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
     title = "Learned models under a change of engine"
-    reports = _reports(studies, link(png, markdown), shown=html is not None or opened)
-    deliver(reports, title, console, html=html, markdown=markdown, opened=opened)
-    write_json(stored, json)
+    to.give(_reports(studies, link(to.png, to.markdown), shown=to.paged), title, stored)
 
 
 def _reports(studies: list[ShiftStudy], picture: str, *, shown: bool) -> list[Report]:

@@ -23,11 +23,7 @@ _Out = Annotated[
 ]
 
 
-@shared.command(
-    "study",
-    epilog="Examples:  mbds-xsim match 3ladder  ·  "
-    "mbds-xsim match my.toml --out my-settings.toml --engines mujoco",
-)
+@shared.command("study", writes="json html opened")
 def match(
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
@@ -39,11 +35,15 @@ def match(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     out: _Out = None,
-    json: shared.JsonFile = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Search the cheapest settings of each engine that keep all budgets of a scene."""
+    """Search the cheapest settings of each engine that keep all budgets of a scene.
+
+    Examples:
+        mbds-xsim match 3ladder
+        mbds-xsim match my.toml --out my-settings.toml --engines mujoco
+    """
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_report
@@ -51,11 +51,10 @@ def match(
     from mbds_xsim.studies.match import search as study
     from mbds_xsim.studies.match.result import matched_toml, present
 
-    console = shared.console_for(json)
-    choice = Choice.parse(engines=engines)
+    choice, console = Choice.parse(engines=engines), to.console
     targets = _targets(scenes, out)
     for target in targets:
-        shared.check_targets(json=json, html=html, out=target)
+        to.check(out=target)
     found = []
     for name, target in zip(scenes, targets, strict=True):
         scene = shared.scene_named(name)
@@ -79,8 +78,7 @@ def match(
         console.print(f"written: {target}", highlight=False)
         found.append(result)
     reports = [present(result) for result in found]
-    shared.deliver(reports, "Matched settings", console, html=html, opened=opened)
-    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
+    to.give(reports, "Matched settings", shared.encoded(found[0] if len(found) == 1 else found))
     met = all(engine.meets_budget for result in found for engine in result.engines)
     raise Exit(0 if met else 1)
 
@@ -100,11 +98,7 @@ def _targets(scenes: list[str], out: Path | None) -> list[Path]:
     return [out] if out is not None else [stored_path(name) for name in scenes]
 
 
-@shared.command(
-    "study",
-    epilog="Examples:  mbds-xsim ablate 3ladder  ·  "
-    "mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md",
-)
+@shared.command("study", writes="json markdown")
 def ablate(
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
@@ -116,24 +110,27 @@ def ablate(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    json: shared.JsonFile = None,
-    markdown: shared.MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Drop and halve what a scene models; compare with the disagreement between engines."""
+    """Drop and halve what a scene models; compare with the disagreement between engines.
+
+    Examples:
+        mbds-xsim ablate 3ladder
+        mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md
+    """
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.ablate.study import ablate as study
     from mbds_xsim.studies.ablate.study import present
 
-    console = shared.console_for(json)
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if len(choice.profiles) > 1:
         msg = f"--settings: got {settings}, allowed is one of matched, native and a file"
         raise InputError(msg)
-    shared.check_targets(json=json, markdown=markdown)
     found = []
     for scene in [shared.scene_named(name) for name in scenes]:
-        with shared.progress_on(console) as progress:
+        with shared.progress_on(to.console) as progress:
             result = study(
                 scene,
                 choice=choice,
@@ -144,17 +141,13 @@ def ablate(
                 progress=progress,
                 command=shared.command_line(),
             )
-        print_report(present(result), console)
+        print_report(present(result), to.console)
         found.append(result)
-        shared.deliver([present(one) for one in found], "", console, markdown=markdown)
-    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), json)
+        shared.deliver([present(one) for one in found], "", to.console, markdown=to.markdown)
+    shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), to.json)
 
 
-@shared.command(
-    "study",
-    epilog="Examples:  mbds-xsim contact --engines dart  ·  "
-    "mbds-xsim contact --markdown docs/contact.md --figures docs/images",
-)
+@shared.command("study")
 def contact(
     engines: shared.EngineNames = None,
     settings: Annotated[
@@ -170,7 +163,12 @@ def contact(
         Path | None, Option(metavar="DIR", help="Draw the page's figures into a folder.")
     ] = None,
 ) -> None:
-    """Measure what contact means in each engine: rebound, friction, rest, energy, limits."""
+    """Measure what contact means in each engine: rebound, friction, rest, energy, limits.
+
+    Examples:
+        mbds-xsim contact --engines dart
+        mbds-xsim contact --markdown docs/contact.md --figures docs/images
+    """
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.contact.present import present, study_contact

@@ -35,16 +35,9 @@ _StartLimit = Annotated[
     float, Option(help="Longest rollout of one start [s]; slower points are only listed.", min=0.1)
 ]
 _Fresh = Annotated[bool, Option("--fresh", help="Measure again what was measured earlier.")]
-_Csv = Annotated[Path | None, Option(metavar="FILE", help="Write what was measured as CSV.")]
-_Png = Annotated[Path | None, Option(metavar="FILE", help="Write the pictures.")]
 
 
-@shared.command(
-    "study",
-    epilog="Examples:  mbds-xsim tradeoff 3ladder --html ladder.html  ·  "
-    "mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv  ·  "
-    "mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png",
-)
+@shared.command("study", writes="json csv html opened png markdown")
 def tradeoff(
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
@@ -56,14 +49,16 @@ def tradeoff(
     fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
-    json: shared.JsonFile = None,
-    csv: _Csv = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
-    png: _Png = None,
-    markdown: shared.MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Chart speed against accuracy: every engine, method and step, and the reference."""
+    """Chart speed against accuracy: every engine, method and step, and the reference.
+
+    Examples:
+        mbds-xsim tradeoff 3ladder --html ladder.html
+        mbds-xsim tradeoff 5pendulum 6pendulum --engines mujoco,exudyn --csv rows.csv
+        mbds-xsim tradeoff 6pendulum --models models/6pendulum --onto 6pendulum.json --png both.png
+    """
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
@@ -71,9 +66,7 @@ def tradeoff(
     from mbds_xsim.simulate.registry import REFERENCE
     from mbds_xsim.studies.tradeoff.present import present, to_png
 
-    console = shared.console_for(json)
-    choice = Choice.parse(engines=engines, also=(REFERENCE,))
-    shared.check_targets(json=json, csv=csv, html=html, png=png, markdown=markdown)
+    choice, console = Choice.parse(engines=engines, also=(REFERENCE,)), to.console
     loaded = [shared.scene_named(name) for name in scenes]
     trained = _models(models, onto, loaded)
     how: dict[str, Any] = {"workers": workers, "fresh": fresh, "cache": cache}
@@ -86,15 +79,11 @@ def tradeoff(
         rows += found
         print_report(present(study), console)
     stored = results_json(studies)
-    write_if(csv, lambda: rows_csv(rows))
-    write_if(png, lambda: to_png(studies, stored))
-    reports = [
-        present(study, link(png, markdown) if not k else "") for k, study in enumerate(studies)
-    ]
-    shared.deliver(
-        reports, "Speed against accuracy", console, html=html, markdown=markdown, opened=opened
-    )
-    shared.write_json(stored, json)
+    write_if(to.csv, lambda: rows_csv(rows))
+    write_if(to.png, lambda: to_png(studies, stored))
+    pictures = [link(to.png, to.markdown), *[""] * len(studies)]
+    reports = [present(*pair) for pair in zip(studies, pictures, strict=False)]
+    to.give(reports, "Speed against accuracy", stored)
 
 
 def _chart(
@@ -169,12 +158,7 @@ _CellLimit = Annotated[float, Option(help="Longest that a cell may take [s].", m
 _Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of every study there.")]
 
 
-@shared.command(
-    "study",
-    epilog="Examples:  mbds-xsim stability --list  ·  mbds-xsim stability stiffness --png map.png"
-    "  ·  mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01"
-    "  ·  mbds-xsim stability pace links --models models/6pendulum --engines none",
-)
+@shared.command("study", writes="json csv html opened png markdown")
 def stability(
     studies: _Studies = None,
     listed: _Listed = False,
@@ -190,26 +174,26 @@ def stability(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     out: _Out = None,
-    json: shared.JsonFile = None,
-    csv: _Csv = None,
-    html: shared.HtmlFile = None,
-    opened: shared.Opened = False,
-    png: _Png = None,
-    markdown: shared.MarkdownFile = None,
+    *,
+    to: shared.Outputs,
 ) -> None:
-    """Map where methods fail: what breaks first, at which step, and whether the engine says so."""
+    """Map where methods fail: what breaks first, at which step, and whether the engine says so.
+
+    Examples:
+        mbds-xsim stability --list
+        mbds-xsim stability stiffness --png map.png
+        mbds-xsim stability mass-ratio --engines mujoco --methods RK4 --value 1000 --step 0.01
+        mbds-xsim stability pace links --models models/6pendulum --engines none
+    """
     from mbds_xsim.report.terminal import print_blocks
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
     from mbds_xsim.studies.stability.survey import Plan
 
-    console = shared.console_for(json)
     if listed:
-        print_blocks([listing(STUDIES.values())], console)
+        print_blocks([listing(STUDIES.values())], to.console)
         return
-    asked = {"csv": csv, "png": png, "html": html, "markdown": markdown, "json": json}
-    shared.check_targets(**asked)
     others = _outsiders(models)
     choice = Choice(()) if others and engines == "none" else Choice.parse(engines=engines)
     single = value is not None and step is not None
@@ -230,8 +214,7 @@ def stability(
         )
         for study in map(study_named, studies or STUDIES)
     ]
-    sweeps = [_mapped(plan, console, out, single=single) for plan in plans]
-    _write(sweeps, asked, console, opened=opened)
+    _write([_mapped(plan, to.console, out, single=single) for plan in plans], to)
 
 
 def _mapped(plan: Plan, console: Console, out: Path | None, *, single: bool) -> Survey:
@@ -249,30 +232,20 @@ def _mapped(plan: Plan, console: Console, out: Path | None, *, single: bool) -> 
         print_report(present(sweep), console)
     if out is not None:
         base = out / plan.study.name
-        files = {kind: base.with_suffix(end) for kind, end in _ENDS.items()}
-        _write([sweep], files, console, quiet=True)
+        files: dict[str, Any] = {kind: base.with_suffix(end) for kind, end in _ENDS.items()}
+        _write([sweep], shared.Outputs(**files), quiet=True)
     return sweep
 
 
-def _write(
-    sweeps: list[Survey],
-    files: Mapping[str, Path | None],
-    console: Console,
-    *,
-    opened: bool = False,
-    quiet: bool = False,
-) -> None:
+def _write(sweeps: list[Survey], to: shared.Outputs, *, quiet: bool = False) -> None:
     from mbds_xsim.report.files import results_json, rows_csv, write_if
     from mbds_xsim.studies.stability.present import present, to_png
 
     rows = rows_csv((cell for sweep in sweeps for cell in sweep.cells), "silent")
-    write_if(files["csv"], lambda: rows)
-    write_if(files["png"], lambda: to_png(sweeps, rows))
-    shared.deliver(
-        [present(sweep) for sweep in sweeps], "Where methods fail", console,
-        html=files["html"], markdown=files["markdown"], opened=opened, quiet=quiet,
-    )  # fmt: skip
-    shared.write_json(results_json(sweeps), files["json"])
+    write_if(to.csv, lambda: rows)
+    write_if(to.png, lambda: to_png(sweeps, rows))
+    reports = [present(sweep) for sweep in sweeps]
+    to.give(reports, "Where methods fail", results_json(sweeps), quiet=quiet)
 
 
 def _outsiders(places: list[Path] | None) -> tuple[Simulator, ...]:

@@ -69,12 +69,7 @@ _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what Te
 _Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")]
 
 
-@command(
-    "learn",
-    epilog="Examples:  mbds-xsim train data --models gns,sgnn --on each,all --plan  ·  "
-    "mbds-xsim train data/6pendulum --on each,leave-one-out,all --out models  ·  "
-    "run it again after any interruption, and it goes on",
-)
+@command("learn")
 def train(
     data: _Data,
     out: _Out = Path("models"),
@@ -94,7 +89,13 @@ def train(
     png: _Curves = None,
     json: JsonFile = None,
 ) -> None:
-    """Train learned models on engines' data, all on equally much of it; see docs/train.md."""
+    """Train learned models on engines' data, all on equally much of it; see docs/train.md.
+
+    Examples:
+        mbds-xsim train data --models gns,sgnn --on each,all --plan
+        mbds-xsim train data/6pendulum --on each,leave-one-out,all --out models
+        run it again after any interruption, and it goes on
+    """
     check_torch("train")
     from mbds_xsim.learn.groups import groups
     from mbds_xsim.learn.model import trainable
