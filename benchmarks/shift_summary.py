@@ -5,6 +5,8 @@ python -m benchmarks.shift_summary reports/shift > reports/shift/README.md
 
 from __future__ import annotations
 
+import itertools
+import math
 import statistics
 import sys
 from collections.abc import Iterable, Iterator
@@ -38,6 +40,9 @@ and tested on every engine's. Each study's page has all figures.
 - *without the target*: error of a training on all engines but the tested one, over that of single
   other engines. *all engines*: the worst engine's error of a training on all, over the worst of
   single ones.
+- *change of engine*: √(R_ij R_ji / (R_ii R_jj)), R_ij the error of the training on i, tested on j:
+  the geometric mean over pairs of engines, and the largest. The luck of trainings and how hard
+  engines' data are cancel; 1 is no loss by the change.
 - *native over matched*: mean gap on native data over that on matched data.
 
 Brackets are 95 % intervals; below 1 several engines help, above 1 matched data lessen the shift.
@@ -51,7 +56,7 @@ _PICTURES = {
 """By how their names end."""
 _NATIVE = "native"
 _HEADINGS = (
-    "study, frame|data|model|>beside a formula|>resolved|>worst gap"
+    "study, frame|data|model|>beside a formula|>change of engine|>resolved|>worst gap"
     "|>without the target|>all engines|>native over matched"
 )
 
@@ -79,6 +84,7 @@ def rows_of(shift: Shift, name: str) -> Iterator[tuple[str, ...]]:
                 variant,
                 model,
                 number(_beside_formula(shift, model, variant)),
+                _change(shift, model, variant),
                 f"{sum(gap.resolved[place] for gap in own)} of {len(own)}",
                 *(
                     _ratio(shift, kind, model, "" if kind == MATCHED else variant, place)
@@ -96,7 +102,7 @@ def _over_scenes(studies: Iterable[Shift]) -> Iterator[tuple[str, ...]]:
         if len(own) > 1 and len(parts) == len(own):
             told = number(statistics.geometric_mean(parts))
             scenes = f"geometric mean of {len(own)} scenes"
-            yield scenes, _NATIVE, model, told, *[NONE] * 5
+            yield scenes, _NATIVE, model, told, *[NONE] * 6
 
 
 def _variants(shift: Shift) -> list[str]:
@@ -123,6 +129,22 @@ def _beside_formula(shift: Shift, model: str, variant: str) -> float | None:
             return None
         parts.append(error / formulas[name])
     return statistics.geometric_mean(parts) if parts else None
+
+
+def _change(shift: Shift, model: str, variant: str) -> str:
+    """Mean and largest interaction of pairs of engines, from the errors over all seeds."""
+    matrix = matrix_of(shift, model, at(shift, shift.at))
+    homes = [name for name in matrix.homes if name.endswith(f"-{variant}")]
+    found = []
+    for one, two in itertools.combinations(homes, 2):
+        errors = [matrix.entry(i, j) for i, j in ((one, two), (two, one), (one, one), (two, two))]
+        if not all(errors):
+            return NONE
+        there, back, first, second = (x or 1.0 for x in errors)
+        found.append(math.sqrt(there * back / (first * second)))
+    if not found:
+        return NONE
+    return f"{statistics.geometric_mean(found):.3g}, {max(found):.3g}"
 
 
 def _ratio(shift: Shift, kind: str, model: str, variant: str, place: int) -> str:

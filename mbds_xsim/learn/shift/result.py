@@ -127,6 +127,26 @@ class Gap(msgspec.Struct, frozen=True):
     """Why a shift is not resolvable; empty where it is."""
 
 
+class Interaction(msgspec.Struct, frozen=True):
+    """What a change between two engines costs a model, both ways together, at each frame.
+
+    The luck of trainings and how hard the domains are cancel in it; 1 is no loss.
+    """
+
+    model: str
+    first: str
+    second: str
+    """Domains, each trained and tested on."""
+    seeds: int
+    """Of the training that has fewer."""
+    value: Values
+    """√(R_ij R_ji / (R_ii R_jj)) of mean squared errors."""
+    low: Values
+    high: Values
+    resolved: tuple[bool, ...]
+    """Whether it is told from 1, of all pairs of the study together."""
+
+
 class Agreement(msgspec.Struct, frozen=True):
     """Whether two domains, or a domain and the paper, rank the models alike."""
 
@@ -150,7 +170,7 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
     """A question, and its answer from the figures."""
 
     kind: str
-    """"resolvable", "robust", "leave-one-out", "all", "matched" or "speed"."""
+    """"interaction", "resolvable", "robust", "leave-one-out", "all", "matched" or "speed"."""
     question: str
     answer: str
     variant: str = ""
@@ -190,6 +210,7 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     gaps: tuple[Gap, ...]
     agreements: tuple[Agreement, ...]
     answers: tuple[Answer, ...]
+    interactions: tuple[Interaction, ...] = ()
     wall_s: float
     kept: int = 0
     """How many of the models had been tested before, in no time of this."""

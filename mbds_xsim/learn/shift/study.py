@@ -42,6 +42,7 @@ from mbds_xsim.learn.shift.evaluation import (
     oracles,
 )
 from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
+from mbds_xsim.learn.shift.interaction import answers_of_interactions, interactions_of
 from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, Shift, TrainedFacts
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import TrainedModel
@@ -150,7 +151,7 @@ def study(
 def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> Shift:
     """Say what was measured and what follows from it."""
     test, draws = evaluation.test, Draws(evaluation)
-    gaps = tuple(gaps_of(draws))
+    gaps, interactions = tuple(gaps_of(draws)), interactions_of(draws)
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -172,7 +173,9 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         floors=tuple(floors_of(evaluation)),
         gaps=gaps,
         agreements=tuple(agreements_of(draws)),
+        interactions=interactions,
         answers=(
+            *answers_of_interactions(interactions, evaluation.frames.index(at), at),
             *answers_of(draws, gaps, at),
             *answers_by_interval(evaluation, at),
         ),

@@ -99,16 +99,19 @@ _MARGIN = (2.4, 1.5)
 _LEAST_SPREAD = 0.5  # decades to either side: differences by little must not look large
 _ABREAST = 2  # more would be too small to read on a page
 _FORMULAS = dict(zip(TRIVIAL, (":", "--", "-."), strict=True))  # their lines
+_PALEST = 0.6  # of the colours' range that is used: text is read on all of it
 _MIDDLE = 0.55  # of the colours' range: darker cells have white text
 
 
 def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
-    """Give a picture: a block of heat maps for each study, a map for each model, two abreast.
+    """Give a picture: a block for each study of what changes of engine cost, else of all errors.
 
     Args:
         studies: What is drawn.
         stored: Of the JSON that keeps it.
     """
+    if all(shift.interactions for shift in studies):
+        return _interactions_png(studies, stored)
     columns = min(_ABREAST, max(len(trained_models(shift)) for shift in studies))
     sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
     rows = [math.ceil(len(trained_models(shift)) / columns) for shift in studies]
@@ -122,6 +125,22 @@ def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
             _draw_block(block, shift, (count, columns))
 
     return themed.png(draw, (width, height), stored)
+
+
+def _interactions_png(studies: Sequence[Shift], stored: bytes) -> bytes:
+    sizes = [interactions_size(shift) for shift in studies]
+    heights = [height for _, height in sizes]
+
+    def draw(figure: Any) -> None:
+        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
+        for block, shift in zip(blocks[:, 0], studies, strict=True):
+            draw_interactions(block.subplots(), shift, shift.at)
+            block.suptitle(
+                f"{in_figure(shift.scene)}: what a change of engine costs at t = {shift.at}",
+                fontsize=11, x=0.01, ha="left",
+            )  # fmt: skip
+
+    return themed.png(draw, (max(max(w for w, _ in sizes), 6.0), sum(heights)), stored)
 
 
 def map_size(matrix: Matrix) -> tuple[float, float]:
@@ -152,6 +171,48 @@ def draw_matrix(axes: Any, matrix: Matrix, spread: tuple[float, float]) -> None:
                 column, row, number(value), ha="center", va="center", fontsize=7.5,
                 color="black" if bright else "white", weight="bold" if home else "normal",
             )  # fmt: skip
+
+
+def pairs_of(shift: Shift) -> list[tuple[str, str]]:
+    """Give the pairs of domains that there are interactions of."""
+    return list(dict.fromkeys((each.first, each.second) for each in shift.interactions))
+
+
+def interactions_size(shift: Shift) -> tuple[float, float]:
+    """Width and height of the picture of interactions [in]."""
+    models = {each.model for each in shift.interactions}
+    width = _MARGIN[0] + _CELL[0] * len(models)
+    return width, _MARGIN[1] + _CELL[1] * len(pairs_of(shift))
+
+
+def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
+    """Draw what changes of engine cost, a pair of engines a row, a model a column.
+
+    Colours diverge around 1; what is told from it is framed.
+    """
+    from matplotlib.patches import Rectangle
+
+    place, pairs = shift.frames.index(frame), pairs_of(shift)
+    models = list(dict.fromkeys(each.model for each in shift.interactions))
+    logs = [[math.nan for _ in models] for _ in pairs]
+    for each in shift.interactions:
+        row, column = pairs.index((each.first, each.second)), models.index(each.model)
+        value = each.value[place]
+        logs[row][column] = _log(value)
+        weight = "bold" if each.resolved[place] else "normal"
+        axes.text(
+            column, row, f"× {number(value)}", ha="center", va="center", fontsize=8, color="black",
+            weight=weight,
+        )  # fmt: skip
+        if each.resolved[place]:
+            axes.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, lw=1.2))
+    known = [abs(x) for line in logs for x in line if math.isfinite(x)]
+    most = max([_LEAST_SPREAD, *known]) / _PALEST
+    axes.imshow(logs, cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto")
+    axes.grid(visible=False)
+    axes.set_xticks(range(len(models)), models)
+    axes.set_yticks(range(len(pairs)), [f"{one} ↔ {two}" for one, two in pairs])
+    axes.tick_params(length=0, labelsize=8)
 
 
 def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:

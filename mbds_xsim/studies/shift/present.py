@@ -35,7 +35,9 @@ from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift.figures import (
     curves_of,
     draw_curves,
+    draw_interactions,
     draw_matrix,
+    interactions_size,
     map_size,
     maps_at,
     spread_of,
@@ -76,10 +78,12 @@ def present(
 
 def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[Block]:
     yield Text(protocol(shift))
+    if shift.interactions:
+        yield _change(shift)
     yield Remarks.of(answers(shift))
     if samples is not None:
         yield from _figures(shift, samples, played=played)
-    few = len(trained_models(shift))
+    few = len(trained_models(shift)) + bool(shift.interactions)
     for place, table in enumerate(tables(shift)):
         shown = replace(table, folded=place > 0)
         yield shown if place < few else Section("", (shown,), on=_BESIDE)
@@ -108,6 +112,23 @@ def protocol(shift: Shift) -> str:
         f"Seeds {', '.join(map(str, seeds))}{few}; "
         f"profile {profiles}{budget}; random forces {'act' if shift.noise else 'do not act'} and "
         "are never told to a model"
+    )
+
+
+def _change(shift: Shift) -> Section:
+    """The picture that one looks at first."""
+
+    def draw(figure: Any) -> None:
+        draw_interactions(figure.subplots(), shift, shift.at)
+
+    told = (
+        "How many times the squared error grows where a model was trained on one engine and is "
+        "tested on the other, both ways together; the luck of single trainings and how hard an "
+        "engine's data are cancel. Framed: told from chance."
+    )
+    title = f"What a change of engine costs, t = {shift.at}"
+    return Section(
+        title, (Text(told), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
     )
 
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from mbds_xsim.learn.shift.domains import REFERENCE, TRIVIAL
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
+from mbds_xsim.learn.shift.interaction import FALSE
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number
@@ -31,6 +32,7 @@ def tables(shift: Shift) -> Iterator[Table]:
 def _tables(shift: Shift) -> Iterator[Table]:
     frame, models = shift.at, trained_models(shift)
     place = shift.frames.index(frame)
+    yield _interactions(shift, place)
     yield from (_errors(shift, model, place) for model in models)
     yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
@@ -49,6 +51,28 @@ def _tables(shift: Shift) -> Iterator[Table]:
 def _table(title: str, note: str, heading: Sequence[str], rows: Iterable[tuple[str, ...]]) -> Table:
     columns = [Column(text, words=not place) for place, text in enumerate(heading)]
     return table_of(columns, tuple(rows), title=title, note=note)
+
+
+def _interactions(shift: Shift, place: int) -> Table:
+    rows = (
+        (
+            f"{each.model}, {each.first} ↔ {each.second}",
+            str(each.seeds),
+            number(each.value[place]),
+            f"{number(each.low[place])} … {number(each.high[place])}",
+            "told from chance" if each.resolved[place] else "",
+        )
+        for each in shift.interactions
+    )
+    return _table(
+        f"What a change of engine costs at t = {shift.frames[place]}",
+        "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
+        "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
+        "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
+        f"and Hochberg, at most {FALSE:.0%} of them false",
+        ("model, engines", "seeds", "ratio", "95 %", ""),
+        rows,
+    )
 
 
 def _errors(shift: Shift, model: str, place: int) -> Table:

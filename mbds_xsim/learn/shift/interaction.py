@@ -1,0 +1,130 @@
+"""Do training and test engine belong together? The interaction of the two.
+
+The error R_ij of a model that was trained on engine i and is tested on j has three causes: how well
+the training on i went, how hard j is, and whether i's data are like j's. Of two engines the first
+two cancel in
+
+    x_ij = √( R_ij R_ji / (R_ii R_jj) ),
+
+the interaction in a table of two factors whose effects multiply, as an odds ratio is that of counts
+(Fienberg 1980, The Analysis of Cross-Classified Categorical Data, chapter 2). 1 is no loss by the
+change, 2 twice the squared error, whichever way one goes. It needs no engine floor: where a model
+is poor x is near 1, and that is what is told.
+
+Of many pairs some seem to differ by chance. Resolved are those that the rule of Benjamini and
+Hochberg (1995, J. R. Stat. Soc. B 57, 289) keeps, at each frame among all pairs of a study: of
+these one in twenty may be chance.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import statistics
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+from scipy.stats import false_discovery_control, norm
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.learn.shift.gaps import Draws, Look, trainings_of
+from mbds_xsim.learn.shift.result import Answer, Interaction, values
+from mbds_xsim.learn.trained import TrainedModel
+
+INTERACTION = "interaction"
+"""Kind of answer."""
+FALSE = 0.05
+"""Share of the resolved that may be chance."""
+_ROUNDING = 1e-9  # of a logarithm
+
+
+def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
+    """Give those of all pairs of engines of a variant on which a model was trained alone."""
+    found, chances = [], []
+    for first, second in _pairs(draws):
+        ratio = draws.bounded(functools.partial(interaction, first=first, second=second))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.log(interaction(draws.drawn, first, second)).std(axis=0) + _ROUNDING
+            chances.append(2.0 * norm.sf(np.abs(np.log(ratio.value)) / spread))
+        found.append(
+            Interaction(
+                model=first.model,
+                first=first.domains[0],
+                second=second.domains[0],
+                seeds=min(len(draws.evaluation.runs(each)) for each in (first, second)),
+                value=values(ratio.value),
+                low=values(ratio.low),
+                high=values(ratio.high),
+                resolved=(),
+            )
+        )
+    kept = _kept(np.array(chances)).tolist() if found else []
+    return tuple(
+        msgspec.structs.replace(each, resolved=tuple(row))
+        for each, row in zip(found, kept, strict=True)
+    )
+
+
+def interaction(look: Look, first: TrainedModel, second: TrainedModel) -> Array:
+    """Compute √(R_ij R_ji / (R_ii R_jj)) of two trainings, each on one engine."""
+    i, j = first.domains[0], second.domains[0]
+    return np.asarray(np.sqrt(look(first, j) / look(second, j) * look(second, i) / look(first, i)))
+
+
+def _pairs(draws: Draws) -> Iterator[tuple[TrainedModel, TrainedModel]]:
+    evaluation = draws.evaluation
+    tested = [domain.name for domain in evaluation.test.domains]
+    for model in evaluation.models:
+        singles = [
+            training
+            for training in trainings_of(evaluation, model)
+            if training.single and training.domains[0] in tested
+        ]
+        for first, second in itertools.combinations(singles, 2):
+            if first.variant == second.variant:
+                yield first, second
+
+
+def _kept(chances: Array) -> Array:
+    """Tell which pairs are no chance, frame by frame, (pair, frame)."""
+    kept = np.zeros(chances.shape, dtype=bool)
+    for frame, column in enumerate(chances.T):
+        known = np.flatnonzero(np.isfinite(column))
+        if len(known):
+            kept[known, frame] = false_discovery_control(column[known]) < FALSE
+    return kept
+
+
+def answers_of_interactions(
+    found: Sequence[Interaction], place: int, frame: int
+) -> Iterator[Answer]:
+    """Say for each variant which models do better where they were trained, whatever else is so."""
+    variants = [each.first.rpartition("-")[2] for each in found]
+    for variant in dict.fromkeys(variants):
+        own = [each for each, name in zip(found, variants, strict=True) if name == variant]
+        models = dict.fromkeys(each.model for each in own)
+        parts = [_told([e for e in own if e.model == model], model, place) for model in models]
+        text = f"At t = {frame} on {variant} data {'; '.join(parts)}"
+        question = f"Does it matter which engine a model was trained on ({variant})?"
+        yield Answer(INTERACTION, question, text, variant)
+
+
+def _told(own: Sequence[Interaction], model: str, place: int) -> str:
+    known = [each for each in own if each.value[place] is not None]
+    losses = [each for each in known if each.resolved[place] and (each.value[place] or 0.0) > 1.0]
+    if not known:
+        return f"{model} has errors of 0"
+    if not losses:
+        mean = statistics.geometric_mean(each.value[place] or 1.0 for each in known)
+        return (
+            f"{model} loses nothing that can be told in {len(own)} pairs of engines, "
+            f"{mean:.3g} times the squared error on average"
+        )
+    most = max(losses, key=lambda each: each.value[place] or 0.0)
+    value, low, high = (getattr(most, name)[place] for name in ("value", "low", "high"))
+    return (
+        f"{model} loses by a change of engine in {len(losses)} of {len(own)} pairs, at most "
+        f"{value:.3g} [{low:.3g}, {high:.3g}] times the squared error, between {most.first} and "
+        f"{most.second}"
+    )

@@ -1,0 +1,91 @@
+"""Whether a change of engine costs a model anything, apart from luck and from how hard data are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.learn.shift.gaps import Draws
+from mbds_xsim.learn.shift.interaction import answers_of_interactions, interactions_of
+from mbds_xsim.learn.shift.result import Interaction
+
+from .test_shift import COUNT, FRAMES, _board
+
+_LUCK = {"a": 1e-3, "b": 7e-3, "c": 2e-4}
+_HARD = {"a": 0.5, "b": 3.0, "c": 11.0}
+
+
+def _found(error: Callable[[str, str, int], Array]) -> tuple[Interaction, ...]:
+    return interactions_of(Draws(_board(error, floor=0.0)))
+
+
+def _product(training: str, engine: str, away: float, spread: float, seed: int = 0) -> Array:
+    """Luck of the training times how hard the engine's data are, and more away from home."""
+    rng = np.random.default_rng([ord(training), ord(engine), seed])
+    noise = np.exp(spread * rng.standard_normal((COUNT, 1)))
+    loss = 1.0 if training == engine else away
+    return np.tile(_LUCK[training] * _HARD[engine] * loss * noise, (1, FRAMES))
+
+
+def test_luck_of_trainings_and_hard_engines_are_no_loss() -> None:
+    found = _found(lambda i, j, _: _product(i, j, 1.0, 0.0))
+    assert [(each.first, each.second) for each in found] == [
+        ("a-native", "b-native"),
+        ("a-native", "c-native"),
+        ("b-native", "c-native"),
+    ]
+    for each in found:
+        assert each.value == pytest.approx((1.0, 1.0))
+        assert each.low == pytest.approx((1.0, 1.0))
+        assert each.seeds == 3
+
+
+@pytest.mark.parametrize("away", [4.0, 0.25])
+def test_what_is_lost_away_from_home_is_told_whatever_else_is_so(away: float) -> None:
+    """It is measured on both ways, so that the geometric mean of the two losses is left."""
+    found = _found(lambda i, j, seed: _product(i, j, away, 0.3, seed))
+    for each in found:
+        assert each.value[0] == pytest.approx(away, rel=0.5)
+        low, high = each.low[0], each.high[0]
+        assert low is not None
+        assert high is not None
+        assert low < away < high
+        assert each.resolved == (True, True)
+
+
+def test_of_many_pairs_without_a_loss_hardly_one_is_told() -> None:
+    """By chance one in twenty of 95 % intervals would be without 1; the rule takes that back."""
+    told = [
+        any(resolved for each in _found(_chance(number)) for resolved in each.resolved)
+        for number in range(20)
+    ]
+    assert sum(told) <= 6  # of twenty studies of three pairs
+
+
+def _chance(number: int) -> Callable[[str, str, int], Array]:
+    return lambda i, j, seed: _product(i, j, 1.0, 0.5, 100 * number + seed)
+
+
+def test_perfect_models_have_no_interaction() -> None:
+    found = _found(lambda *_: np.zeros((COUNT, FRAMES)))
+    assert all(each.value == (None, None) and each.resolved == (False, False) for each in found)
+    (answer,) = answers_of_interactions(found, 0, 1)
+    assert answer.answer == "At t = 1 on native data gns has errors of 0"
+
+
+def test_the_answer_names_the_pair_that_loses_most() -> None:
+    def error(training: str, engine: str, seed: int) -> Array:
+        return _product(
+            training, engine, 9.0 if {training, engine} == {"a", "c"} else 1.0, 0.1, seed
+        )
+
+    (answer,) = answers_of_interactions(_found(error), 0, 1)
+    assert answer.variant == "native"
+    assert "gns loses by a change of engine in 1 of 3 pairs, at most " in answer.answer
+    assert answer.answer.endswith("squared error, between a-native and c-native")
+
+    (answer,) = answers_of_interactions(_found(lambda i, j, _: _product(i, j, 1.0, 0.0)), 1, FRAMES)
+    assert "loses nothing that can be told in 3 pairs of engines, 1 times" in answer.answer
