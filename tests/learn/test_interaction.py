@@ -12,14 +12,14 @@ from mbds_xsim.learn.shift.gaps import Draws
 from mbds_xsim.learn.shift.interaction import answers_of_interactions, interactions_of
 from mbds_xsim.learn.shift.result import Interaction
 
-from .test_shift import COUNT, FRAMES, _board
+from .evaluations import COUNT, FRAMES, evaluation
 
 _LUCK = {"a": 1e-3, "b": 7e-3, "c": 2e-4}
 _HARD = {"a": 0.5, "b": 3.0, "c": 11.0}
 
 
 def _found(error: Callable[[str, str, int], Array]) -> tuple[Interaction, ...]:
-    return interactions_of(Draws(_board(error, floor=0.0)))
+    return interactions_of(Draws(evaluation(error, floor=0.0)))
 
 
 def _product(training: str, engine: str, away: float, spread: float, seed: int = 0) -> Array:
