@@ -118,8 +118,8 @@ def _told(own: Sequence[Interaction], model: str, place: int) -> str:
     if not losses:
         mean = statistics.geometric_mean(each.value[place] or 1.0 for each in known)
         return (
-            f"{model} loses nothing that can be told in {len(own)} pairs of engines, "
-            f"{mean:.3g} times the squared error on average"
+            f"{model} loses nothing that can be told, {mean:.3g} times the squared error on "
+            f"average (pairs of engines: {len(own)})"
         )
     most = max(losses, key=lambda each: each.value[place] or 0.0)
     value, low, high = (getattr(most, name)[place] for name in ("value", "low", "high"))
