@@ -20,6 +20,7 @@ _RUN: dict[str, Any] = {
     "kept": 0,
     "wall_s": 1.0,
 }
+_PAIR: dict[str, Any] = {"scene": "pair", "seed": 0, "left_out": {}}
 _WAY: dict[str, Any] = {"engine": "mujoco", "version": "4.0.0", "method": "RK4"}
 
 
@@ -43,10 +44,9 @@ def tradeoff(*curves: CurveResult, **other: Any) -> Tradeoff:
     """A study of one start of a scene called pair."""
     plain = Tradeoff(
         schema=SCHEMA,
-        scene="pair",
+        **_PAIR,
         description="two bodies",
         command="mbds-xsim tradeoff pair",
-        seed=0,
         trajectories=(1,),
         horizon_s=1.0,
         reference_ends_s=None,
@@ -57,7 +57,6 @@ def tradeoff(*curves: CurveResult, **other: Any) -> Tradeoff:
         limit_s=30.0,
         curves=curves,
         ratios=(),
-        left_out={},
         busy=1.0,
         **_RUN,
     )
@@ -92,15 +91,13 @@ def matched(*engines: Found, **other: Any) -> Match:
     """Matched settings of a scene called pair."""
     plain = Match(
         schema=MATCH,
-        scene="pair",
+        **_PAIR,
         command="mbds-xsim match pair",
-        seed=0,
         held_out_seed=1,
         trajectories=2,
         held_out=20,
         machine="a machine",
         engines=engines,
-        left_out={},
     )
     return msgspec.structs.replace(plain, **other)
 

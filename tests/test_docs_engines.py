@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.report.engines_page import engines_page
+from mbds_xsim.report.catalogue import engine_rows, engines_page
 from mbds_xsim.simulate import registry
-from mbds_xsim.simulate.catalogue import engine_rows
 
 DOCS = Path(__file__).parent.parent / "docs"
 

@@ -24,6 +24,7 @@ Folder = Annotated[
 
 @shared.command("check", writes="json html opened markdown")
 def validate(
+    to: shared.Outputs,
     scene: shared.SceneName,
     engines: shared.EngineNames = None,
     settings: Annotated[
@@ -40,8 +41,6 @@ def validate(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Run a scene in all engines, check every trajectory, and tell which to trust.
 
@@ -76,6 +75,7 @@ def validate(
 
 @shared.command("check", writes="json markdown")
 def diff(
+    to: shared.Outputs,
     old: Annotated[Path, Argument(metavar="OLD", help="JSON of the earlier result.")],
     new: Annotated[Path, Argument(metavar="NEW", help="JSON of the later one.")],
     rtol: Annotated[
@@ -84,8 +84,6 @@ def diff(
     factor: Annotated[
         float, Option(help="Factor between two times that is no change.", min=1.0)
     ] = 1.5,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Compare two results of one command and scene: 0 nothing is worse, 1 something is.
 
@@ -108,12 +106,11 @@ def diff(
 
 @shared.command("check", name="import", writes="json html opened markdown")
 def import_model(
+    to: shared.Outputs,
     model: Model,
     out: Annotated[Path | None, Option(metavar="FILE", help="Write the scene file.")] = None,
     floating: Floating = False,
     folder: Folder = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Make a scene file of another program's model, and tell what of it is lost.
 
@@ -162,14 +159,13 @@ def export_model(
 
 @shared.command("check", writes="json html opened markdown")
 def readers(
+    to: shared.Outputs,
     model: Model,
     engines: Annotated[
         str, Option(metavar="NAMES", help="Comma-separated: mujoco, pybullet, dart.")
     ] = "mujoco,pybullet,dart",
     floating: Floating = False,
     folder: Folder = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Hold what engines' own readers make of a model against what its file says.
 

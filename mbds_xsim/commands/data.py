@@ -155,6 +155,7 @@ def export(
 
 @shared.command("data", writes="json html opened")
 def audit(
+    to: shared.Outputs,
     file: Annotated[Path, Argument(metavar="FILE", help="Of trajectories: npz, CSV, HDF5.")],
     scene: Annotated[
         str | None,
@@ -179,8 +180,6 @@ def audit(
     contact_time: Annotated[
         float | None, Option(help="Over which it spreads an impact [s].", min=0.0)
     ] = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Check trajectories from anywhere: another engine, a lab, a learned model.
 

@@ -14,8 +14,8 @@ from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Remark, Remarks, Text, table_of
 
 if TYPE_CHECKING:
+    from mbds_xsim.report.catalogue import EngineRow, SceneRow
     from mbds_xsim.scene.scene import Scene
-    from mbds_xsim.simulate.catalogue import EngineRow, SceneRow
 
 
 @shared.command("check")
@@ -26,8 +26,7 @@ def engines(
     ] = False,
 ) -> None:
     """List the engines, their methods, and what each cannot do."""
-    from mbds_xsim.report.engines_page import engines_page
-    from mbds_xsim.simulate.catalogue import engine_rows
+    from mbds_xsim.report.catalogue import engine_rows, engines_page
 
     if markdown and json:
         msg = "engines gives one form at a time; choose one of --markdown and --json"
@@ -43,7 +42,7 @@ def engines(
 @shared.command("check")
 def scenes(json: shared.JsonFile = None) -> None:
     """List the built-in scenes: size, degrees of freedom, what each needs of an engine."""
-    from mbds_xsim.simulate.catalogue import scene_rows
+    from mbds_xsim.report.catalogue import scene_rows
 
     shared.check_targets(json=json)
     rows = scene_rows()
@@ -79,8 +78,8 @@ def show(
         mbds-xsim show 5pendulum --native mujoco > pendulum.xml
         mbds-xsim show 5pendulum --start 2 --native dart | python
     """
+    from mbds_xsim.report.catalogue import native_text, scene_row
     from mbds_xsim.scene.file import write_scene
-    from mbds_xsim.simulate.catalogue import native_text, scene_row
 
     if sum(map(bool, (toml, native, json))) > 1:
         msg = "show gives one form at a time; choose one of --toml, --native and --json"
@@ -125,7 +124,7 @@ def _about_engine(row: EngineRow) -> Iterator[Block]:
 
 
 def _refusals(who: str, refusals: dict[str, str]) -> Iterator[Remark]:
-    from mbds_xsim.simulate.catalogue import by_reason
+    from mbds_xsim.report.catalogue import by_reason
 
     for reason, features in by_reason(refusals).items():
         yield Remark(who, f"{', '.join(features)}: {reason}")

@@ -43,6 +43,7 @@ _Rollouts = Annotated[
 
 @shared.command("learn", writes="json csv html opened png markdown")
 def shift(
+    to: shared.Outputs,
     models: _Models,
     data: _Data,
     scene: _Scenes = None,
@@ -55,8 +56,6 @@ def shift(
     workers: shared.DeviceWorkers = None,
     device: shared.Device = "cpu",
     rollouts: _Rollouts = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Test models that were trained on one engine's data on every other engine's.
 

@@ -25,6 +25,7 @@ _Out = Annotated[
 
 @shared.command("study", writes="json html opened")
 def match(
+    to: shared.Outputs,
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
     trajectories: _Trajectories = 2,
@@ -35,8 +36,6 @@ def match(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     out: _Out = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Search the cheapest settings of each engine that keep all budgets of a scene.
 
@@ -100,6 +99,7 @@ def _targets(scenes: list[str], out: Path | None) -> list[Path]:
 
 @shared.command("study", writes="json markdown")
 def ablate(
+    to: shared.Outputs,
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
     settings: Annotated[
@@ -110,8 +110,6 @@ def ablate(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     limit: shared.TimeLimit = LIMIT,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Drop and halve what a scene models; compare with the disagreement between engines.
 

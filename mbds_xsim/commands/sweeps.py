@@ -39,6 +39,7 @@ _Fresh = Annotated[bool, Option("--fresh", help="Measure again what was measured
 
 @shared.command("study", writes="json csv html opened png markdown")
 def tradeoff(
+    to: shared.Outputs,
     scenes: shared.SceneNames,
     engines: shared.EngineNames = None,
     models: shared.ModelPlaces = None,
@@ -49,8 +50,6 @@ def tradeoff(
     fresh: _Fresh = False,
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Chart speed against accuracy: every engine, method and step, and the reference.
 
@@ -160,6 +159,7 @@ _Out = Annotated[Path | None, Option(metavar="DIR", help="Write all files of eve
 
 @shared.command("study", writes="json csv html opened png markdown")
 def stability(
+    to: shared.Outputs,
     studies: _Studies = None,
     listed: _Listed = False,
     engines: _Engines = None,
@@ -174,8 +174,6 @@ def stability(
     cache: shared.CacheUse = True,
     workers: shared.WorkerCount = None,
     out: _Out = None,
-    *,
-    to: shared.Outputs,
 ) -> None:
     """Map where methods fail: what breaks first, at which step, and whether the engine says so.
 
@@ -260,8 +258,7 @@ def _outsiders(places: list[Path] | None) -> tuple[Simulator, ...]:
 def _profiles(words: str) -> tuple[Profile, ...]:
     """Read the profiles from a user's words, each once."""
     from mbds_xsim.base.errors import InputError
-    from mbds_xsim.simulate.catalogue import as_profile
-    from mbds_xsim.simulate.choice import is_file
+    from mbds_xsim.simulate.choice import as_profile, is_file
 
     if paths := [word for word in words.split(",") if is_file(word)]:
         msg = (

@@ -17,7 +17,7 @@ from mbds_xsim.dataset.layout import AUDIT_EVERY, AUDITED, rejected_folder
 from mbds_xsim.dataset.shard import LOG, make_shard
 from mbds_xsim.dataset.variant import Item, Variant
 from mbds_xsim.measure.quick import searched
-from mbds_xsim.measure.running import Notices
+from mbds_xsim.measure.runner import Notices
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.choice import Choice
 

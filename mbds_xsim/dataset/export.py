@@ -24,7 +24,7 @@ from mbds_xsim.dataset.layout import FIELDS, MOTION, SPLITS, attribute
 from mbds_xsim.dataset.points import Points, axis_sizes
 from mbds_xsim.dataset.read import Dataset, joined_files, load_dataset
 from mbds_xsim.dataset.variant import folder_name
-from mbds_xsim.measure.running import ProgressSink
+from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.scene.scene import Scene
 
 Form = Literal["npz", "csv"]

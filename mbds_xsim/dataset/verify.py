@@ -32,7 +32,7 @@ from mbds_xsim.dataset.layout import SPLITS, SUFFIX, rejected_folder
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.dataset.reaudit import FileReport, reaudit
 from mbds_xsim.dataset.shard import Shard, joined, joint_datasets
-from mbds_xsim.measure.running import ProgressSink
+from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.simulate.registry import package_version
 
 _TEXTS = {CARD: "card", CROISSANT: "metadata"}

@@ -89,10 +89,10 @@ def train(
     recipe: Recipe,
     profile: Profile,
     *,
-    seed: int = 0,
     checkpoint: Path | None = None,
     tell: Callable[[Training], None] | None = None,
     identity: Mapping[str, str] | None = None,
+    seed: int = 0,
 ) -> Training:
     """Train a model in place.
 
@@ -102,10 +102,10 @@ def train(
         validation: And judged on these.
         recipe: Optimiser and batch.
         profile: How long.
-        seed: Of the windows drawn and of the noise.
         checkpoint: File to save to at every validation, and to go on from if it is there.
         tell: Is told of every new point of the curve, when the checkpoint has it.
         identity: What else a run is known by, besides seed, recipe and profile: its data.
+        seed: Of the windows drawn and of the noise.
 
     Raises:
         InputError: The parts are not training and validation, or the checkpoint is of another run.

@@ -23,7 +23,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.checks import Finding
 from mbds_xsim.checks.consistency import LEAST_SPAN, Consistency
-from mbds_xsim.measure.running import Account, Piece, Watch, carry_out
+from mbds_xsim.measure.runner import Account, Piece, Watch, carry_out
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.reference.cache import key_of, load
 from mbds_xsim.reference.kernels import compilation, compile_once

@@ -22,7 +22,7 @@ from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.versions import CHECKS
 from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
-from mbds_xsim.measure.running import Notices
+from mbds_xsim.measure.runner import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch

@@ -19,12 +19,12 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.text import counted, in_figure
 from mbds_xsim.report import themed
+from mbds_xsim.report.catalogue import scene_row
 from mbds_xsim.report.motion import Projection, Skeleton, outline, point_of, pose_of, skeleton
 from mbds_xsim.report.themed import DRAWN, PALE, PARTS
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.catalogue import scene_row
 
 _FAINT = "#cfd5da"
 _BODY = "#6f8296"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-
-import msgspec
+from typing import Any
 
 from mbds_xsim.base.text import counted
 from mbds_xsim.report.blocks import Block, Cell, Mark, Place, Report, Section, Table, table_of
@@ -17,40 +16,22 @@ _WRITTEN: frozenset[Place] = frozenset({"markdown", "page"})
 _MOST = 3  # places that a table names
 
 
-class ImportRow(msgspec.Struct, frozen=True):
-    """What an import came to."""
-
-    file: str
-    format: str
-    reader: str
-    scene: str
-    bodies: int
-    joints: int
-    degrees_of_freedom: int
-    mass_kg: float
-    approximated: int
-    """Fates that bear on the motion."""
-    dropped: int
-    """The same."""
-    fates: tuple[Fate, ...]
-
-
-def import_row(imported: Imported) -> ImportRow:
-    """Summarise an import."""
+def import_row(imported: Imported) -> dict[str, Any]:
+    """Summarise an import; approximated and dropped are counted where they bear on the motion."""
     mechanism = Mechanism.of(imported.scene)
-    return ImportRow(
-        imported.file,
-        imported.format,
-        imported.reader,
-        imported.scene.name,
-        mechanism.body_count,
-        len(mechanism.joints),
-        degrees_of_freedom(mechanism),
-        float(mechanism.mass.sum()),
-        imported.count("approximated"),
-        imported.count("dropped"),
-        imported.fates,
-    )
+    return {
+        "file": imported.file,
+        "format": imported.format,
+        "reader": imported.reader,
+        "scene": imported.scene.name,
+        "bodies": mechanism.body_count,
+        "joints": len(mechanism.joints),
+        "degrees_of_freedom": degrees_of_freedom(mechanism),
+        "mass_kg": float(mechanism.mass.sum()),
+        "approximated": imported.count("approximated"),
+        "dropped": imported.count("dropped"),
+        "fates": imported.fates,
+    }
 
 
 def present(imported: Imported, command: str) -> Report:
@@ -62,8 +43,8 @@ def present(imported: Imported, command: str) -> Report:
     """
     row = import_row(imported)
     size = (
-        f"{counted(row.bodies, 'body')}, {row.mass_kg:g} kg, "
-        f"{counted(row.degrees_of_freedom, 'degree of freedom', 'degrees of freedom')}"
+        f"{counted(row['bodies'], 'body')}, {row['mass_kg']:g} kg, "
+        f"{counted(row['degrees_of_freedom'], 'degree of freedom', 'degrees of freedom')}"
     )
     return Report(
         title=imported.file,

@@ -16,14 +16,13 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.base.errors import InputError, Unsupported
+from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.base.files import read_file
 from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
-from mbds_xsim.simulate.catalogue import as_profile
 
 
 @dataclass(frozen=True)
@@ -274,3 +273,11 @@ def _physics(scene: Scene) -> str:
     return fingerprint(
         msgspec.structs.replace(scene, clock=msgspec.structs.replace(scene.clock, steps=1))
     )
+
+
+def as_profile(name: str) -> Profile:
+    """Read a profile's name."""
+    profiles: dict[str, Profile] = {"matched": "matched", "native": "native"}
+    if name not in profiles:
+        raise UnknownName.of("settings profile", name, sorted(profiles))
+    return profiles[name]

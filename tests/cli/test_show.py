@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.isolate import Task
+from mbds_xsim.report import catalogue
 from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.simulate import catalogue, registry
+from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.timed import simulate
 from mbds_xsim.testing import CASES

@@ -22,10 +22,10 @@ from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task
 from mbds_xsim.dataset.generate import Request, generate
+from mbds_xsim.report.catalogue import engine_rows
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Readback, Run
-from mbds_xsim.simulate.catalogue import engine_rows
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.studies.tradeoff.rows import curves_of

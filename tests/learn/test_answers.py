@@ -15,47 +15,38 @@ from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.shift.gaps import UNKNOWN, Draws
 from mbds_xsim.learn.trained import TrainedModel
-from tests.learn.evaluations import (
-    COUNT,
-    FRAMES,
-    entry_of,
-    evaluation,
-    figures_of,
-    measured_gaps,
-    paired,
-    shifted,
-)
+from tests.learn import evaluations as made
 
 
 def _answer(board: Evaluation) -> str:
     draws = Draws(board)
-    gaps = measured_gaps(board)
-    found = {answer.question: answer.answer for answer in answers_of(draws, gaps, FRAMES)}
+    gaps = made.measured_gaps(board)
+    found = {answer.question: answer.answer for answer in answers_of(draws, gaps, made.FRAMES)}
     return found["Which model is most robust (native)?"]
 
 
 def test_a_model_whose_own_domain_is_not_tested_resolves_nothing() -> None:
-    board = evaluation(shifted, floor=100.0)
+    board = made.evaluation(made.shifted, floor=100.0)
     fewer = [domain for domain in board.test.domains if domain.engine != "a"]
     test = dataclasses.replace(board.test, domains=tuple(fewer))
     seen = {key: value for key, value in board.figures.items() if key[1] != "a-native"}
     apart = {key: value for key, value in board.oracles.items() if "a-native" not in key}
     board = Evaluation(test, board.frames, seen, apart)
-    gaps = measured_gaps(board)
+    gaps = made.measured_gaps(board)
     assert {gap.training for gap in gaps if not all(gap.resolved)} == {"a-native"}
     assert {why for gap in gaps if gap.training == "a-native" for why in gap.why} == {UNKNOWN}
-    told = next(answers_of(Draws(board), gaps, FRAMES)).answer
+    told = next(answers_of(Draws(board), gaps, made.FRAMES)).answer
     assert "2 of 4 shifts from one engine's data to another's are resolved: 2 times the" in told
     assert "2 because the model's own domain is not tested. Of 2 intervals at 95 %" in told
-    near = {pair: figures_of(np.zeros((COUNT, FRAMES))) for pair in apart}
+    near = {pair: made.figures_of(np.zeros((made.COUNT, made.FRAMES))) for pair in apart}
     assert "this cannot be told" in _answer(dataclasses.replace(board, oracles=near))
 
 
 def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
-    told = _answer(evaluation(shifted, floor=1e-3))
+    told = _answer(made.evaluation(made.shifted, floor=1e-3))
     assert "this cannot be told" in told
     assert "Gaps resolved: 0 of 6 of gns" in told
-    told = _answer(evaluation(shifted, floor=100.0))
+    told = _answer(made.evaluation(made.shifted, floor=100.0))
     assert "gns has the smallest worst-engine gap" in told
     assert "Gaps resolved: 6 of 6 of gns" in told
     assert "gns 4 [" in told
@@ -63,8 +54,8 @@ def test_no_model_is_called_robust_where_no_shift_is_resolved() -> None:
 
 def test_a_model_that_is_worse_than_the_engines_differ_is_not_called_robust() -> None:
     good, bad = (
-        evaluation(shifted, floor=100.0),
-        evaluation(lambda *_: np.full((COUNT, FRAMES), 1e3), 1.0),
+        made.evaluation(made.shifted, floor=100.0),
+        made.evaluation(lambda *_: np.full((made.COUNT, made.FRAMES), 1e3), 1.0),
     )
     weak = {
         (dataclasses.replace(entry, model="sgnn"), name): value
@@ -78,12 +69,12 @@ def test_a_model_that_is_worse_than_the_engines_differ_is_not_called_robust() ->
 
 def test_resolved_gains_are_not_told_as_losses() -> None:
     def error(training: str, engine: str, seed: int) -> Array:
-        figures = shifted(training, engine, seed)
+        figures = made.shifted(training, engine, seed)
         return figures / 16.0 if (training, engine) == ("a", "b") else figures
 
-    board = evaluation(error, floor=100.0)
-    gaps = measured_gaps(board)
-    told = next(answers_of(Draws(board), gaps, FRAMES)).answer
+    board = made.evaluation(error, floor=100.0)
+    gaps = made.measured_gaps(board)
+    told = next(answers_of(Draws(board), gaps, made.FRAMES)).answer
     assert "6 of 6 shifts" in told
     assert "5 times the model errs more than the one trained there, 1 times less" in told
 
@@ -93,25 +84,28 @@ def test_a_model_that_errs_as_much_at_home_is_not_harmed_by_the_change() -> None
 
     def error(training: str, engine: str, seed: int) -> Array:
         if training == "c":
-            return np.full((COUNT, FRAMES), 9.0 if engine == "c" else 8.0)
-        return shifted(training, engine, seed) / 4.0
+            return np.full((made.COUNT, made.FRAMES), 9.0 if engine == "c" else 8.0)
+        return made.shifted(training, engine, seed) / 4.0
 
-    board = evaluation(error, floor=100.0)
-    told = next(answers_of(Draws(board), measured_gaps(board), FRAMES)).answer
+    board = made.evaluation(error, floor=100.0)
+    told = next(answers_of(Draws(board), made.measured_gaps(board), made.FRAMES)).answer
     assert "than the one trained there (in 2 of these no more than at home: its data" in told
-    board = evaluation(shifted, floor=100.0)
-    assert "at home" not in next(answers_of(Draws(board), measured_gaps(board), FRAMES)).answer
+    board = made.evaluation(made.shifted, floor=100.0)
+    assert (
+        "at home"
+        not in next(answers_of(Draws(board), made.measured_gaps(board), made.FRAMES)).answer
+    )
 
 
 def test_only_resolved_gaps_tell_which_model_is_most_robust() -> None:
     """A pair whose engines differ by less than the model errs has the worst ratio of all."""
 
     def error(training: str, engine: str, seed: int) -> Array:
-        figures = shifted(training, engine, seed)
+        figures = made.shifted(training, engine, seed)
         return 10.0 * figures if (training, engine) == ("a", "b") else figures
 
-    board = evaluation(error, floor=100.0)
-    near = {("a-native", "b-native"): figures_of(np.zeros((COUNT, FRAMES)))}
+    board = made.evaluation(error, floor=100.0)
+    near = {("a-native", "b-native"): made.figures_of(np.zeros((made.COUNT, made.FRAMES)))}
     told = _answer(dataclasses.replace(board, oracles={**board.oracles, **near}))
     assert "Gaps resolved: 5 of 6 of gns" in told
     assert "gns 4 [" in told
@@ -120,20 +114,22 @@ def test_only_resolved_gaps_tell_which_model_is_most_robust() -> None:
 def test_of_several_engines_the_one_that_bounds_the_error_best_is_told() -> None:
     """√R_ij ≤ √R_ii + √D_ij holds for each of them; the least bound decides."""
     errors = {"a": 0.09, "b": 0.01, "c": 0.04}
-    board = evaluation(lambda _, engine, __: np.full((COUNT, FRAMES), errors[engine]), floor=1.0)
-    entry = entry_of("not-c", 0, ("a", "b"))
+    board = made.evaluation(
+        lambda _, engine, __: np.full((made.COUNT, made.FRAMES), errors[engine]), floor=1.0
+    )
+    entry = made.entry_of("not-c", 0, ("a", "b"))
     figures = {
-        (entry, f"{engine}-native"): figures_of(np.full((COUNT, FRAMES), error))
+        (entry, f"{engine}-native"): made.figures_of(np.full((made.COUNT, made.FRAMES), error))
         for engine, error in errors.items()
     }
-    near = {("a-native", "c-native"): figures_of(np.full((COUNT, FRAMES), 0.16))}
+    near = {("a-native", "c-native"): made.figures_of(np.full((made.COUNT, made.FRAMES), 0.16))}
     board = Evaluation(
         board.test,
         board.frames,
         {**board.figures, **figures},
         {**board.oracles, **near},
     )
-    gap = next(gap for gap in measured_gaps(board) if gap.kind == "leave-one-out")
+    gap = next(gap for gap in made.measured_gaps(board) if gap.kind == "leave-one-out")
     assert (gap.own[0], gap.engine_floor[0]) == (0.09, 0.16)  # 0.3 + 0.4, not 0.1 + 1
     assert gap.why[0] == "interval contains 0"
 
@@ -142,23 +138,23 @@ def test_seeds_of_one_number_are_drawn_together() -> None:
     """What a seed does to all trainings alike cancels in their ratio."""
 
     def error(training: str, engine: str, seed: int) -> Array:
-        return 0.01 * shifted(training, engine, 0) * (1.0 + seed)
+        return 0.01 * made.shifted(training, engine, 0) * (1.0 + seed)
 
-    for gap in measured_gaps(evaluation(error, floor=1e3)):
+    for gap in made.measured_gaps(made.evaluation(error, floor=1e3)):
         assert gap.ratio_low[0] == pytest.approx(4.0)
         assert gap.ratio_high[0] == pytest.approx(4.0)
 
 
 def test_two_engines_less_one_are_told_once() -> None:
-    board = evaluation(shifted, floor=100.0)
+    board = made.evaluation(made.shifted, floor=100.0)
     tested = ("a-native", "b-native")
     figures = {key: value for key, value in board.figures.items() if key[0].training in tested}
     for (entry, name), value in list(figures.items()):
         other = {"a": "not-b", "b": "not-a"}[entry.engines[0]]
-        figures[entry_of(other, entry.seed, entry.engines), name] = value
+        figures[made.entry_of(other, entry.seed, entry.engines), name] = value
     domains = tuple(domain for domain in board.test.domains if domain.name in tested)
     test = dataclasses.replace(board.test, domains=domains)
-    gaps = measured_gaps(Evaluation(test, board.frames, figures, board.oracles))
+    gaps = made.measured_gaps(Evaluation(test, board.frames, figures, board.oracles))
     assert [(gap.training, gap.test) for gap in gaps] == [
         ("a-native", "b-native"),
         ("b-native", "a-native"),
@@ -166,13 +162,16 @@ def test_two_engines_less_one_are_told_once() -> None:
 
 
 def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
-    board = evaluation(shifted, floor=100.0)
+    board = made.evaluation(made.shifted, floor=100.0)
     tested = ("a-native", "b-native")
     domains = tuple(domain for domain in board.test.domains if domain.name in tested)
     figures = {key: value for key, value in board.figures.items() if key[1] in tested}
     for name, engines, error in (("not-c", ("a", "b"), 50.0), ("all", ("a", "b", "c"), 1e-3)):
-        entry = entry_of(name, 0, engines)
-        figures |= {(entry, test): figures_of(np.full((COUNT, FRAMES), error)) for test in tested}
+        entry = made.entry_of(name, 0, engines)
+        figures |= {
+            (entry, test): made.figures_of(np.full((made.COUNT, made.FRAMES), error))
+            for test in tested
+        }
     test = dataclasses.replace(board.test, domains=domains)
     board = Evaluation(test, board.frames, figures, board.oracles)
     found = _answers(board)
@@ -181,7 +180,7 @@ def test_all_engines_means_all_where_some_engine_is_not_tested() -> None:
 
 def _of_variants(away: dict[str, float], spread: float) -> Evaluation:
     """Two engines, natively and matched; errors away from home are so many times those at home."""
-    test = paired(("a", "b"))
+    test = made.paired(("a", "b"))
     parts = [dataclasses.replace(d, variant=v) for v in away for d in test.domains]
     test = dataclasses.replace(test, domains=tuple(parts))
     figures, rng = {}, np.random.default_rng(5)
@@ -190,12 +189,14 @@ def _of_variants(away: dict[str, float], spread: float) -> Evaluation:
             "gns", home.name, (home.engine,), home.variant, seed, Path(f"{home.name}{seed}"), "", ""
         )
         for domain in parts:
-            luck = np.exp(spread * rng.standard_normal((COUNT, 1)) * (home.variant == "matched"))
+            luck = np.exp(
+                spread * rng.standard_normal((made.COUNT, 1)) * (home.variant == "matched")
+            )
             error = luck * (1.0 if domain is home else away[home.variant])
-            figures[entry, domain.name] = figures_of(np.tile(error, (1, FRAMES)))
+            figures[entry, domain.name] = made.figures_of(np.tile(error, (1, made.FRAMES)))
     pairs = itertools.permutations([domain.name for domain in parts], 2)
-    apart = {pair: figures_of(np.full((COUNT, FRAMES), 100.0)) for pair in pairs}
-    return Evaluation(test, (1, FRAMES), figures, apart)
+    apart = {pair: made.figures_of(np.full((made.COUNT, made.FRAMES), 100.0)) for pair in pairs}
+    return Evaluation(test, (1, made.FRAMES), figures, apart)
 
 
 @pytest.mark.parametrize(
@@ -219,14 +220,17 @@ def test_whether_matched_data_remove_a_shift(
 def test_changes_of_engine_are_counted_apart_from_those_of_settings() -> None:
     """Of 12 pairs of four domains 4 are of two engines at the same settings."""
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
-    told = next(answers_of(Draws(board), measured_gaps(board), FRAMES)).answer
+    told = next(answers_of(Draws(board), made.measured_gaps(board), made.FRAMES)).answer
     apart = "of 12 shifts from one engine's data to another's are resolved (2 of 4 at the same "
     assert f"{apart}settings, " in told
     assert " of 8 from other settings)" in told
 
 
 def _answers(board: Evaluation) -> dict[str, str]:
-    return {a.question: a.answer for a in answers_of(Draws(board), measured_gaps(board), FRAMES)}
+    return {
+        a.question: a.answer
+        for a in answers_of(Draws(board), made.measured_gaps(board), made.FRAMES)
+    }
 
 
 def _of_matched_data(board: Evaluation, oracles: dict[tuple[str, str], RolloutFigures]) -> str:
@@ -236,7 +240,7 @@ def _of_matched_data(board: Evaluation, oracles: dict[tuple[str, str], RolloutFi
 
 def test_matched_data_remove_no_shift_of_a_model_that_shows_none() -> None:
     board = _of_variants({"native": 4.0, "matched": 1.0}, 0.0)
-    same = {pair: figures_of(np.zeros((COUNT, FRAMES))) for pair in board.oracles}
+    same = {pair: made.figures_of(np.zeros((made.COUNT, made.FRAMES))) for pair in board.oracles}
     told = _of_matched_data(board, same)
     assert "this cannot be told: where no gap is resolved" in told
     assert "Mean gap ratio 4 [4, 4] on native" in told
@@ -246,7 +250,9 @@ def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
     """However sure it is that errors differ there, if engines differ by less than these."""
     board = _of_variants({"native": 4.0, "matched": 2.0}, 0.0)
     oracles = {
-        pair: figures_of(np.zeros((COUNT, FRAMES))) if all("matched" in n for n in pair) else apart
+        pair: made.figures_of(np.zeros((made.COUNT, made.FRAMES)))
+        if all("matched" in n for n in pair)
+        else apart
         for pair, apart in board.oracles.items()
     }
     told = _of_matched_data(board, oracles)
@@ -256,21 +262,21 @@ def test_what_is_not_resolved_on_matched_data_is_no_shift() -> None:
 
 def test_what_a_change_of_speed_costs() -> None:
     """Trained on another interval, models err 9 times as much, in medium starts 25 times."""
-    board = evaluation(shifted, floor=1.0)
+    board = made.evaluation(made.shifted, floor=1.0)
     figures = dict(board.figures)
-    place = np.arange(COUNT) % 3
-    hard = np.exp(np.random.default_rng(2).standard_normal(COUNT))
+    place = np.arange(made.COUNT) % 3
+    hard = np.exp(np.random.default_rng(2).standard_normal(made.COUNT))
     for own, interval in enumerate(("low", "medium", "high")):
         away = np.where(place == own, 1.0, np.where(place == 1, 25.0, 9.0))
-        entry = dataclasses.replace(entry_of(f"a-{interval}", 0, ("a",)), interval=interval)
-        error = np.tile((0.01 * hard * away)[:, None], (1, FRAMES))
+        entry = dataclasses.replace(made.entry_of(f"a-{interval}", 0, ("a",)), interval=interval)
+        error = np.tile((0.01 * hard * away)[:, None], (1, made.FRAMES))
         for engine in ("a", "b", "c"):
-            figures[entry, f"{engine}-native"] = figures_of(error)
+            figures[entry, f"{engine}-native"] = made.figures_of(error)
     whole = Evaluation(board.test, board.frames, figures, board.oracles)
-    (answer,) = answers_by_interval(whole, FRAMES)
+    (answer,) = answers_by_interval(whole, made.FRAMES)
     assert answer.question == "What does a change of speed cost (a-native)?"
     ratio = answer.ratios["gns"]
     for bound in (ratio.low, ratio.value, ratio.high):
         assert bound == pytest.approx((25.0, 25.0))
-    assert measured_gaps(whole) == measured_gaps(board)
-    assert list(answers_by_interval(board, FRAMES)) == []
+    assert made.measured_gaps(whole) == made.measured_gaps(board)
+    assert list(answers_by_interval(board, made.FRAMES)) == []

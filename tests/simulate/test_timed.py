@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.isolate import Silent
-from mbds_xsim.measure.running import Running
+from mbds_xsim.measure.runner import Running
 from mbds_xsim.reference import kernels
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import Batch, Failure, Trajectory

@@ -16,7 +16,7 @@ from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import EngineResult, Evidence, Validation
-from mbds_xsim.measure.running import ProgressSink, Watch
+from mbds_xsim.measure.runner import ProgressSink, Watch
 from mbds_xsim.reference import FirstImpact
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of

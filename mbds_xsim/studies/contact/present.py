@@ -19,7 +19,7 @@ import numpy as np
 from mbds_xsim.base.files import write_whole
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.base.text import counted
-from mbds_xsim.measure.running import ProgressSink
+from mbds_xsim.measure.runner import ProgressSink
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Remarks, Row, Table, Text
 from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png

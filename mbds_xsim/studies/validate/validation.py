@@ -25,7 +25,7 @@ from mbds_xsim.measure.result import (
     Validation,
     Verdict,
 )
-from mbds_xsim.measure.running import Account, Watch
+from mbds_xsim.measure.runner import Account, Watch
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import distinct_starts, draw_batch
 from mbds_xsim.scene.sampling_terms import INTERVALS
