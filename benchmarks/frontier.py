@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.harness import Array, print_made, print_table, processor_s
 from mbds_xsim.reference import solve
-from mbds_xsim.scene.mechanism import Mechanism, marker_positions
+from mbds_xsim.scene.markers import marker_positions
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling_terms import Levels, Roll, Throw
-from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, Budget, ContactSphere, Particle, Scene
+from mbds_xsim.scene.scene import PARTICLE_RADIUS, Body, ContactSphere, Particle, Scene
 
 from .paper import GROUND, NOISE, SOURCE
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from itertools import product
 
+from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling_terms import HingeRate, HingeTorque, Levels, Throw
 from mbds_xsim.scene.scene import (
     PARTICLE_RADIUS,
     Body,
-    Budget,
     ContactSphere,
     Joint,
     Particle,

@@ -80,6 +80,7 @@ class Dart(Adapter):
         Feature.LOOP_SLIDER: "DART has no constraint that keeps a point on a line",
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
         Feature.ARMATURE: "DART has no inertia of a joint beside those of its bodies",
+        Feature.COUPLING: "dartpy has no call that ties a joint to another",
         Feature.CLOSING_LOAD: "DART's springs and dampers of joints act on coordinates, and a "
         "joint that closes a loop has none",
     }

@@ -104,6 +104,8 @@ class Exudyn(Adapter):
     }
     limits: ClassVar[dict[Feature, str]] = {
         Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
+        Feature.COUPLING: "Exudyn constrains coordinates of nodes, and joints of rigid bodies have "
+        "none",
     }
     coordinates = "maximal"
     contact_law = CONTACT_LAW

@@ -12,13 +12,14 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.scene.imported import Fate, Imported, gathered
+from mbds_xsim.scene.coupling import Coupling as SceneCoupling
+from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
 
 from .facts import facts_of
 from .masses import SHARE, physical, small
-from .parts import Closing, Drive, Freedom, Line, Mass, Part, Parts
+from .parts import Closing, Coupling, Drive, Freedom, Line, Mass, Part, Parts
 from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
@@ -62,6 +63,7 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         distance_links=tuple(builder.links),
         springs=tuple(builder.springs),
         servos=tuple(builder.servos),
+        couplings=tuple(builder.couplings),
         length=builder.length,
         gravity=model.gravity.tolist(),
     )
@@ -108,10 +110,9 @@ class _Builder:
         self.servos: list[Servo] = []
         for drive in model.drives:
             self._drive(drive)
+        self.couplings: list[SceneCoupling] = []
         for coupling in model.couplings:
-            element, attribute = model.labels["coupling"]
-            place = (f"{coupling.joint} follows {coupling.follows}",)
-            self.fates.append(Fate(element, (attribute,), "dropped", _NOT_YET, True, place))
+            self._couple(coupling)
 
     def _above(self, k: int) -> int:
         parent = self._parts[k].parent
@@ -193,7 +194,9 @@ class _Builder:
     def _simplified(self, part: Part) -> tuple[Freedom, ...]:
         """Take three sliders and a turn as a free body, and three hinges in a point as a ball."""
         freedoms = part.freedoms
-        driven = {drive.joint for drive in self._model.drives}
+        model = self._model
+        driven = {drive.joint for drive in model.drives}
+        driven |= {name for tie in model.couplings for name in (tie.joint, tie.follows)}
         if any(freedom.properties or freedom.name in driven for freedom in freedoms):
             return freedoms
         kinds = [freedom.kind for freedom in freedoms]
@@ -279,6 +282,23 @@ class _Builder:
             self._tell("approximated", "actuator", reason, drive.name)
         else:
             self._tell("kept", "actuator", "a servo at its command of 0", drive.name)
+
+    def _couple(self, coupling: Coupling) -> None:
+        element, attribute = self._model.labels["coupling"]
+        place = f"{coupling.joint} follows {coupling.follows}"
+        joints = [self._joint_names.get(each) for each in (coupling.joint, coupling.follows)]
+        offset, ratio, *higher = coupling.polynomial
+        follower, leader = joints
+        if follower is None or leader is None:
+            reason = _TIES_NOTHING
+        elif any(higher) or not ratio:
+            reason = "not in proportion to the other's coordinate"
+        else:
+            self.couplings.append(SceneCoupling(follower, leader, ratio, offset))
+            reason = ""
+        how = reason or "a rigid coupling"
+        outcome: Outcome = "dropped" if reason else "kept"
+        self.fates.append(Fate(element, (attribute,), outcome, how, True, (place,)))
 
     def _ends(self, parts: tuple[int, int]) -> tuple[str, str] | None:
         """Name the bodies that parts are; none where they are one, or not there."""

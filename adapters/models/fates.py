@@ -116,7 +116,7 @@ _SDF: tuple[_Row, ...] = (
     ("dropped", True, "there is no such damping of bodies", "velocity_decay"),
     ("dropped", True, "gravity acts on all bodies alike", "link/gravity"),
     ("kept", True, "as DART's parser reads it", "gravity"),
-    ("dropped", True, "couplings are not yet in the scene description",
+    ("dropped", True, "DART's parser passes it over",
      "gearbox_ratio gearbox_reference_body"),
 )  # fmt: skip
 _TABLES = {"mujoco": _MJCF, "robot": _URDF, "sdf": _SDF}

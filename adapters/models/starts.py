@@ -17,7 +17,7 @@ _RATES = (0.1, 0.5, 1.0)
 
 
 def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Draw, ...]:
-    """Give the draws: poses of the joints that are in no loop, then rates of hinges and bodies.
+    """Give the draws: poses of the joints that nothing ties, then rates of hinges and bodies.
 
     A hinge without limits turns by half a turn either way, a slider goes a tenth of the scene's
     length; with wider limits it goes no farther, a slider the whole length.
@@ -29,7 +29,8 @@ def starts(scene: Scene, limits: Mapping[str, tuple[float, float]]) -> tuple[Dra
     mechanism, length = Mechanism.of(scene), scene.length
     looped = _looped(mechanism)
     joints = [j for link in mechanism.links if (j := link.joint) is not None]
-    alone = [j for j in joints if j.kind in ("hinge", "slider") and j.child not in looped]
+    moving = [j for j in joints if j.kind in ("hinge", "slider") and not j.coupled]
+    alone = [j for j in moving if j.child not in looped]
     ranges = defaultdict(list)
     for joint in alone:
         usual, most = (math.pi, math.pi) if joint.kind == "hinge" else (0.1 * length, length)

@@ -106,7 +106,7 @@ class Ties:
         """Say what is not given, and why."""
         model = self._model
         for e in self._active:
-            joint = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT
+            joint = model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
             if not (self._holds(e) or self._rigid(e) or joint):
                 name = self._name("EQUALITY", e)
                 yield Fate("equality", (), "dropped", self._why(e), True, (name,))
@@ -149,6 +149,8 @@ class Ties:
     def _why(self, e: int) -> str:
         if int(self._model.eq_type[e]) in self._points:
             return f"its two sides are {self._gap(e):.3g} (m or turn) apart at the reference pose"
+        if int(self._model.eq_type[e]) == self._mujoco.mjtEq.mjEQ_JOINT:
+            return "it holds one joint at a place"
         return f"equalities of tendons and flexes are {_NOT_YET}"
 
     def _ends(self, e: int) -> tuple[tuple[int, Array], tuple[int, Array]]:

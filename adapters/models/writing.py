@@ -117,6 +117,9 @@ def _loops(mechanism: Mechanism) -> Iterator[Fate]:
     for pair in mechanism.distances:
         reason = "a tendon of constant length, by a solver that is soft"
         yield Fate("distance_links", (), "approximated", reason, True, (pair.name,))
+    for tie in mechanism.couplings:
+        reason = "an equality of two joints, by a solver that is soft"
+        yield Fate("couplings", (), "approximated", reason, True, (tie.name,))
 
 
 def _without_servos(scene: Scene) -> Mechanism:
@@ -179,3 +182,7 @@ def _urdf_link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int
         SubElement(hold, "axis", xyz=numbers(joint.axis))
     if joint is not None and joint.damping:
         SubElement(hold, "dynamics", damping=repr(joint.damping))
+    for tie in mechanism.couplings:
+        if joint is not None and tie.follower.name == joint.name:
+            law = {"multiplier": repr(tie.ratio), "offset": repr(tie.offset)}
+            SubElement(hold, "mimic", {"joint": tie.leader.name} | law)

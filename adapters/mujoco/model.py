@@ -80,13 +80,13 @@ def mechanics(
     loops: dict[str, str],
     links: dict[str, str],
 ) -> dict[int, Element]:
-    """Add bodies, joints, loops, links and springs; returns the element of each body.
+    """Add bodies, joints, loops, links, springs and couplings; returns the element of each body.
 
     Args:
         root: What is added to.
         mechanism: Of the scene.
         idle: As `mjcf` has it.
-        loops: Attributes of the equalities that close loops.
+        loops: Attributes of the equalities that close loops and couple joints.
         links: The same of distance links.
     """
     bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle)
@@ -97,6 +97,10 @@ def mechanics(
         _distance(tendons, equalities, bodies, mechanism, link, links)
     for spring in mechanism.springs:
         _spring(tendons, bodies, spring)
+    for coupling in mechanism.couplings:
+        ends = {"joint1": coupling.follower.name, "joint2": coupling.leader.name}
+        law = {"polycoef": numbers((coupling.offset, coupling.ratio, 0.0, 0.0, 0.0))}
+        SubElement(equalities, "joint", ends | law | loops)
     root.extend(element for element in (tendons, equalities) if len(element))
     return bodies
 
@@ -148,7 +152,12 @@ def _idle(mechanism: Mechanism) -> list[str]:
         "spring": (*mechanism.springs, *mechanism.compliant),
         "damper": (*mechanism.springs, *mechanism.compliant),
         "contact": mechanism.scene.contacts,
-        "constraint": (*mechanism.loops, *mechanism.distances, *mechanism.scene.contacts),
+        "constraint": (
+            *mechanism.loops,
+            *mechanism.distances,
+            *mechanism.couplings,
+            *mechanism.scene.contacts,
+        ),
         "limit": (),
         "frictionloss": (),
         "sensor": (),

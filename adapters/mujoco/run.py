@@ -176,6 +176,7 @@ class ModelRun(Run):
             anchor=self._anchors(),
             spring=self._springs(),
             law=joint_laws(self._mechanism, self._law),
+            coupling=self._couplings(),
             armature=model.dof_armature[[self._dof(joint) for joint in self._mechanism.rotors]],
         )
 
@@ -221,6 +222,11 @@ class ModelRun(Run):
         length = self._data.ten_length[first:]
         constants = (model.tendon_stiffness[first:], model.tendon_damping[first:], rest, length)
         return np.stack(constants, axis=1)
+
+    def _couplings(self) -> Array:
+        model, kind = self._model, mujoco.mjtEq.mjEQ_JOINT
+        laws = [model.eq_data[e, :5] for e in range(model.neq) if model.eq_type[e] == kind]
+        return np.array(laws).reshape(-1, 5)[:, [1, 0]]
 
     def _law(self, _link: Link, joint: PlacedJoint) -> tuple[float, float, float]:
         model, number = self._model, self._model.joint(joint.name).id

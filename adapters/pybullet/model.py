@@ -15,6 +15,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.joint_space import BodyStates, to_links
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
 from mbds_xsim.simulate.adapter import ModelSize
@@ -76,7 +77,9 @@ class Multibodies:
         # Of a joint's constraints: the number, and of the joint's parent, then child, the body and
         # which of the constraint's ends it is.
         self._ties: dict[int, list[tuple[int, list[tuple[int, int]]]]] = {}
-        rows = sum(self._close(joint) for joint in self.closures)
+        rows = sum(self._close(joint) for joint in self.closures) + len(mechanism.couplings)
+        for coupling in mechanism.couplings:
+            self._gear(coupling)
         self.size = ModelSize(
             sum(_coordinate_count(part) for part in self.parts), rows, len(mechanism.sphere_body)
         )
@@ -308,6 +311,19 @@ class Multibodies:
         arm = _HINGE_ARM * max(np.linalg.norm(joint.in_child), np.linalg.norm(joint.in_parent))
         ends = (-arm * joint.axis, arm * joint.axis)
         return sum(self._constrain("JOINT_POINT2POINT", joint, shift, 3) for shift in ends)
+
+    def _gear(self, coupling: PlacedCoupling) -> None:
+        """Tie the rates of two joints; the start is on the coupling, and Bullet keeps it there."""
+        self.client.note(coupling.name)
+        bodies = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
+        ends = (bodies[joint.index] for joint in (coupling.follower, coupling.leader))
+        (first, second), none = (self.address(body) for body in ends), [0.0, 0.0, 0.0]
+        number = self.client.build(
+            "createConstraint", *first, *second, Constant("JOINT_GEAR"), none, none, none
+        )  # fmt: skip
+        self.client.build(
+            "changeConstraint", number, gearRatio=-coupling.ratio, maxForce=_IMPULSE_CAP
+        )
 
     def _constrain(self, kind: str, joint: PlacedJoint, shift: Array, rows: int) -> int:
         """Tie the points of both bodies that are at the anchor plus a shift."""

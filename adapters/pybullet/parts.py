@@ -82,14 +82,14 @@ def _best_cut(mechanism: Mechanism, link: Link, outer: list[Link], load: dict[in
     choices = [
         child
         for child in outer
-        if child.joint and child.joint.kind in _CUT_ORDER and not child.joint.complies
+        if child.joint and child.joint.kind in _CUT_ORDER and not child.joint.is_loaded
     ]
     if not choices:
         name = mechanism.scene.bodies[link.body].name
         msg = (
-            f"pybullet: body {name!r} carries more sliders, or joints with springs or dampers, "
-            f"than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and Bullet has no "
-            "constraint to replace one"
+            f"pybullet: body {name!r} carries more sliders, or joints with springs, dampers or "
+            f"couplings, than the {COORDINATE_LIMIT} coordinates that a multibody can hold, and "
+            "Bullet has no constraint to replace one"
         )
         raise Unsupported(msg)
     return min(

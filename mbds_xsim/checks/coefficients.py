@@ -20,15 +20,13 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.conservation import (
-    coordinate_of,
     damper_loss,
     energy_of,
     flights_of,
     gain_of,
-    hinge_rates,
-    hinge_turns,
     input_work,
 )
+from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.integrity import pair_distance, pair_rate

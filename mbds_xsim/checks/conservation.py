@@ -9,9 +9,10 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
 from mbds_xsim.checks.finding import Figures, Record, check, summed
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
-from mbds_xsim.scene.joint_space import joint_coordinate, joint_rate
+from mbds_xsim.scene.joint_space import joint_rate
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, connected
 
 _FLOOR = 1e-3  # of Σ m·g·length, and of Σ m·√(g·length)
@@ -98,41 +99,6 @@ def input_work(record: Record) -> Array:
     if record.mechanism.hinges:
         work += np.sum(record.batch.torque[:, : record.steps] * hinge_turns(record), axis=2)
     return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
-
-
-@functools.lru_cache(maxsize=1)
-def hinge_turns(record: Record) -> Array:
-    """Angles by which the hinges turn over each step [rad], shape (trajectory, step, hinge).
-
-    A frame gives a hinge's angle up to full turns; the mean of the hinge rates at the two ends
-    of the step chooses among them.
-    """
-    bodies, rates = record.bodies, hinge_rates(record)
-    turns = []
-    for k, joint in enumerate(record.mechanism.hinges):
-        turn = np.diff(joint_coordinate(joint, bodies.position, bodies.native), axis=1)
-        expected = 0.5 * (rates[:, 1:, k] + rates[:, :-1, k]) * record.frame
-        turns.append(turn + 2 * np.pi * np.round((expected - turn) / (2 * np.pi)))
-    return np.stack(turns, axis=-1)
-
-
-def coordinate_of(record: Record, joint: PlacedJoint) -> Array:
-    """Give a joint's coordinate [rad or m], shape (trajectory, frame).
-
-    A hinge's angle is in (−π, π] at the start, and counts whole turns from then on.
-    """
-    found = joint_coordinate(joint, record.bodies.position, record.bodies.native)
-    if joint.kind == "hinge":
-        turns = hinge_turns(record)[..., record.mechanism.hinges.index(joint)].cumsum(axis=1)
-        found[:, 1:] = found[:, :1] + turns
-    return found
-
-
-@functools.lru_cache(maxsize=1)
-def hinge_rates(record: Record) -> Array:
-    """Angular velocities across the hinges [rad/s], shape (trajectory, frame, hinge)."""
-    world, hinges = record.world, record.mechanism.hinges
-    return np.stack([joint_rate(joint, world) for joint in hinges], axis=-1)
 
 
 @functools.lru_cache(maxsize=1)

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.checks.coordinates import coupling_errors
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
@@ -132,7 +133,7 @@ def gap(record: Record) -> Figures:
     """Measure the distance between the anchor points of each joint [m]; None without joints.
 
     Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
-    link the change of its length.
+    link the change of its length, of a coupling how far a slider is from where it should follow.
     """
     apart, slid = _of_kinds(record, _apart(record))
     links = record.mechanism.distances
@@ -140,8 +141,9 @@ def gap(record: Record) -> Figures:
         rotation.norm(apart),
         rotation.norm(rotation.cross(_axes(record), slid)),
         np.abs(pair_distance(record.world, links) - [link.length for link in links]),
+        np.abs(coupling_errors(record, "slider")[0]),
     ]
-    return Figures(record.by_frame(_columns(parts)), _names(record.mechanism))
+    return Figures(record.by_frame(_columns(parts)), _names(record))
 
 
 @check("gap rate", lambda record: record.scene.budget.gap / record.frame, "m/s")
@@ -158,12 +160,13 @@ def gap_rate(record: Record) -> Figures:
         rotation.norm(parting),
         rotation.norm(rotation.cross(_axes(record), sliding)),
         np.abs(pair_rate(record.world, record.mechanism.distances)),
+        np.abs(coupling_errors(record, "slider")[1]),
     ]
     opening = record.by_frame(_columns(parts))
     if record.lag:
         late = _turned(record, rotation.norm(record.bodies.velocity))
         opening = np.maximum(opening - late, 0.0)
-    return Figures(opening, _names(record.mechanism))
+    return Figures(opening, _names(record))
 
 
 @check("angle gap rate", lambda record: record.scene.budget.angle_gap / record.frame, "rad/s")
@@ -180,11 +183,12 @@ def angle_gap_rate(record: Record) -> Figures | None:
     turning = states.angular_velocity[..., child, :] - states.angular_velocity[..., parent, :]
     free = states.arms(parent, _free(joints))
     across = turning - rotation.dot(turning, free)[..., None] * free
-    rate = rotation.norm(across)
+    slip = np.abs(coupling_errors(record, "hinge")[1])
+    rate = np.concatenate([rotation.norm(across), slip], axis=-1)
     if record.lag:
         late = _turned(record, rotation.norm(record.bodies.angular_velocity))
         rate = np.maximum(rate - late, 0.0)
-    return Figures(rate, [f"joint {j.name}" for j in joints])
+    return Figures(rate, [*(f"joint {j.name}" for j in joints), *_followers(record, "hinge")])
 
 
 @check("angle gap", "angle_gap", "rad")
@@ -202,7 +206,9 @@ def angle_gap(record: Record) -> Figures | None:
     along = np.sum(turn[..., 1:] * free, axis=-1)
     across = np.linalg.norm(turn[..., 1:] - along[..., None] * free, axis=-1)
     angle = 2.0 * np.arctan2(across, np.hypot(turn[..., 0], along))
-    return Figures(angle, [f"joint {j.name}" for j in joints])
+    off = np.abs(coupling_errors(record, "hinge")[0])
+    names = [*(f"joint {j.name}" for j in joints), *_followers(record, "hinge")]
+    return Figures(np.concatenate([angle, off], axis=-1), names)
 
 
 def pair_distance(states: BodyStates, pairs: tuple[PointPair, ...]) -> Array:
@@ -250,11 +256,16 @@ def _columns(parts: list[Array]) -> list[Array]:
     return [part[..., k] for part in parts for k in range(part.shape[-1])]
 
 
-def _names(mechanism: Mechanism) -> tuple[str, ...]:
+def _names(record: Record) -> tuple[str, ...]:
     """Of the parts of gaps and their rates."""
-    joints, sliders = _parted(mechanism)
-    links = (f"distance link {link.name}" for link in mechanism.distances)
-    return (*(f"joint {j.name}" for j in [*joints, *sliders]), *links)
+    joints, sliders = _parted(record.mechanism)
+    links = (f"distance link {link.name}" for link in record.mechanism.distances)
+    held = (f"joint {j.name}" for j in [*joints, *sliders])
+    return (*held, *links, *_followers(record, "slider"))
+
+
+def _followers(record: Record, kind: str) -> list[str]:
+    return [c.name for c in record.mechanism.couplings if c.follower.kind == kind]
 
 
 def _free(joints: list[PlacedJoint]) -> Array:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, markers
+from mbds_xsim.scene.markers import markers
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.sampling import noise_components
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Trajectory

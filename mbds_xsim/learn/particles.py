@@ -146,7 +146,7 @@ def unexplained_energy(motion: ParticleMotion, truth: ParticleMotion) -> Array:
     A velocity is made of frames to either side, so a value stands where the last of them is.
     """
     mechanism, frames = motion.graph.mechanism, len(motion.position)
-    hidden = bool(mechanism.springs or mechanism.compliant or mechanism.rotors)
+    hidden = bool(mechanism.springs or any(joint.is_loaded for joint in mechanism.joints))
     hidden = hidden or (mechanism.particles_per_body == 0).any()
     if hidden or motion.start.torque.any():
         return np.full(frames, np.nan)

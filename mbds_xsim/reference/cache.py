@@ -93,7 +93,7 @@ def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:
     """Name of the entry of one trajectory: a hash of the physics, the start and the inputs."""
     digest = hashlib.sha256()
     physics = [getattr(scene, key) for key in _PHYSICS]
-    physics += [scene.servos] if scene.servos else []
+    physics += [given for given in (scene.servos, scene.couplings) if given]
     # Scenes made in Python may hold numpy's numbers.
     digest.update(
         msgspec.json.encode([what, PHYSICS, rtol, scene.clock.frame, physics], enc_hook=float)

@@ -3,8 +3,9 @@
 With the rows' Jacobian J, A = J M⁻¹ Jᵀ (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter
 8). A row's unit load, handed down its path to the roots by the recursion that `tree_kernel.gather`
 prepared, gives at each speed a generalised load w and the acceleration z = D⁻¹ w that it brings
-there, and A is the sum of w · z over the speeds, link by link. The multipliers' loads go down once
-more, all together. Rows are those of `mbds_xsim.scene.constraints`.
+there (`response_kernel`), and A is the sum of w · z over the speeds, link by link. The multipliers'
+loads go down once more, all together. Rows are those of `mbds_xsim.scene.constraints`, and behind
+them couplings.
 """
 
 from __future__ import annotations
@@ -13,14 +14,12 @@ from mbds_xsim.reference.lanes import (
     add,
     add_to3,
     apply,
-    apply_even,
     compiled,
     cross,
     dot,
     larger,
     load,
     load3,
-    load6,
     load9,
     number3,
     positive,
@@ -33,33 +32,23 @@ from mbds_xsim.reference.lanes import (
     times,
 )
 from mbds_xsim.reference.load_kernel import act, still, weigh
+from mbds_xsim.reference.response_kernel import ROW, load_own, respond
 from mbds_xsim.reference.tree import (
     ALONG,
     BALL,
-    BOTH,
+    COUPLED,
     DISTANCE,
     FIXED,
     FREE,
     HINGE,
     NORMAL,
-    SECOND,
     Tree,
 )
 from mbds_xsim.reference.tree_kernel import (
     ALPHA,
-    ARM,
-    AXIS,
-    DI,
-    HJ,
-    JI,
     MI,
     PLACES,
-    REACH,
-    UF,
-    UN,
     A,
-    F,
-    N,
     R,
     V,
     W,
@@ -72,8 +61,6 @@ from mbds_xsim.reference.tree_kernel import (
     zero,
 )
 
-ROW = 15
-"""Numbers of a row: (v, ω) of the first end, of the second, bias, residual, size squared."""
 _LOST = 1e-300
 _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 
@@ -87,18 +74,18 @@ def accelerate(t: Tree, work: Workspace, y, rate, first):
     gather(t, work)
     spread_out(t, work, True)
     if len(t.row_kind):
-        _rows(t, work)
-        _respond(t, work)
+        _rows(t, work, y)
+        respond(t, work)
         _factor(t, work)
         most = spread(_NOTHING)
         for k in range(t.loaded):
-            goal = _along(t, work, k, A, ALPHA) + load(work.rows, ROW * k + 12)
+            goal = _along(t, work, y, k, A, ALPHA) + load(work.rows, ROW * k + 12)
             most = larger(most, size(goal))
             store(work.multipliers, k, -goal)
         _solve(t, work)
-        _load_own(t, work)
+        load_own(t, work)
         spread_out(t, work, True)
-        _contradiction(t, work, most)
+        _contradiction(t, work, y, most)
     rates(t, work, y, rate, first)
 
 
@@ -110,12 +97,12 @@ def project(t: Tree, work: Workspace, y):
             resist(t, work, y)
             _factor(t, work)
             for k in range(t.loaded):
-                off = load(work.rows, ROW * k + 13) if step == 0 else _along(t, work, k, V, W)
+                off = load(work.rows, ROW * k + 13) if step == 0 else _along(t, work, y, k, V, W)
                 store(work.multipliers, k, -off)
             _solve(t, work)
             for k in range(t.place_count, t.size):
                 store(work.own, k, spread(0.0))
-            _load_own(t, work)
+            load_own(t, work)
             spread_out(t, work, False)
             _change(t, work, y, step)
     _normalise(t, y)
@@ -128,16 +115,22 @@ def resist(t: Tree, work: Workspace, y):
     still(t, work)
     weigh(t, work)
     gather(t, work)
-    _rows(t, work)
-    _respond(t, work)
+    _rows(t, work, y)
+    respond(t, work)
 
 
 @compiled
-def _rows(t, work):
+def _rows(t, work, y):
     """Evaluate all rows after `move`."""
     a, rows = work.link, work.rows
     for k in range(len(t.row_kind)):
         kind, p, c = t.row_kind[k], t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
+        if kind == COUPLED:
+            for j in range(ROW):
+                store(rows, ROW * k + j, spread(0.0))
+            here, there = load(y, t.row_place[0, k]), load(y, t.row_place[1, k])
+            store(rows, ROW * k + 13, here + t.row_way[k, 1] * there - t.row_length[k])
+            continue
         turn, spin, other = load9(a, p + R), load3(a, p + W), load3(a, c + W)
         first = apply(turn, number3(t.row_points[0], k))
         second = apply(load9(a, c + R), number3(t.row_points[1], k))
@@ -188,99 +181,19 @@ def _put(t, rows, k, n, first, second):
 
 
 @compiled
-def _along(t, work, k, linear, angular):
-    """Multiply a row and vectors of the bodies."""
+def _along(t, work, y, k, linear, angular):
+    """Multiply a row and vectors of the bodies, or what speeds and their accelerations are."""
     a, rows, b = work.link, work.rows, ROW * k
     p, c = t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
+    if t.row_kind[k] == COUPLED:
+        first, second = load(a, p + MI), load(a, c + MI)
+        if linear == V:
+            first = load(y, t.speed_at[t.row_ends[0, k]])
+            second = load(y, t.speed_at[t.row_ends[1, k]])
+        return first + t.row_way[k, 1] * second
     one = dot(load3(rows, b), load3(a, p + linear)) + dot(load3(rows, b + 3), load3(a, p + angular))
     two = dot(load3(rows, b + 6), load3(a, c + linear))
     return one + two + dot(load3(rows, b + 9), load3(a, c + angular))
-
-
-@compiled
-def _respond(t, work):
-    """Hand each loaded row's unit load down to the roots, and sum up A, its lower half."""
-    rows, loads, count = work.rows, work.loads, t.loaded
-    for k in range(count):
-        for end in range(2):
-            for half in range(2):
-                at = 6 * end + 3 * half
-                store3(loads, 12 * k + at, times(-1.0, load3(rows, ROW * k + at)))
-        for j in range(k + 1):
-            store(work.matrix, k * count + j, spread(0.0))
-    # Links outside, so that what is known of one is read once for all rows.
-    for back in range(len(t.kind)):
-        i = len(t.kind) - 1 - back
-        for q in range(t.on_start[i], t.on_start[i + 1]):
-            k, end = t.on_row[q], t.on_end[q]
-            at = 12 * k + (6 if end == SECOND else 0)
-            f, n = load3(loads, at), load3(loads, at + 3)
-            if end == BOTH:
-                f, n = add(f, load3(loads, at + 6)), add(n, load3(loads, at + 9))
-            out = 12 * (q - t.on_start[i])
-            f, n = _respond_at(work, i * PLACES, t.kind[i], out, f, n)
-            store3(loads, at, f)
-            store3(loads, at + 3, n)
-        _couple(t, work, i)
-
-
-@compiled
-def _couple(t, work, i):
-    """Add to A what the rows whose loads come through a link have in common there."""
-    first, passed, m = t.on_start[i], work.passed, work.matrix
-    speeds = t.speed_at[i + 1] - t.speed_at[i]
-    for q in range(t.on_start[i + 1] - first):
-        k = t.on_row[first + q] * t.loaded
-        if speeds == 3:
-            x, y, z = load(passed, 12 * q), load(passed, 12 * q + 2), load(passed, 12 * q + 4)
-            for r in range(q + 1):
-                at = k + t.on_row[first + r]
-                total = load(m, at) + x * load(passed, 12 * r + 1)
-                total = total + y * load(passed, 12 * r + 3)
-                store(m, at, total + z * load(passed, 12 * r + 5))
-        else:
-            for r in range(q + 1):
-                total = load(m, k + t.on_row[first + r])
-                for s in range(0, 2 * speeds, 2):
-                    total = total + load(passed, 12 * q + s) * load(passed, 12 * r + s + 1)
-                store(m, k + t.on_row[first + r], total)
-
-
-@compiled
-def _respond_at(work, b, kind, at, f, n):
-    """Take a load through one link; w and z stand at `at`, speed by speed."""
-    a, out = work.link, work.passed
-    if kind == FREE:
-        z = apply_even(load6(a, b + JI), n)
-        f = sub(f, apply(load9(a, b + HJ), z))
-        _keep(out, at + 6, n, z)
-        _keep(out, at, f, apply_even(load6(a, b + MI), f))
-        return f, n
-    n = sub(n, cross(load3(a, b + ARM), f))
-    reach = load3(a, b + REACH)
-    if kind == BALL:
-        z = apply_even(load6(a, b + JI), n)
-        _keep(out, at, n, z)
-        f = sub(f, apply(load9(a, b + HJ), z))
-        return f, cross(reach, f)
-    if kind != FIXED:
-        w = -dot(load3(a, b + AXIS), n if kind == HINGE else f)
-        z = load(a, b + DI) * w
-        store(out, at, w)
-        store(out, at + 1, z)
-        f = add(f, times(z, load3(a, b + UF)))
-        n = add(n, times(z, load3(a, b + UN)))
-    return f, add(n, cross(reach, f))
-
-
-@compiled
-def _keep(out, at, w, z):
-    store(out, at, w[0])
-    store(out, at + 1, z[0])
-    store(out, at + 2, w[1])
-    store(out, at + 3, z[1])
-    store(out, at + 4, w[2])
-    store(out, at + 5, z[2])
 
 
 @compiled
@@ -320,36 +233,12 @@ def _solve(t, work):
 
 
 @compiled
-def _load_own(t, work):
-    """Add what the multipliers' loads do to the speeds' own parts; F and N are theirs then."""
-    a, rows = work.link, work.rows
-    still(t, work)
-    for k in range(t.loaded):
-        weight, b = -load(work.multipliers, k), ROW * k
-        p, c = t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
-        add_to3(a, p + F, times(weight, load3(rows, b)))
-        add_to3(a, p + N, times(weight, load3(rows, b + 3)))
-        add_to3(a, c + F, times(weight, load3(rows, b + 6)))
-        add_to3(a, c + N, times(weight, load3(rows, b + 9)))
-    for back in range(len(t.kind)):
-        i = len(t.kind) - 1 - back
-        if t.on_start[i] == t.on_start[i + 1]:
-            continue
-        b, p, fast = i * PLACES, t.parent[i] * PLACES, t.speed_at[i]
-        f, n = _respond_at(work, b, t.kind[i], 0, load3(a, b + F), load3(a, b + N))
-        for s in range(t.speed_at[i + 1] - fast):
-            store(work.own, fast + s, load(work.own, fast + s) + load(work.passed, 2 * s + 1))
-        add_to3(a, p + F, f)
-        add_to3(a, p + N, n)
-
-
-@compiled
-def _contradiction(t, work, most):
+def _contradiction(t, work, y, most):
     """Measure by how much rows without loads do not follow from the others, over the goals."""
     off = spread(0.0)
     for k in range(t.loaded, len(t.row_kind)):
         bias = load(work.rows, ROW * k + 12)
-        off = larger(off, size(_along(t, work, k, A, ALPHA) + bias))
+        off = larger(off, size(_along(t, work, y, k, A, ALPHA) + bias))
     store(work.share, 1, off / most)
 
 
@@ -383,6 +272,11 @@ def _change(t, work, y, speeds):
             store(y, at + 1, s + 0.5 * change * c)
         else:
             store(y, at, load(y, at) + change)
+    if not speeds:
+        for k in range(len(t.law)):
+            if t.angle_link[k] >= 0:
+                change = load(a, t.angle_link[k] * PLACES + MI)
+                store(y, t.angle_at[k], load(y, t.angle_at[k]) + change)
 
 
 @compiled

@@ -11,18 +11,20 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import ROW, accelerate, resist
+from mbds_xsim.reference.closure_kernel import accelerate, project, resist
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
 from mbds_xsim.reference.marching import Inputs, Marched, coefficients
 from mbds_xsim.reference.multipliers import POOR
+from mbds_xsim.reference.response_kernel import ROW
 from mbds_xsim.reference.singular import typical_states
-from mbds_xsim.reference.tree import BALL, FREE, Tree, to_tree, tree_of, with_rows
-from mbds_xsim.reference.tree_kernel import PLACES, A, R, Workspace
+from mbds_xsim.reference.tree import BALL, COUPLED, FREE, Tree, to_tree, tree_of, with_rows
+from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move
 from mbds_xsim.scene.mechanism import Mechanism
 
 Progress = Callable[[int, int], None]
@@ -92,6 +94,26 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         accelerate(tree, work, y, rate, 0)
         link = work.link.reshape(worlds, PLACES, LANES)[:-1, A : A + 6]
         found[rows[:, None], tree.body] = np.moveaxis(link, -1, 0)
+    return found
+
+
+def projected(mechanism: Mechanism, states: Array) -> Array:
+    """Put states of the reference onto the closures by least mass-weighted changes."""
+    tree, _ = _chosen(mechanism)
+    work, found = _work(tree), states.copy()
+    for rows, y in _in_lanes(to_tree(mechanism, states)):
+        for k, place in enumerate(tree.row_place[0]):
+            if tree.row_kind[k] == COUPLED and place in tree.angle_at:
+                wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
+                y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
+        project(tree, work, y)
+        move(tree, work, y)
+        link = np.moveaxis(work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
+        turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
+        parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
+        found[rows[:, None], tree.body] = np.concatenate(parts, axis=-1)
+    along = np.sum(found[..., 3:7] * states[..., 3:7], axis=-1, keepdims=True)
+    found[..., 3:7] *= np.where(along < 0.0, -1.0, 1.0)
     return found
 
 

@@ -56,7 +56,7 @@ def dynamics_of(mechanism: Mechanism) -> Dynamics:
 class Dynamics:
     """Equations of motion of one mechanism, vectorised over a batch.
 
-    Those of a mechanism with rotors are the compiled ones.
+    Those of a mechanism with rotors or couplings are the compiled ones.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -113,8 +113,8 @@ class Dynamics:
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
-        if self._mechanism.rotors:
-            # Rotors turn with coordinates, which only a tree has.
+        if self._mechanism.rotors or self._mechanism.couplings:
+            # Both are of coordinates, which only a tree has.
             from mbds_xsim.reference.compiled import body_accelerations  # imports a compiler
 
             rate[:, -1, 7:] = 0.0
@@ -134,6 +134,10 @@ class Dynamics:
         """
         if not self._constrains:
             return _normalised(state)
+        if self._mechanism.couplings:
+            from mbds_xsim.reference.compiled import projected as closed  # imports a compiler
+
+            return closed(self._mechanism, state)
         projected, share = self.closest(state)
         for k in np.flatnonzero(share < self.near):
             projected[k] = projected_onto_branch(self, state[k], projected[k], float(share[k]))

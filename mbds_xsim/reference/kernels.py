@@ -14,7 +14,8 @@ from pathlib import Path
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
-_SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "closure_kernel", "march_kernel")
+_SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "response_kernel", "closure_kernel",
+            "march_kernel")  # fmt: skip
 _READY = "ready"
 _UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
 

@@ -91,8 +91,8 @@ SMALLEST_STEP = 1e-9  # of a frame
 MOST_STEPS = 20_000
 """Steps tried in one frame before a solution is given up."""
 _WOUND = (
-    "the sprung hinge {!r} passes a half turn; with contact, stiff dampers or singular poses the "
-    "reference does not count whole turns"
+    "the sprung or coupled hinge {!r} passes a half turn; with contact, stiff dampers or singular "
+    "poses the reference does not count whole turns"
 )
 _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
 # Steps of a frame, and how many beyond them may begin where constraints are nearly dependent. There
@@ -124,13 +124,13 @@ class Marched:
         return Marched(states, [None] * batch)
 
     def within_half_turns(self, mechanism: Mechanism, dynamics: Dynamics) -> Marched:
-        """End trajectories where a sprung hinge passes a half turn and its spring would jump.
+        """End trajectories where a sprung or coupled hinge passes a half turn, where it would jump.
 
         Maximal coordinates lose whole turns, which the compiled kernels count.
         """
         bodies = dynamics.unpack(self.states)
-        for joint in mechanism.compliant:
-            if joint.kind == "hinge" and joint.stiffness:
+        for joint in mechanism.counted:
+            if joint.kind == "hinge" and (joint.stiffness or joint.coupled):
                 angle = joint_coordinate(joint, bodies.position, bodies.native)
                 passed = np.abs(np.diff(angle, axis=1)) > np.pi
                 for row in np.flatnonzero(passed.any(axis=1)).tolist():

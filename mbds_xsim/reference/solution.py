@@ -17,7 +17,8 @@ from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
 from mbds_xsim.reference.marching import Inputs, Marched, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism, marker_positions, markers
+from mbds_xsim.scene.markers import marker_positions, markers
+from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 

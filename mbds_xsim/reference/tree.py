@@ -18,11 +18,11 @@ FIXED, HINGE, SLIDER, BALL, FREE = range(5)
 _KINDS = {"fixed": FIXED, "hinge": HINGE, "slider": SLIDER, "ball": BALL}
 _PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
 
-ALONG, NORMAL, DISTANCE = range(3)
+ALONG, NORMAL, DISTANCE, COUPLED = range(4)
 FIRST, SECOND, BOTH = range(3)
 
 
-_Rows = tuple[Index, Index, Array, Array, Array]
+_Rows = tuple[Index, Index, Array, Array, Array, Index]
 
 
 class Tree(NamedTuple):
@@ -70,7 +70,7 @@ class Tree(NamedTuple):
     spring: Array
     """Rest length, stiffness and damping, shape (spring, 3)."""
     law_kind: Index
-    """Of the joints with a spring or damper, `HINGE` or `SLIDER`."""
+    """Of the joints with a spring or damper, and coupled ones, `HINGE` or `SLIDER`."""
     law_ends: Index
     law_axis: Array
     """In the parents' frames, shape (law, 3)."""
@@ -81,13 +81,19 @@ class Tree(NamedTuple):
     angle_at: Index
     """Where the angles of these hinges stand in a state; −1 of sliders, shape (law,). They count
     whole turns, and stand behind the links' places."""
+    angle_link: Index
+    """Links of those that are coupled; −1 of the others, shape (law,)."""
     row_kind: Index
     row_ends: Index
     row_points: Array
     """Of each row a vector fixed in the first link and one in the second, shape (2, row, 3)."""
     row_way: Array
-    """Direction of the row, fixed in the first link, or none, shape (row, 3)."""
+    """Direction of the row, fixed in the first link, or none, shape (row, 3). Of a coupling, whose
+    ends are the follower's and the leader's link: 1, −ratio and nothing."""
     row_length: Array
+    """Of a distance link [m], or offset of a coupling."""
+    row_place: Index
+    """Where the coordinates of a coupling stand in a state, shape (2, row); 0 of others."""
     loaded: int
     """Rows that carry loads; those behind them follow from them."""
     on_start: Index
@@ -121,14 +127,20 @@ def tree_of(mechanism: Mechanism) -> Tree:
         return rotation.rotate(frame, np.array(vectors))
 
     yielding = np.mean(1.0 / top.inertia_root[body] ** 2, axis=1)
-    row_kind, row_ends, row_points, row_way, row_length = _rows(mechanism, inwards, link_of)
-    turning = sum(joint.kind == "hinge" for joint in mechanism.compliant)
+    turning = sum(joint.kind == "hinge" for joint in mechanism.counted)
     place_count = int(places.sum()) + turning
+    at = np.cumsum(places) - places
+    acting = _acting(mechanism, inwards, link_of, int(places.sum()))
+    rows, more = _rows(mechanism, inwards, link_of), _coupled(mechanism, at, acting["angle_at"])
+    row_kind, row_ends, row_points, row_way, row_length, row_place = (
+        np.concatenate(pair, axis)
+        for *pair, axis in zip(rows, more, (0, 1, 1, 0, 0, 1), strict=True)
+    )
     bare = Tree(
         kind=kind,
         parent=link_of[parent_body],
         body=body,
-        at=np.cumsum(places) - places,
+        at=at,
         speed_at=place_count + np.cumsum([0, *speeds]),
         place_count=place_count,
         size=int(place_count + speeds.sum()),
@@ -144,12 +156,13 @@ def tree_of(mechanism: Mechanism) -> Tree:
         moment=top.inertia_root[body] ** 2,
         yielding=np.array([*zip(1.0 / mechanism.mass[body], yielding, strict=True), (0.0, 0.0)]),
         gravity=top.gravity,
-        **_acting(mechanism, inwards, link_of, int(places.sum())),
+        **acting,
         row_kind=row_kind,
         row_ends=row_ends,
         row_points=row_points,
         row_way=row_way,
         row_length=row_length,
+        row_place=row_place,
         loaded=0,
         on_start=np.zeros(1, dtype=np.int64),
         on_row=np.zeros(0, dtype=np.int64),
@@ -169,6 +182,7 @@ def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
         row_points=np.ascontiguousarray(tree.row_points[:, order]),
         row_way=tree.row_way[order],
         row_length=tree.row_length[order],
+        row_place=np.ascontiguousarray(tree.row_place[:, order]),
         loaded=loaded,
         on_start=np.cumsum([0, *map(len, on)]),
         on_row=np.array([row for pairs in on for row, _ in pairs], dtype=np.int64),
@@ -193,15 +207,15 @@ def to_tree(mechanism: Mechanism, states: Array) -> Array:
             y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]
         elif kind == SLIDER:
             y[:, at], y[:, fast] = links.coordinate[:, k], links.rate[:, k]
-    for joint, at in zip(mechanism.compliant, tree.angle_at, strict=True):
+    for joint, at in zip(mechanism.counted, tree.angle_at, strict=True):
         if at >= 0:
             y[:, at] = joint_coordinate(joint, bodies.position, bodies.native)
     return y
 
 
 def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) -> dict[str, Any]:
-    """Lay out what acts on bodies; the angles of compliant hinges stand from `first` on."""
-    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.compliant
+    """Lay out what acts on bodies; the angles that are counted stand from `first` on."""
+    hinges, springs, laws = mechanism.hinges, mechanism.springs, mechanism.counted
     turning = np.array([joint.kind == "hinge" for joint in laws], dtype=np.int64)
     return dict(
         hinge_ends=_ends([(h.parent, h.child) for h in hinges], link_of),
@@ -222,6 +236,9 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
         ),
         law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
         angle_at=np.where(turning, first + np.cumsum(turning) - 1, -1),
+        angle_link=np.array(
+            [_link(mechanism, j) if j.coupled and j.kind == "hinge" else -1 for j in laws], np.int64
+        ),
     )
 
 
@@ -289,7 +306,32 @@ def _rows(mechanism: Mechanism, inwards: Array, link_of: Index) -> _Rows:
         np.ascontiguousarray(arms[:, kept]),
         way[kept],
         length[kept],
+        np.zeros((2, np.count_nonzero(kept)), dtype=np.int64),
     )
+
+
+def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
+    """Give the rows of couplings, whose vectors are none."""
+    count, places = len(mechanism.couplings), {}
+    for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=True):
+        places[joint.name] = angle if angle >= 0 else int(at[_link(mechanism, joint)])
+    pairs = [(each.follower, each.leader) for each in mechanism.couplings]
+    ends = [[_link(mechanism, joint) for joint in pair] for pair in pairs]
+    found = [[places[joint.name] for joint in pair] for pair in pairs]
+    return (
+        np.full(count, COUPLED),
+        np.array(ends, dtype=np.int64).reshape(-1, 2).T,
+        np.zeros((2, count, 3)),
+        np.array([(1.0, -each.ratio, 0.0) for each in mechanism.couplings]).reshape(-1, 3),
+        np.array([each.offset for each in mechanism.couplings]),
+        np.array(found, dtype=np.int64).reshape(-1, 2).T,
+    )
+
+
+def _link(mechanism: Mechanism, joint: PlacedJoint) -> int:
+    """Give the number of the link that a joint of the tree holds."""
+    joints = [None if link.joint is None else link.joint.index for link in mechanism.links]
+    return joints.index(joint.index)
 
 
 def _path(tree: Tree, first: int, second: int) -> list[int]:

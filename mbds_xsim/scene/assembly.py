@@ -8,11 +8,18 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mbds_xsim.base import rotation
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.constraints import constraint_rows, sparse_jacobian
-from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.constraints import ConstraintRows, constraint_rows, sparse_jacobian
+from mbds_xsim.scene.coordinate_rows import coupling_rows, rate_row
+from mbds_xsim.scene.joint_space import (
+    BodyStates,
+    coupling_gaps,
+    joint_coordinate,
+    to_bodies,
+    to_links,
+)
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -60,7 +67,10 @@ def _follows_from(mechanism: Mechanism, key: Literal["start", "rate"]) -> bool:
     joints = mechanism.scene.joints
     velocities = (body.velocity or body.angular_velocity for body in mechanism.scene.bodies)
     return not (
-        mechanism.loops or mechanism.distances or (key == "rate" and any(velocities))
+        mechanism.loops
+        or mechanism.distances
+        or mechanism.couplings
+        or (key == "rate" and any(velocities))
     ) and all(
         link.joint is not None
         and link.joint.kind != "ball"
@@ -104,14 +114,17 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
     )
     length = max(1.0, mechanism.scene.length)
     speed = max(1.0, float(np.abs(twist).max(initial=0.0)))
-    for off, allowed, what in (
-        (rows.residual, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
-        (rate, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
+    gap, veer = coupling_gaps(mechanism, starts)
+    owners = _owners(mechanism, rows)
+    for rigid, tied, allowed, what in (
+        (rows.residual, gap, _GAP_TOLERANCE * length, "start leaves {} off by {:.3g} m or rad"),
+        (rate, veer, _VELOCITY_TOLERANCE * speed, "velocities break {} at {:.3g} m/s or rad/s"),
     ):
+        off = np.concatenate([rigid, tied], axis=-1)
         per_row = np.abs(off).max(axis=tuple(range(off.ndim - 1)), initial=0.0)
         if per_row.max(initial=0.0) > allowed:
             worst = int(np.argmax(per_row))
-            name = _owner_name(mechanism, int(rows.owner[worst]))
+            name = _owner_name(mechanism, int(owners[worst]))
             fault = what.format(name, per_row[worst])
             msg = (
                 f"sampling: the drawn {fault}, allowed is {allowed:.0e}; draw the others that this "
@@ -122,11 +135,8 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
 
 def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
     scene = mechanism.scene
-    led = [
-        (placed, float(joint.start))
-        for placed, joint in zip(mechanism.joints, scene.joints, strict=True)
-        if joint.start is not None
-    ]
+    given = [(placed, scene.joints[placed.index]) for placed in mechanism.joints]
+    led = [(placed, float(joint.start)) for placed, joint in given if joint.start is not None]
     unit = {"hinge": _STRIDE, "slider": _STRIDE * scene.length}
     needed = max([1.0, *(abs(target) / unit[joint.kind] for joint, target in led)])
     strides = min(int(np.ceil(needed)), _MOST_STRIDES)
@@ -183,10 +193,12 @@ def _pose_rows(
         for joint, target in led
     ]
     rates = [rate_row(mechanism, joint, position, native) for joint, _ in led]
+    tied = coupling_rows(mechanism, position, native)
+    off, _ = coupling_gaps(mechanism, BodyStates(position, native, still, still))
     return (
-        np.concatenate([rows.residual, ahead]),
-        vstack([sparse_jacobian(rows, mechanism.body_count), *rates], format="csr"),
-        np.concatenate([rows.owner, [joint.index for joint, _ in led]]),
+        np.concatenate([rows.residual, off, ahead]),
+        vstack([sparse_jacobian(rows, mechanism.body_count), *tied, *rates], format="csr"),
+        np.concatenate([_owners(mechanism, rows), [joint.index for joint, _ in led]]),
     )
 
 
@@ -198,14 +210,16 @@ def _complete_velocities(
     scene = mechanism.scene
     still = np.zeros_like(position)
     rows = constraint_rows(mechanism, position, native, still, still)
-    jacobian = [sparse_jacobian(rows, mechanism.body_count)]
-    wanted: list[float] = [0.0] * len(rows.parent)
-    names = [_owner_name(mechanism, int(owner)) for owner in rows.owner]
-    for placed, joint in zip(mechanism.joints, scene.joints, strict=True):
-        if joint.rate is not None:
+    tied = coupling_rows(mechanism, position, native)
+    jacobian = [sparse_jacobian(rows, mechanism.body_count), *tied]
+    names = [_owner_name(mechanism, int(owner)) for owner in _owners(mechanism, rows)]
+    wanted: list[float] = [0.0] * len(names)
+    for placed in mechanism.joints:
+        rate = scene.joints[placed.index].rate
+        if rate is not None:
             jacobian.append(rate_row(mechanism, placed, position, native))
-            wanted.append(joint.rate)
-            names.append(f"joints[{joint.name!r}].rate")
+            wanted.append(rate)
+            names.append(f"joints[{placed.name!r}].rate")
     unit = eye_array(6 * mechanism.body_count, format="csr")
     for k, body in enumerate(scene.bodies):
         for offset, key in ((0, "velocity"), (3, "angular_velocity")):
@@ -293,36 +307,22 @@ def inverse_mass_root(mechanism: Mechanism, native: Array) -> csr_array:
     return bsr_array((root.reshape(-1, 3, 3), blocks[:-1], blocks)).tocsr()
 
 
-def rate_row(mechanism: Mechanism, joint: PlacedJoint, position: Array, native: Array) -> csr_array:
-    """Give the row that makes a hinge's or slider's rate of the twists, shape (1, 6 · body)."""
-    from scipy.sparse import csr_array
-
-    held = joint.parent == WORLD_INDEX
-    axis = joint.axis if held else rotation.rotate(native[joint.parent], joint.axis)
-    # What either is of the world is left out below.
-    if joint.kind == "hinge":
-        child, parent = [0.0, 0.0, 0.0, *axis], [0.0, 0.0, 0.0, *-axis]
-    else:
-        anchor = joint.in_child
-        if joint.child != WORLD_INDEX:
-            anchor = position[joint.child] + rotation.rotate(native[joint.child], joint.in_child)
-        child = [*axis, *np.cross(anchor - position[joint.child], axis)]
-        parent = [*-axis, *-np.cross(anchor - position[joint.parent], axis)]
-    ends = [(joint.child, child), (joint.parent, parent)]
-    values = np.array([block for body, block in ends if body != WORLD_INDEX]).reshape(-1)
-    columns = [6 * body + k for body, _ in ends if body != WORLD_INDEX for k in range(6)]
-    shape = (1, 6 * mechanism.body_count)
-    return csr_array((values, ([0] * len(columns), columns)), shape=shape)
-
-
 def _wrapped(joint: PlacedJoint, difference: float) -> float:
     if joint.kind == "slider":
         return difference
     return float((difference + np.pi) % (2 * np.pi) - np.pi)
 
 
+def _owners(mechanism: Mechanism, rows: ConstraintRows) -> Index:
+    """Number what rows belong to: those of joints and distance links, and behind them couplings."""
+    count = len(mechanism.joints) + len(mechanism.distances)
+    return np.concatenate([rows.owner, count + np.arange(len(mechanism.couplings))])
+
+
 def _owner_name(mechanism: Mechanism, owner: int) -> str:
-    joints = mechanism.scene.joints
-    if owner < len(joints):
-        return f"joints[{joints[owner].name!r}]"
-    return f"distance_links[{mechanism.scene.distance_links[owner - len(joints)].name!r}]"
+    for table in ("joints", "distance_links", "couplings"):
+        items = getattr(mechanism.scene, table)
+        if owner < len(items):
+            return f"{table}[{items[owner].name!r}]"
+        owner -= len(items)
+    raise AssertionError(owner)

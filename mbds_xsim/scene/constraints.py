@@ -29,6 +29,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Indices
+from mbds_xsim.scene.coordinate_rows import coupling_rows
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 if TYPE_CHECKING:
@@ -183,10 +184,13 @@ def degrees_of_freedom(mechanism: Mechanism) -> int:
     native = np.broadcast_to(rotation.IDENTITY, (mechanism.body_count, 4))
     rows = constraint_rows(mechanism, mechanism.com, native, still, still)
     if not (mechanism.loops or mechanism.distances):
-        return 6 * mechanism.body_count - len(rows.parent)
+        return 6 * mechanism.body_count - len(rows.parent) - len(mechanism.couplings)
+    from scipy.sparse import vstack
+
     from mbds_xsim.scene.row_space import independent_rows
 
-    jacobian = sparse_jacobian(rows, mechanism.body_count)
+    tied = coupling_rows(mechanism, mechanism.com, native)
+    jacobian = vstack([sparse_jacobian(rows, mechanism.body_count), *tied], format="csr")
     return 6 * mechanism.body_count - len(independent_rows(jacobian))
 
 

@@ -120,6 +120,24 @@ def joint_rate(joint: PlacedJoint, world: BodyStates) -> Array:
     return np.asarray(np.sum(moving * axis, axis=-1))
 
 
+def coupling_gaps(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
+    """Give by how much followers are off where couplings have them, and at which rate.
+
+    Hinge angles count as in (−π, π], so it is for starts. Shapes (…, coupling) [rad or m, and /s].
+    """
+    world, lead = bodies.with_world(), bodies.position.shape[:-2]
+    off, rate = (np.empty((*lead, len(mechanism.couplings))) for _ in range(2))
+    for k, each in enumerate(mechanism.couplings):
+        here, there = (
+            joint_coordinate(joint, bodies.position, bodies.native)
+            for joint in (each.follower, each.leader)
+        )
+        off[..., k] = here - each.ratio * there - each.offset
+        leading = joint_rate(each.leader, world)
+        rate[..., k] = joint_rate(each.follower, world) - each.ratio * leading
+    return off, rate
+
+
 def joint_loads(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
     """Give what springs and dampers of joints do to the bodies.
 

@@ -21,8 +21,9 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
+from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
-from mbds_xsim.scene.scene import WORLD, DistanceLink, Joint, Scene, SpringDamper
+from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
 from mbds_xsim.scene.servo import gains
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
@@ -59,6 +60,8 @@ class PlacedJoint:
     damping: float = 0.0
     rest: float = 0.0
     armature: float = 0.0
+    coupled: bool = False
+    """Whether it follows another joint, or another follows it."""
 
     @property
     def complies(self) -> bool:
@@ -67,8 +70,8 @@ class PlacedJoint:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it has a spring, damper or rotor."""
-        return self.complies or self.armature > 0.0
+        """Whether it has a spring, damper or rotor, or is coupled."""
+        return self.complies or self.armature > 0.0 or self.coupled
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
         """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
@@ -160,6 +163,20 @@ class Mechanism:
         return tuple(joint for joint in self.joints if joint.complies)
 
     @functools.cached_property
+    def counted(self) -> tuple[PlacedJoint, ...]:
+        """The joints whose coordinate matters, a hinge's with its whole turns, in scene order."""
+        return tuple(joint for joint in self.joints if joint.complies or joint.coupled)
+
+    @functools.cached_property
+    def couplings(self) -> tuple[PlacedCoupling, ...]:
+        """Couplings in scene order."""
+        joints = {joint.name: joint for joint in self.joints}
+        return tuple(
+            PlacedCoupling(c.name, joints[c.joint], joints[c.follows], c.ratio, c.offset)
+            for c in self.scene.couplings
+        )
+
+    @functools.cached_property
     def rotors(self) -> tuple[PlacedJoint, ...]:
         """The joints with armature, in scene order."""
         return tuple(joint for joint in self.joints if joint.armature)
@@ -217,17 +234,13 @@ def _build(scene: Scene) -> Mechanism:
     index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
     masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
-    joints = tuple(
-        _place(joint, k, index, com, *gains(scene.servos, joint.name))
-        for k, joint in enumerate(scene.joints)
-    )
+    joints = tuple(_place(scene, k, index, com) for k in range(len(scene.joints)))
     links, loops = _spanning_tree(len(scene.bodies), joints)
     for joint in loops:
-        if joint.armature:
-            where = (
-                f"joints[{joint.name!r}].armature: got {joint.armature} on a joint that closes a"
-            )
-            raise SceneError(f"{where} loop, allowed is it on others; let another joint close it")
+        if joint.armature or joint.coupled:
+            what = f"armature: got {joint.armature}" if joint.armature else "got a coupling"
+            where = f"joints[{joint.name!r}]: {what} on a joint that closes a loop"
+            raise SceneError(f"{where}, allowed is it on others; let another joint close it")
     particle_body = np.repeat(
         np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
     )
@@ -273,9 +286,9 @@ def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
     return np.array(point) - (com[body] if body != WORLD_INDEX else 0.0)
 
 
-def _place(
-    joint: Joint, k: int, index: dict[str, int], com: Array, stiffness: float, damping: float
-) -> PlacedJoint:
+def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
+    joint = scene.joints[k]
+    stiffness, damping = gains(scene.servos, joint.name)
     # hypot neither under- nor overflows, whatever the axis is measured in.
     axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
     parent, child = index[joint.parent], index[joint.child]
@@ -293,6 +306,7 @@ def _place(
         damping=joint.damping + damping,
         rest=joint.rest,
         armature=joint.armature,
+        coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),
     )
 
 
@@ -323,7 +337,8 @@ def _spanning_tree(
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
     Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
-    the tree if any can, as reduced coordinates have them there, and those with a rotor before all.
+    the tree if any can, as reduced coordinates have them there, and those that have a rotor or are
+    coupled before all.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -366,7 +381,7 @@ def _spanning_tree(
 
 
 def _cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
-    return not joint.armature, _CUT_LAST[joint.kind], not joint.complies
+    return not (joint.armature or joint.coupled), _CUT_LAST[joint.kind], not joint.complies
 
 
 def _reversed(joint: PlacedJoint) -> PlacedJoint:
@@ -378,23 +393,3 @@ def _reversed(joint: PlacedJoint) -> PlacedJoint:
         in_parent=joint.in_child,
         in_child=joint.in_parent,
     )
-
-
-def markers(mechanism: Mechanism) -> tuple[Index, Array]:
-    """Give the body (marker,) and the offset from its centre of mass in N [m] (marker, 3) of each.
-
-    They are the particles; in a body without any, six points around its centre of mass at its
-    mean radius of gyration.
-    """
-    bare = np.flatnonzero(mechanism.particles_per_body == 0)
-    radius = np.sqrt(np.einsum("kii->k", mechanism.inertia[bare]) / (2.0 * mechanism.mass[bare]))
-    star = np.concatenate([np.eye(3), -np.eye(3)])
-    body = np.concatenate([mechanism.particle_body, np.repeat(bare, len(star))])
-    offset = (radius[:, None, None] * star).reshape(-1, 3)
-    return body, np.concatenate([mechanism.particle_offset, offset])
-
-
-def marker_positions(mechanism: Mechanism, position: Array, native: Array) -> Array:
-    """Place the markers [m], shape (…, marker, 3), of bodies at positions and turns of N."""
-    body, offset = markers(mechanism)
-    return position[..., body, :] + rotation.rotate(native[..., body, :], offset)

@@ -18,6 +18,8 @@ from typing import Annotated, Literal
 from mbds_xsim.base import bounds
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError, UnknownName
+from mbds_xsim.scene.budget import Budget
+from mbds_xsim.scene.coupling import Coupling, check_couplings
 from mbds_xsim.scene.sampling_terms import Draw, Pose, Roll, Throw
 from mbds_xsim.scene.servo import Servo
 
@@ -238,44 +240,6 @@ class Clock(Neutral):
         return self.frame * self.steps
 
 
-class Budget(Neutral):
-    """What a trajectory may deviate and still pass; `docs/checks.md` defines each figure."""
-
-    error_1s: Positive = 1e-3
-    """RMS particle error at 1 s over the scene's length (low and medium intervals)."""
-    error: Positive = 1e-2
-    """Largest growth-weighted RMS particle error over the scene's length."""
-    error_turn: Positive = 0.1
-    """Largest growth-weighted angle between a body and the reference's [rad]."""
-    gap: Positive = 1e-4
-    """Distance between a joint's anchor points [m]."""
-    angle_gap: Positive = 1e-3
-    """Angle between a hinge's axes, or of a slider's or fixed joint's misalignment [rad]."""
-    energy: Positive = 1e-3
-    """Energy balance over the energy scale, for methods of order 2 and more."""
-    energy_first_order: Positive = 1e-2
-    """The same for methods of order 1."""
-    planarity: Positive = 1e-6
-    """Excursion out of the scene's dimensions over its length."""
-    penetration: Positive = 0.02
-    """Overlap of a contact sphere with the ground over the scene's length."""
-    contact_gap: Positive = 2e-3
-    """Distance from the ground at which it carries a sphere, over the scene's length."""
-    passivity: Positive = 1e-3
-    """Energy that contact creates over the energy scale; height that a ball gains by it, over the
-    scene's length."""
-    friction: Positive = 0.02
-    """Horizontal impulse of the ground beside Coulomb's law, over μ times the vertical one."""
-    balance: Positive = 1e-3
-    """Impulse of a step that no contact explains, over the weight's or the ground's own."""
-    rolling: Positive = 1e-3
-    """Slip of a ball that rolls over its largest speed."""
-    restitution: Positive = 0.01
-    """Deviation of the coefficient of restitution that a ball's rebound shows."""
-    resting: Positive = 1e-3
-    """Distance that a body at rest moves over the scene's length."""
-
-
 class Scene(Neutral):
     """A whole scene. `Mechanism.of` in `mbds_xsim.scene.mechanism` gives its arrays and tree."""
 
@@ -296,6 +260,7 @@ class Scene(Neutral):
     forces: tuple[Force, ...] = ()
     torques: tuple[Torque, ...] = ()
     servos: tuple[Servo, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
     contacts: tuple[ContactSphere, ...] = ()
     ground: Ground | None = None
     clock: Clock = Clock()
@@ -309,7 +274,7 @@ class Scene(Neutral):
     """Pairs of particles (numbered body by body), anchors behind them."""
     budget: Budget = Budget()
 
-    added = ("servos",)
+    added = ("servos", "couplings")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -351,6 +316,11 @@ class Scene(Neutral):
         for table in ("torques", "servos"):
             for k, load in enumerate(getattr(self, table)):
                 _known(f"{table}[{k}].joint", load.joint, hinges, what="hinge")
+        for k, coupling in enumerate(self.couplings):
+            for key in ("joint", "follows"):
+                got = getattr(coupling, key)
+                _known(f"couplings[{k}].{key}", got, coordinates, what="hinge or slider")
+        check_couplings(self.couplings)
         for k, sphere in enumerate(self.contacts):
             _known(f"contacts[{k}].body", sphere.body, bodies)
         if bool(self.contacts) != (self.ground is not None):

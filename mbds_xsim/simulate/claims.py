@@ -41,6 +41,7 @@ class Feature(Enum):
     JOINT_SPRING = "spring in a joint"
     JOINT_DAMPER = "damper in a joint"
     ARMATURE = "armature of a joint"
+    COUPLING = "joint that follows another"
     CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
@@ -70,6 +71,7 @@ def features_of(scene: Scene) -> frozenset[Feature]:
         Feature.JOINT_SPRING: any(joint.stiffness for joint in mechanism.joints),
         Feature.JOINT_DAMPER: any(joint.damping for joint in mechanism.joints),
         Feature.ARMATURE: bool(mechanism.rotors),
+        Feature.COUPLING: bool(mechanism.couplings),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
         Feature.HINGE_TORQUE: bool(scene.torques or scene.servos) or "hinge_torque" in draws,
@@ -122,7 +124,7 @@ class Method:
 
 def _constrained(scene: Scene) -> bool:
     mechanism = Mechanism.of(scene)
-    return bool(mechanism.loops or mechanism.distances)
+    return bool(mechanism.loops or mechanism.distances or mechanism.couplings)
 
 
 @dataclass(frozen=True)

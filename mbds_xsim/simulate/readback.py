@@ -131,6 +131,9 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     got = None if readback.armature is None else readback.armature.reshape(-1, 1)
     yield "armature", got, wanted, 0.0, [joint.name for joint in rotors]
     yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
+    tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
+    names = [each.name for each in mechanism.couplings]
+    yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)
     yield from _of_contact(mechanism, batch, readback)
 
 

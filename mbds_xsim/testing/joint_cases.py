@@ -1,10 +1,12 @@
-"""Cases of springs, dampers and rotors in joints."""
+"""Cases of springs, dampers, rotors, servos and couplings of joints."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.scene import Joint, Torque
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, solve
@@ -191,10 +193,83 @@ def _servo() -> Case:
     )  # fmt: skip
 
 
+def _planetary() -> Case:
+    """A motor on a free carrier turns a wheel, and by way of a gear another one.
+
+    Momentum of the whole about the mount stays 0, the motor's torque is on the first wheel alone.
+    """
+    torque, ratio, arm, mass = 0.7, -2.5, 0.5, 0.8
+    first, second = 0.3, 0.05
+    carrier = 0.4 + 2 * mass * arm**2
+    whole = carrier + first + second
+    geared = first + ratio * second
+    turning = torque / (first + ratio**2 * second - geared**2 / whole)
+
+    def angles(time: Array) -> Array:
+        wheel = 0.5 * turning * time**2
+        mount = -geared / whole * wheel
+        return np.stack([mount, mount + wheel, mount + ratio * wheel], axis=-1)
+
+    def exact(time: Array) -> Array:
+        mount = angles(time)[:, 0]
+        tip = arm * np.stack([np.cos(mount), np.sin(mount), 0.0 * mount], axis=-1)
+        return np.stack([0.0 * tip, tip, -tip], axis=1)
+
+    def orientation(time: Array) -> Array:
+        return rotation.from_vector(angles(time)[..., None] * np.array(_UP))
+
+    return case_of(
+        "planetary gear",
+        "coupling of two hinges, its sign and reaction, whole turns",
+        [
+            even("carrier", 2.0, 0.4),
+            even("wheel", mass, first, (arm, 0.0, 0.0)),
+            even("pinion", mass, second, (-arm, 0.0, 0.0)),
+        ],
+        exact,
+        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
+        Joint("axle", "hinge", "carrier", "wheel", (arm, 0.0, 0.0), _UP),
+        # From the outside inwards, and about the opposite axis: the coordinate is the same.
+        Joint("shaft", "hinge", "pinion", "carrier", (-arm, 0.0, 0.0), (0.0, 0.0, -1.0)),
+        orientation=orientation,
+        gravity=NONE,
+        torques=(Torque("axle", (torque,)),),
+        couplings=(Coupling("shaft", "axle", ratio),),
+    )
+
+
+def _rack() -> Case:
+    """A rack slides down a slope, and winds a spring up by the drum that it follows."""
+    mass, drum, radius, stiffness, rest, start, offset = 2.0, 0.02, 0.15, 3.0, 0.4, 0.2, 0.1
+    along = np.array([0.6, 0.0, -0.8])
+    inertia = drum + mass * radius**2
+    slack = rest + mass * G * 0.8 * radius / stiffness
+
+    def exact(time: Array) -> Array:
+        angle = slack + settling(stiffness, 0.0, inertia, start - slack, 0.0, time)
+        places = (offset + radius * angle)[:, None] * along
+        return np.stack([0.0 * places, places], axis=1)
+
+    return case_of(
+        "rack and pinion",
+        "coupling of a slider and a hinge, its offset and the start that follows from it",
+        [even("drum", 0.5, drum), even("rack", mass, 0.1)],
+        exact,
+        Joint(
+            "axle", "hinge", "world", "drum", NONE, (0.0, 1.0, 0.0), start=start,
+            stiffness=stiffness, rest=rest,
+        ),
+        Joint("rail", "slider", "world", "rack", NONE, tuple(along.tolist())),
+        couplings=(Coupling("rail", "axle", radius, offset),),
+    )  # fmt: skip
+
+
 JOINT_CASES: tuple[Case, ...] = (
     _sprung_hinge(),
     _sprung_slider(),
     _geared_axle(),
     _geared_rail(),
     _servo(),
+    _planetary(),
+    _rack(),
 )

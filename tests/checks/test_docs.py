@@ -11,7 +11,7 @@ import pytest
 from mbds_xsim.checks import CHECKS
 from mbds_xsim.checks import consistency as consistency_module
 from mbds_xsim.measure import judge
-from mbds_xsim.scene.scene import Budget
+from mbds_xsim.scene.budget import Budget
 
 PAGE = (Path(__file__).parents[2] / "docs" / "checks.md").read_text("utf-8")
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.conservation import energy_balance, energy_of, hinge_turns, input_work
+from mbds_xsim.checks.conservation import energy_balance, energy_of, input_work
+from mbds_xsim.checks.coordinates import hinge_turns
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene, Torque
 from mbds_xsim.scene.state import Trajectory

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.conservation import balances_of, coordinate_of, energy_balance, energy_of
+from mbds_xsim.checks.conservation import balances_of, energy_balance, energy_of
+from mbds_xsim.checks.coordinates import coordinate_of
+from mbds_xsim.checks.finding import Check
+from mbds_xsim.checks.integrity import angle_gap, gap
 from mbds_xsim.reference.solution import solve
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -46,6 +49,19 @@ def test_the_exact_motion_balances_and_one_with_another_law_does_not(case: Case)
         other = msgspec.structs.replace(case.scene, joints=tuple(joints))
         wrong = Record(other, record.batch, record.trajectory)
         assert energy_balance.finding(wrong).figure.max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "seen"), [("planetary gear", angle_gap), ("rack and pinion", gap)]
+)
+def test_a_gear_keeps_its_ratio_and_one_of_another_ratio_does_not(name: str, seen: Check) -> None:
+    (case,) = (case for case in JOINT_CASES if case.name == name)
+    record = _record(case.scene)
+    ties = (msgspec.structs.replace(tie, ratio=1.05 * tie.ratio) for tie in case.scene.couplings)
+    wrong = msgspec.structs.replace(case.scene, couplings=tuple(ties))
+
+    assert seen.finding(record).figure.max() < 1e-9
+    assert seen.finding(Record(wrong, record.batch, record.trajectory)).figure.max() > 1e-3
 
 
 def test_a_spring_stores_what_whole_turns_put_into_it() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.sampling_terms import Draw, HingeRate, HingeTorque, Roll, Throw
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.servo import Servo
@@ -17,6 +18,7 @@ SCENES = {
     "workbench": 16,
     "workbench with sprung joints": 16,
     "workbench with rotors": 16,
+    "workbench with a gear": 16,
     "ballscroll": 40,
     "ballscroll at 45°": 40,
     "balldrop": 75,
@@ -44,6 +46,7 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "simplecubli set down": _set_down,
         "workbench with sprung joints": _sprung,
         "workbench with rotors": _geared,
+        "workbench with a gear": _coupled,
     }
     return changes[name](scene) if name in changes else scene
 
@@ -89,6 +92,13 @@ def _geared(scene: Scene) -> Scene:
         for j in scene.joints
     )
     return msgspec.structs.replace(scene, joints=tuple(joints))
+
+
+def _coupled(scene: Scene) -> Scene:
+    """Let the arm's rotor follow its elbow, by a coupling that DART and Exudyn have not."""
+    draws = (draw for draw in scene.sampling if not isinstance(draw, HingeRate))
+    coupling = Coupling("rotor axle", "elbow", ratio=3.0)
+    return msgspec.structs.replace(scene, sampling=tuple(draws), couplings=(coupling,))
 
 
 def _started(scene: Scene, *sampling: Draw) -> Scene:

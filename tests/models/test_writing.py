@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mbds_xsim.scene.constraints import degrees_of_freedom
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import WORLD, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
@@ -57,6 +58,14 @@ def _same(first: Scene, second: Scene) -> None:
     for servo, other in zip(first.servos, second.servos, strict=True):
         assert (other.joint, other.damping) == (servo.joint, servo.damping)
         assert other.position == pytest.approx(servo.position, abs=1e-12)
+    assert second.couplings == first.couplings
+
+
+def _coupled(scene: Scene) -> Scene:
+    """Let the last hinge or slider follow the first, if there are two."""
+    names = [joint.name for joint in scene.joints if joint.kind in ("hinge", "slider")]
+    couplings = (Coupling(names[-1], names[0], -1.5, 0.25),) if len(names) > 1 else ()
+    return msgspec.structs.replace(scene, couplings=couplings)
 
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))
@@ -83,6 +92,7 @@ def test_any_tree_comes_back_from_mjcf(
     scene = msgspec.structs.replace(
         scene, springs=(spring,), gravity=gravity, joints=joints, servos=servos
     )
+    scene = _coupled(scene)
 
     again = _again(scene, "mjcf", tmp_path)
 
@@ -103,7 +113,7 @@ def test_any_tree_comes_back_from_mjcf(
 def test_any_tree_of_hinges_and_sliders_comes_back_from_urdf(
     tmp_path: Path, kinds: list[Kind], seed: int
 ) -> None:
-    scene = random_tree(np.random.default_rng(seed), kinds)
+    scene = _coupled(random_tree(np.random.default_rng(seed), kinds))
 
     _same(scene, _again(scene, "urdf", tmp_path))
 

@@ -13,6 +13,7 @@ from mbds_xsim.reference import compiled, marching
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.solution import start_states
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
@@ -102,6 +103,40 @@ def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(
 
     expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), KINDS, st.integers(0, 1), st.sampled_from([1.0, -2.5]))
+def test_a_coupling_is_a_torque_on_each_of_its_hinges_that_keeps_their_rates(
+    seed: int, kinds: list[Kind], links: int, ratio: float
+) -> None:
+    kinds = [*kinds, "hinge", "hinge"]
+    mechanism, states, force, torque = random_case(seed, kinds, links)
+    *_, leader, follower = mechanism.hinges
+    coupling = Coupling(follower.name, leader.name, ratio)
+    geared = Mechanism.of(msgspec.structs.replace(mechanism.scene, couplings=(coupling,)))
+    dynamics, count = dynamics_of(mechanism), len(mechanism.hinges)
+    found = compiled.body_accelerations(geared, states, force, torque)
+
+    def slip(gain: Array) -> Array:
+        """How much faster the follower becomes than it should."""
+        bodies = dynamics.unpack(states).with_world()
+        gain = np.pad(gain[..., 3:], ((0, 0), (0, 1), (0, 0)))
+        spin, faster = bodies.angular_velocity, []
+        for hinge in (follower, leader):
+            grown = gain[:, hinge.child] - gain[:, hinge.parent]
+            grown -= np.cross(spin[:, hinge.parent], spin[:, hinge.child])
+            faster.append(np.sum(bodies.arms(hinge.parent, hinge.axis) * grown, axis=-1))
+        return np.asarray(faster[0] - ratio * faster[1])
+
+    unit = np.zeros(count)
+    unit[[count - 1, count - 2]] = 1.0, -ratio
+    alone, driven = (
+        dynamics.derivative(states, force, torque + share * unit)[:, :-1, 7:] for share in (0, 1)
+    )
+    load = (-slip(alone) / (slip(driven) - slip(alone)))[:, None, None]
+    expected = alone + load * (driven - alone)
+    assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(expected).max()))
 
 
 @settings(max_examples=40, deadline=None)

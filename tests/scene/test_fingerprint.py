@@ -8,8 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.file import read_scene, save_scene, write_scene
-from mbds_xsim.scene.scene import Budget, Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate.registry import load_scene, scene_names
 

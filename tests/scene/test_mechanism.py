@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import SceneError
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, marker_positions, markers
+from mbds_xsim.scene.markers import marker_positions, markers
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (
     Body,

@@ -15,8 +15,9 @@ from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
 from mbds_xsim.measure.trial import Trial, run_trial
+from mbds_xsim.scene.budget import Budget
 from mbds_xsim.scene.sampling import draw_batch
-from mbds_xsim.scene.scene import Budget, Clock, Scene
+from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
