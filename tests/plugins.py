@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
-from mbds_xsim.simulate import registry
+from mbds_xsim.simulate import choice, registry
 
 __all__ = ["faulty", "installed"]
 
@@ -105,7 +106,10 @@ def faulty(folder: Path, *names: str) -> AbstractContextManager[None]:
 
 @contextmanager
 def installed(
-    folder: Path, modules: Mapping[str, str], engines: Mapping[str, str]
+    folder: Path,
+    modules: Mapping[str, str],
+    engines: Mapping[str, str],
+    matched: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[None]:
     """Install a package for this process and those it starts.
 
@@ -113,6 +117,7 @@ def installed(
         folder: Where it is put.
         modules: Source of each of its modules.
         engines: Of each engine the place of its adapter, "module:Class".
+        matched: Of each engine the folder of its matched settings.
     """
     name = folder.name.replace("-", "_")
     metadata = folder / f"{name}-1.0.dist-info"
@@ -120,8 +125,12 @@ def installed(
     for module, source in modules.items():
         (folder / f"{module}.py").write_text(source)
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    points = (f"{engine} = {place}" for engine, place in engines.items())
-    (metadata / "entry_points.txt").write_text("\n".join(["[mbds_xsim.adapters]", *points]))
+    groups = {"adapters": engines, "matched": matched}
+    lines = [
+        f"[mbds_xsim.{group}]\n" + "".join(f"{key} = {place}\n" for key, place in points.items())
+        for group, points in groups.items()
+    ]
+    (metadata / "entry_points.txt").write_text("\n".join(lines))
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         patch.setenv("PYTHONPATH", str(folder))
@@ -135,3 +144,4 @@ def installed(
 def _forget() -> None:
     registry.registered.cache_clear()
     registry._answer.cache_clear()
+    choice._stored.cache_clear()

@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base import rotation
+from mbds_xsim.base.errors import Unsupported
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
-from mbds_xsim.simulate.adapter import Adapter
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.claims import RTOL, Feature, Option
 from mbds_xsim.simulate.registry import load_adapter
 from mbds_xsim.testing import CASES, AdapterContract, Case
 from tests.faults.native import no_reaction
@@ -118,3 +120,48 @@ def test_a_hinge_loop_made_as_a_ball_fails_in_space_alone(
 def _dart_pin(joint: PlacedJoint) -> str:
     pin: str = importlib.import_module("mbds_xsim_adapters.dart.script")._pin(joint, joint.anchor)
     return pin
+
+
+def test_an_engine_without_ball_joints_passes() -> None:
+    """What it does not claim is refused, and the suite asks no more of it."""
+    mutant = _mutant("mujoco")
+    reason = "its joints turn about one axis"
+    balls = dict.fromkeys((Feature.BALL, Feature.LOOP_BALL), reason)
+    mutant.limits = {**mutant.limits, **balls}  # type: ignore[misc]
+
+    for test in (
+        _SUITE.test_declared_orders_are_not_beaten_everywhere,
+        _SUITE.test_frame_zero_is_the_start,
+        _SUITE.test_same_batch_same_bits,
+        _SUITE.test_two_open_runs_do_not_touch_each_other,
+        _SUITE.test_what_cannot_be_done_is_refused_with_the_reason,
+        _SUITE.test_wrong_settings_are_refused_in_one_line,
+    ):
+        test(mutant)
+    with pytest.raises(Unsupported, match=reason):
+        mutant.open(_case("rod").scene, Settings("RK4", 0.02))
+
+
+def test_an_adaptive_method_that_does_not_heed_its_tolerance_fails() -> None:
+    deaf = _mutant("mujoco")
+    deaf.methods = {"RK4": dataclasses.replace(deaf.methods["RK4"], adaptive=True)}  # type: ignore[misc]
+    deaf.options = {**deaf.options, RTOL: Option(1e-6, "of nothing")}  # type: ignore[misc]
+
+    with pytest.raises(AssertionError, match=r"RK4 on rod: declared order 0\.8, measured -?0\.00"):
+        _POSITIONS(deaf, _case("rod"))
+
+
+def test_an_engine_says_where_loops_are_cut() -> None:
+    case = _case("parallelogram")
+    *others, last = case.scene.joints
+    ball = msgspec.structs.replace(last, kind="ball", axis=None)
+    scene = msgspec.structs.replace(case.scene, joints=(*others, ball))
+    mutant = _mutant("mujoco")
+    balls = dict.fromkeys((Feature.BALL, Feature.LOOP_BALL), "its joints turn about one axis")
+    mutant.limits = balls  # type: ignore[misc]
+
+    assert set(mutant.refusals(scene, "RK4")) == {Feature.LOOP_BALL}
+    mutant.cut = ("hinge", "ball", "slider", "fixed")  # type: ignore[misc]
+    assert set(mutant.refusals(scene, "RK4")) == {Feature.BALL}
+    assert [joint.kind for joint in Mechanism.of(scene, mutant.cut).loops] == ["hinge"]
+    assert [joint.kind for joint in Mechanism.of(scene).loops] == ["ball"]

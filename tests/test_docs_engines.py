@@ -59,6 +59,15 @@ def _run(package: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_the_tree_of_the_page_is_as_printed_there(package: Path) -> None:
+    done = _run(package, "tree.py")
+
+    (told,) = re.findall(
+        r"^It prints\n\n```text\n(.*?)^```$", (DOCS / "add-an-engine.md").read_text(), re.M | re.S
+    )
+    assert (done.stdout, done.stderr) == (told, "")
+
+
 @pytest.mark.slow
 def test_the_engine_of_the_page_passes_the_contract_suite(package: Path) -> None:
     done = _run(package, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_plain.py")

@@ -126,7 +126,7 @@ class MuJoCo(Adapter):
     contact_law = CONTACT_LAW
     smallest = f"masses of {_LEAST_MASS:g} kg and principal moments of {_LEAST_MOMENT:g} kg·m²"
 
-    def too_small(self, scene: Scene) -> str:
+    def cannot_hold(self, scene: Scene) -> str:
         mechanism = Mechanism.of(scene)
         moment = np.linalg.eigvalsh(mechanism.inertia)[:, 0]
         small = np.flatnonzero((mechanism.mass < _LEAST_MASS) | (moment < _LEAST_MOMENT))

@@ -90,7 +90,7 @@ class PyBullet(Adapter):
         f"{_LEAST:.3g} kg·m²: what is less stands still without a warning"
     )
 
-    def too_small(self, scene: Scene) -> str:
+    def cannot_hold(self, scene: Scene) -> str:
         mechanism = Mechanism.of(scene)
         for link in mechanism.links:
             moved = _moved(mechanism, link)

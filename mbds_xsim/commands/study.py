@@ -51,7 +51,7 @@ def match(
     from mbds_xsim.studies.match.result import matched_toml, present
 
     choice, console = Choice.parse(engines=engines), to.console
-    targets = _targets(scenes, out)
+    targets = _targets(scenes, choice.engines, out)
     for target in targets:
         to.check(out=target)
     found = []
@@ -82,9 +82,9 @@ def match(
     raise Exit(0 if met else 1)
 
 
-def _targets(scenes: list[str], out: Path | None) -> list[Path]:
+def _targets(scenes: list[str], engines: tuple[str, ...], out: Path | None) -> list[Path]:
     """Say where each scene's settings go."""
-    from mbds_xsim.simulate.registry import scene_names
+    from mbds_xsim.simulate.registry import REFERENCE, is_foreign, scene_names
     from mbds_xsim.studies.match.result import stored_path
 
     if out is not None and len(scenes) > 1:
@@ -94,6 +94,13 @@ def _targets(scenes: list[str], out: Path | None) -> list[Path]:
         if name not in scene_names():
             msg = f"{name} has no place among the built-in scenes; say where to write with --out"
             raise InputError(msg)
+    foreign = [name for name in engines if name != REFERENCE and is_foreign(name)]
+    if out is None and foreign:
+        msg = (
+            f"{foreign[0]} is another package's engine, whose settings do not stand among the "
+            "toolkit's; say where to write with --out"
+        )
+        raise InputError(msg)
     return [out] if out is not None else [stored_path(name) for name in scenes]
 
 

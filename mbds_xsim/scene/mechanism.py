@@ -32,9 +32,9 @@ WORLD_INDEX = -1
 
 _CENTRED = 1e-9  # [m]
 
-# The joints that constrain most stay in the tree, so that loops are closed by the joints that
-# engines close best.
-_CUT_LAST: dict[str, int] = {"fixed": 0, "slider": 1, "hinge": 2, "ball": 3}
+CUT: tuple[JointKind, ...] = ("ball", "hinge", "slider", "fixed")
+"""Which joints rather close a loop than carry a body. Those that constrain most stay in the tree,
+so that loops are closed by the joints that engines close best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +197,14 @@ class Mechanism:
         )
 
     @staticmethod
-    def of(scene: Scene) -> Mechanism:
-        """Build (once per scene) the arrays and the tree; raise SceneError where none exist."""
-        return _build(scene)
+    def of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> Mechanism:
+        """Build (once per scene) the arrays and the tree; raise SceneError where none exist.
+
+        Args:
+            scene: The scene.
+            cut: All kinds of joints, those first that rather close a loop than carry a body.
+        """
+        return _build(scene, cut)
 
     def native_rotation(self, orientation: Array) -> Array:
         """Published orientations (…, body, 4) to rotations of the native frames."""
@@ -230,12 +235,12 @@ class Mechanism:
 
 
 @functools.lru_cache(maxsize=64)
-def _build(scene: Scene) -> Mechanism:
+def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     index = {body.name: k for k, body in enumerate(scene.bodies)} | {WORLD: WORLD_INDEX}
     masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
     joints = tuple(_place(scene, k, index, com) for k in range(len(scene.joints)))
-    links, loops = _spanning_tree(len(scene.bodies), joints)
+    links, loops = _spanning_tree(len(scene.bodies), joints, cut)
     for joint in loops:
         if joint.armature or joint.coupled:
             what = f"armature: got {joint.armature}" if joint.armature else "got a coupling"
@@ -332,7 +337,7 @@ def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[i
 
 
 def _spanning_tree(
-    body_count: int, joints: tuple[PlacedJoint, ...]
+    body_count: int, joints: tuple[PlacedJoint, ...], cut: tuple[JointKind, ...]
 ) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
@@ -349,7 +354,11 @@ def _spanning_tree(
         return k
 
     tree, loops = [], []
-    for joint in sorted(joints, key=_cut_last):
+
+    def cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
+        return not (joint.armature or joint.coupled), -cut.index(joint.kind), not joint.complies
+
+    for joint in sorted(joints, key=cut_last):
         a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
         if a == b:
             loops.append(joint)
@@ -378,10 +387,6 @@ def _spanning_tree(
                 seen.add(outwards.child)
                 queue.append(outwards.child)
     return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))
-
-
-def _cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
-    return not (joint.armature or joint.coupled), _CUT_LAST[joint.kind], not joint.complies
 
 
 def _reversed(joint: PlacedJoint) -> PlacedJoint:

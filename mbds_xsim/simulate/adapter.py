@@ -15,7 +15,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import CUT, JointKind, Mechanism
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.claims import (
@@ -178,10 +178,14 @@ class Adapter(ABC):
     limits: ClassVar[Mapping[Feature, str]]
     """Features that the engine cannot represent, with the reason."""
     coordinates: ClassVar[Literal["reduced", "maximal"]]
+    cut: ClassVar[tuple[JointKind, ...]] = CUT
+    """All kinds of joints, those first that the engine rather closes a loop by than carries a body
+    with: `Mechanism.of(scene, cut)` has that tree, and `limits` are about it."""
     contact_law: ClassVar[ContactLaw | None] = None
     """None without contact."""
     smallest: ClassVar[str] = "none that a scene file can name is too small"
-    """Which masses and moments of inertia the engine holds; `too_small` finds others."""
+    """Which masses, moments of inertia and other values the engine holds; `cannot_hold` finds
+    others."""
 
     @final
     def open(self, scene: Scene, settings: Settings) -> Run:
@@ -209,15 +213,15 @@ class Adapter(ABC):
             feature, reason = next(iter(refusals.items()))
             msg = f"{self.name} {settings.method} cannot do {feature.value}: {reason}"
             raise Unsupported(msg)
-        small = self.too_small(scene)
-        if small:
-            raise Unsupported(f"{self.name} cannot do so small a body: {small}")
+        value = self.cannot_hold(scene)
+        if value:
+            raise Unsupported(f"{self.name} cannot hold a value of the scene: {value}")
 
     @final
     def refusals(self, scene: Scene, method: str) -> dict[Feature, str]:
         """Give what the scene needs and the method cannot do, each with the reason."""
         missing = {**self.limits, **self.methods[method].refuses}
-        needs = features_of(scene)
+        needs = features_of(scene, self.cut)
         return {feature: missing[feature] for feature in Feature if feature in needs & set(missing)}
 
     @final
@@ -225,8 +229,10 @@ class Adapter(ABC):
         """Value of an option, or its default."""
         return settings.options.get(name, self.options[name].default)
 
-    def too_small(self, scene: Scene) -> str:
-        """Name a body that is smaller than the engine can hold, and what it holds; "": none is."""
+    def cannot_hold(self, scene: Scene) -> str:
+        """Name a value that the engine has but cannot hold, as the mass of a body that is too small
+        or a spring without a rest length, and what it holds; "": none is.
+        """
         del scene
         return ""
 

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +169,7 @@ def _profiles(
 
 
 def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
-    if adapter.too_small(scene):
+    if adapter.cannot_hold(scene):
         return []
     return [name for name in adapter.methods if not adapter.refusals(scene, name)]
 
@@ -205,7 +206,8 @@ def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
     """Give the settings without a search.
 
     `matched` settings that have been found and checked for a built-in scene are stored in
-    `scenes/matched/`, one file a scene. They hold for its physics, whatever a scene is called.
+    `scenes/matched/`, one file a scene; those of an engine that another package adds, in the folder
+    that this package registers. They hold for its physics, whatever a scene is called.
     For other scenes the adapter makes a careful choice.
     """
     if profile == "matched" and is_stored(scene, adapter.name):
@@ -251,8 +253,16 @@ def read_matched(path: Path) -> dict[str, Matched]:
 
 @functools.cache
 def _stored(scene_name: str) -> Mapping[str, Matched]:
+    """Read the toolkit's, and each engine's that its own package ships."""
     entry = files("mbds_xsim_scenes") / "matched" / f"{scene_name}.toml"
-    return _tables(entry.read_text("utf-8")) if entry.is_file() else {}
+    found = _tables(entry.read_text("utf-8")) if entry.is_file() else {}
+    for engine, point in registry.registered("mbds_xsim.matched").items():
+        package = find_spec(point.value)  # which imports nothing
+        for folder in (package and package.submodule_search_locations) or ():
+            theirs = Path(folder) / f"{scene_name}.toml"
+            if engine not in found and theirs.is_file():
+                found |= {name: e for name, e in read_matched(theirs).items() if name == engine}
+    return found
 
 
 def _tables(text: str) -> dict[str, Matched]:

@@ -6,22 +6,30 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from mbds_xsim.base.errors import InputError, UnknownName
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import CUT, JointKind, Mechanism
 from mbds_xsim.scene.scene import Scene
 
-Family = Literal[
-    "semi-implicit Euler", "implicit Euler", "RK4", "Runge-Kutta 5(4)", "Runge-Kutta 6(7)",
-    "generalised-alpha", "trapezoidal", "toolkit RK4", "reference",
-]  # fmt: skip
-TRUTH: Family = "reference"
-"""Of the reference itself: what it is held against is no other than it is."""
+TRUTH = "reference"
+"""Family of the reference itself: what it is held against is no other than it is."""
+FAMILIES = (
+    "semi-implicit Euler", "implicit Euler", "RK4", "Runge-Kutta 3", "Runge-Kutta 3(2)",
+    "Runge-Kutta 5", "Runge-Kutta 5(4)", "Runge-Kutta 6(7)", "generalised-alpha", "trapezoidal",
+    "toolkit RK4", TRUTH,
+)  # fmt: skip
+"""What a method may be of; `own_family` names one that is none of these."""
 RTOL = "rtol"
 """Option of adaptive methods: the tolerance that decides their steps."""
+_OWN = " (own)"
+
+
+def own_family(name: str) -> str:
+    """Name a family that no other engine's methods are known to be of."""
+    return name + _OWN
 
 
 class Feature(Enum):
@@ -56,9 +64,14 @@ CONTACTS = (Feature.CONTACT, Feature.LINKED_CONTACT)
 """Every kind of sphere on the ground."""
 
 
-def features_of(scene: Scene) -> frozenset[Feature]:
-    """List what the scene needs; forces count where sampling, noise or tables can make one."""
-    mechanism = Mechanism.of(scene)
+def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Feature]:
+    """List what the scene needs; forces count where sampling, noise or tables can make one.
+
+    Args:
+        scene: The scene.
+        cut: Kinds of joints, those first that rather close a loop than carry a body.
+    """
+    mechanism = Mechanism.of(scene, cut)
     tree = [link.joint for link in mechanism.links]
     kinds = {Feature[joint.kind.upper()] for joint in tree if joint is not None}
     kinds |= {Feature[f"LOOP_{joint.kind.upper()}"] for joint in mechanism.loops}
@@ -87,10 +100,12 @@ class Method:
     """One way of stepping, with the claims that the contract suite measures."""
 
     name: str
-    family: Family
-    """Methods of one family are one vote: their agreement is no evidence."""
+    family: str
+    """Methods of one family are one vote: their agreement is no evidence. One of `FAMILIES`, or
+    an `own_family`; no other, as a misspelling would be a vote of its own."""
     order: int
-    """Order of convergence on smooth scenes that the method can run."""
+    """Order of convergence on smooth scenes that the method can run; of an adaptive method the
+    order of its steps, which no test can see."""
     refuses: Mapping[Feature, str] = field(default_factory=dict)
     """Features that this method, unlike the engine, cannot do, with the reason."""
     loop_order: int | None = None
@@ -103,7 +118,14 @@ class Method:
     """Whether the engine itself steps. What the toolkit steps is never matched by a search: it
     says nothing about the engine's stepping."""
     adaptive: bool = False
-    """Whether it chooses its steps by the option `rtol`, and runs by whole frames."""
+    """Whether it controls its error: it chooses its steps by the option `rtol`, which it must
+    have, and is run at a step of one frame."""
+
+    def __post_init__(self) -> None:
+        if self.family not in FAMILIES and not self.family.endswith(_OWN):
+            raise UnknownName.of(
+                f"family of {self.name}", self.family, [*FAMILIES, "own_family(…)"]
+            )
 
     @property
     def is_truth(self) -> bool:
@@ -183,6 +205,26 @@ class Sweep:
     """Methods that the option acts on; all where none is named."""
     needs: frozenset[Feature] = frozenset()
     """The option acts where a scene needs any of these; everywhere where none is named."""
+
+
+def check_claims(
+    methods: Mapping[str, Method],
+    options: Mapping[str, Option],
+    sweeps: Mapping[str, Sweep],
+    cut: tuple[JointKind, ...],
+) -> None:
+    """Raise ValueError where claims of an adapter contradict each other."""
+    if not methods:
+        raise ValueError("it has no methods")
+    for name, method in methods.items():
+        if name != method.name:
+            raise ValueError(f"its method {method.name} stands under the name {name}")
+        if method.adaptive and RTOL not in options:
+            raise ValueError(f"its method {name} is adaptive, and it has no option {RTOL}")
+    if unknown := set(sweeps) - set(options):
+        raise ValueError(f"it sweeps {sorted(unknown)[0]}, which is no option of its")
+    if sorted(cut) != sorted(CUT):
+        raise ValueError(f"its cut is {cut}, allowed is each of {', '.join(CUT)} once")
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,18 @@ from mbds_xsim.base.errors import (
     Unsupported,
 )
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
+from mbds_xsim.scene.mechanism import JointKind
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
-from mbds_xsim.simulate.claims import ContactLaw, ContactScales, Feature, Method, Option, Sweep
+from mbds_xsim.simulate.claims import (
+    ContactLaw,
+    ContactScales,
+    Feature,
+    Method,
+    Option,
+    Sweep,
+    check_claims,
+)
 
 if TYPE_CHECKING:
     from mbds_xsim.scene.imported import Imported, Written
@@ -40,15 +49,9 @@ T = TypeVar("T")
 
 # In the paper's order; every other size of a family is found by its name too.
 PAPER_SCENES = (
-    "ballscroll",
-    "balldrop",
-    "5pendulum",
-    "6pendulum",
-    "2ladder",
-    "3ladder",
-    "particlecar",
+    "ballscroll", "balldrop", "5pendulum", "6pendulum", "2ladder", "3ladder", "particlecar",
     "simplecubli",
-)
+)  # fmt: skip
 
 REFERENCE = "reference"
 """Name of the one simulator behind the contract that is no engine."""
@@ -76,6 +79,11 @@ def engine_names() -> list[str]:
 def simulator_names() -> list[str]:
     """Names of all engines, and of the reference."""
     return [*engine_names(), REFERENCE]
+
+
+def is_foreign(name: str) -> bool:
+    """Whether another package registers the adapter."""
+    return _owner(registered("mbds_xsim.adapters")[name]) != _OURS
 
 
 def installed_engines() -> list[str]:
@@ -118,10 +126,8 @@ def load_adapter(name: str) -> Adapter:
     try:
         return made(points[name])
     except ImportError as error:
-        msg = (
-            f"the engine {name} is not installed ({error}); "
-            f"install it with: pip install 'mbds-xsim[{name}]'"
-        )
+        how = f"pip install 'mbds-xsim[{name}]'"
+        msg = f"the engine {name} is not installed ({error}); install it with: {how}"
         raise EngineMissing(msg) from error
 
 
@@ -185,8 +191,7 @@ def read_model(path: Path, *, folder: Path | None = None, floating: bool = False
     if (suffix := path.suffix[1:].lower()) not in readers:
         raise UnknownName.of("format of models", suffix, sorted(readers))
     if not path.is_file():
-        msg = f"{path}: cannot be read (no such file); give the path of a model"
-        raise InputError(msg)
+        raise InputError(f"{path}: cannot be read (no such file); give the path of a model")
     inside = (folder or path.parent).absolute()
     question = (readers[suffix], path.absolute(), inside, floating)
     (answer,) = run_tasks([Task(_read, question, _READING)], workers=1)
@@ -236,11 +241,10 @@ def registered(group: str) -> dict[str, EntryPoint]:
     points: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         if point.name in points and points[point.name].value != point.value:
-            msg = (
-                f"two packages register {point.name!r} in {group}: "
-                f"{points[point.name].value} and {point.value}; uninstall one"
+            both = f"{points[point.name].value} and {point.value}"
+            raise InputError(
+                f"two packages register {point.name!r} in {group}: {both}; uninstall one"
             )
-            raise InputError(msg)
         points[point.name] = point
     return points
 
@@ -269,6 +273,7 @@ class _Claims(msgspec.Struct, forbid_unknown_fields=True):
     coordinates: Literal["reduced", "maximal"]
     contact_law: ContactLaw | None
     smallest: str
+    cut: tuple[JointKind, ...]
 
     @classmethod
     def of(cls, adapter: Adapter, name: str) -> Self:
@@ -278,11 +283,10 @@ class _Claims(msgspec.Struct, forbid_unknown_fields=True):
         raw = cls(adapter.name, package, adapter.version(), **attributes)
         claims = msgspec.json.decode(msgspec.json.encode(raw), type=cls)
         if claims.name != name:
-            msg = f"its name is {claims.name!r}, that of the entry point {name!r}"
-            raise ValueError(msg)
-        if not claims.methods or not claims.version or set(claims.sweeps) - set(claims.options):
-            msg = "it has no methods, no version, or sweeps of options that it does not have"
-            raise ValueError(msg)
+            raise ValueError(f"its name is {claims.name!r}, that of the entry point {name!r}")
+        if not claims.version:
+            raise ValueError("it has no version")
+        check_claims(claims.methods, claims.options, claims.sweeps, claims.cut)
         return claims
 
 
@@ -304,8 +308,8 @@ class _StandIn(Adapter):
         settings: Settings = answer
         return settings
 
-    def too_small(self, scene: Scene) -> str:
-        answer = _ask(_small, self.point, scene)
+    def cannot_hold(self, scene: Scene) -> str:
+        answer = _ask(_held, self.point, scene)
         return f"it does not say: {answer.reason}" if isinstance(answer, Crash) else str(answer)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
@@ -338,8 +342,9 @@ def made(point: EntryPoint) -> Adapter:
     """
     adapter = point.load()()
     if not isinstance(adapter, Adapter):
-        msg = f"the entry point {point.name!r} gives {type(adapter).__name__}, not an Adapter"
-        raise TypeError(msg)
+        raise TypeError(
+            f"the entry point {point.name!r} gives {type(adapter).__name__}, not an Adapter"
+        )
     return adapter
 
 
@@ -380,8 +385,8 @@ def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
     return settings
 
 
-def _small(point: EntryPoint, scene: Scene) -> str:
-    return _typed(made(point).too_small(scene), str)
+def _held(point: EntryPoint, scene: Scene) -> str:
+    return _typed(made(point).cannot_hold(scene), str)
 
 
 def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
@@ -391,6 +396,5 @@ def _scales(point: EntryPoint, settings: Settings) -> ContactScales:
 def _typed(given: object, kind: type[T]) -> T:
     """Give the same as a value whose fields have the types of a class."""
     if not isinstance(given, kind):
-        msg = f"it gives {given!r:.60}, not {kind.__name__}"
-        raise TypeError(msg)
+        raise TypeError(f"it gives {given!r:.60}, not {kind.__name__}")
     return msgspec.json.decode(msgspec.json.encode(given), type=kind)

@@ -66,9 +66,9 @@ _ODD: list[object] = [
 ]  # fmt: skip
 _CLAIMS = (
     "name", "package", "methods", "options", "sweeps", "limits", "coordinates", "contact_law",
-    "smallest",
+    "smallest", "cut",
 )  # fmt: skip
-_ASKED = ("version", "settings", "too_small", "contact_scales", "load")
+_ASKED = ("version", "settings", "cannot_hold", "contact_scales", "load")
 _RUN = ("rollout", "readback", "close")
 _MOTION = ("time", "position", "orientation", "velocity", "angular_velocity", "failures")
 _READ = tuple(field.name for field in dataclasses.fields(Readback))

@@ -52,11 +52,11 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
 
     assert {contender.engine for contender in contenders} == {"dart", "exudyn"}
     assert left_out["mujoco"] == (
-        "mujoco cannot do so small a body: 'rod' has 2e-15 kg and 8e-20 kg·m², MuJoCo's compiler "
-        "takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
+        "mujoco cannot hold a value of the scene: 'rod' has 2e-15 kg and 8e-20 kg·m², MuJoCo's "
+        "compiler takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
     )
     assert "PyBullet moves 2.22e-16 or more" in left_out["pybullet"]
-    with pytest.raises(Unsupported, match=r"so small a body: 'rod'.*use --engines dart"):
+    with pytest.raises(Unsupported, match=r"a value of the scene: 'rod'.*use --engines dart"):
         Choice.parse(engines="mujoco,dart").contenders(small)
 
 

@@ -1,11 +1,14 @@
-"""Scenes and engines are found by name."""
+"""Scenes and engines are found by name, and engines' claims fit each other."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import pytest
 
 from mbds_xsim.base.errors import UnknownName
 from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own_family
 
 
 def test_the_four_engines_are_registered() -> None:
@@ -38,3 +41,30 @@ def test_an_unknown_scene_is_told_what_there_is(name: str, told: str) -> None:
 def test_an_unknown_engine_is_told_what_there_is() -> None:
     with pytest.raises(UnknownName, match=r"'ode'.*mujoco"):
         registry.load_adapter("ode")
+
+
+def test_a_family_is_a_known_one_or_said_to_be_an_engines_own() -> None:
+    """A misspelt one would be a vote of its own."""
+    with pytest.raises(UnknownName, match=r"family of step is called 'Rk4'.*RK4.*own_family"):
+        Method("step", "Rk4", 4)
+
+    assert Method("step", own_family("Rk4"), 4).family not in FAMILIES
+
+
+@pytest.mark.parametrize(
+    ("claim", "value", "told"),
+    [
+        ("methods", {"one": Method("other", "RK4", 4)}, "other stands under the name one"),
+        ("methods", {"one": Method("one", "RK4", 4, adaptive=True)}, "adaptive.*no option rtol"),
+        ("methods", {}, "no methods"),
+        ("sweeps", {"turns": Sweep((1, 2))}, "sweeps turns"),
+        ("cut", ("ball", "ball", "hinge", "fixed"), "allowed is each of ball, hinge"),
+    ],
+)
+def test_claims_that_do_not_fit_each_other_are_told(claim: str, value: Any, told: str) -> None:
+    adapter = registry.load_adapter("mujoco")
+    claims = {key: getattr(adapter, key) for key in ("methods", "options", "sweeps", "cut")}
+    check_claims(**claims)
+
+    with pytest.raises(ValueError, match=told):
+        check_claims(**claims | {claim: value})

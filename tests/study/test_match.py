@@ -25,7 +25,15 @@ from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.match import search as study
 from mbds_xsim.studies.match.result import Found, Match, matched_toml
 from mbds_xsim.studies.match.search import match
+from tests import plugins
 from tests.command_line import CommandLine
+
+_OUTSIDE = """
+from mbds_xsim_adapters.mujoco import MuJoCo
+
+class Outside(MuJoCo):
+    name = "outside"
+"""
 
 
 class _Silent:
@@ -239,6 +247,29 @@ def test_the_file_is_what_settings_are_read_from(scene: Scene) -> None:
 def test_bad_input_is_one_line(words: list[str], said: str, run: CommandLine, here: Path) -> None:
     assert said in run("match", *words).refusal
     assert not list(here.glob("*.toml"))
+
+
+def test_settings_of_another_packages_engine_stand_in_its_own_package(
+    run: CommandLine, tmp_path: Path
+) -> None:
+    folder = tmp_path / "outside"
+    (folder / "their_settings").mkdir(parents=True)
+    (folder / "their_settings/6pendulum.toml").write_text(
+        "[outside]\nmethod = 'Euler'\nsteps_per_frame = 7\n"
+        "[mujoco]\nmethod = 'Euler'\nsteps_per_frame = 3\n"
+    )
+    engines, shipped = {"outside": "outside:Outside"}, {"outside": "their_settings"}
+    with plugins.installed(folder, {"outside": _OUTSIDE}, engines, shipped):
+        told = run("match", "6pendulum", "--engines", "outside").refusal
+        scene = registry.load_scene("6pendulum")
+        theirs, ours = (
+            settings_for(scene, registry.load_adapter(name), "matched")
+            for name in ("outside", "mujoco")
+        )
+
+    assert "outside is another package's engine" in told
+    assert (theirs.method, theirs.substeps(scene.clock.frame)) == ("Euler", 7)
+    assert ours.method == "RK4"
 
 
 @pytest.mark.parametrize("name", registry.scene_names())
