@@ -108,8 +108,10 @@ def faulty(folder: Path, *names: str) -> AbstractContextManager[None]:
 def installed(
     folder: Path,
     modules: Mapping[str, str],
-    engines: Mapping[str, str],
+    engines: Mapping[str, str] = MappingProxyType({}),
+    *,
     matched: Mapping[str, str] = MappingProxyType({}),
+    models: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[None]:
     """Install a package for this process and those it starts.
 
@@ -118,6 +120,7 @@ def installed(
         modules: Source of each of its modules.
         engines: Of each engine the place of its adapter, "module:Class".
         matched: Of each engine the folder of its matched settings.
+        models: Of each learned model the place of its class.
     """
     name = folder.name.replace("-", "_")
     metadata = folder / f"{name}-1.0.dist-info"
@@ -125,7 +128,7 @@ def installed(
     for module, source in modules.items():
         (folder / f"{module}.py").write_text(source)
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    groups = {"adapters": engines, "matched": matched}
+    groups = {"adapters": engines, "matched": matched, "models": models}
     lines = [
         f"[mbds_xsim.{group}]\n" + "".join(f"{key} = {place}\n" for key, place in points.items())
         for group, points in groups.items()

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from mbds_xsim.learn.graph import DIMENSION, Graph
 from mbds_xsim.learn.layers import keep, mlp
-from mbds_xsim.learn.model import Change, PointModel, pushed
+from mbds_xsim.learn.model import Change, PointModel, Symmetry, pushed
 from mbds_xsim.learn.recipe import Cosine, Decay, Plateau, Recipe
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Sample
@@ -47,6 +47,7 @@ class GNS(PointModel):
 
     change: ClassVar[Change] = "acceleration"
     mixes: ClassVar[bool] = True
+    symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift"})
     tracks: ClassVar[Mapping[str, GNSSettings]] = {
         "paper": GNSSettings(width=200, recipe=Recipe(schedule=Plateau())),
         "native": GNSSettings(recipe=Recipe(schedule=Decay())),

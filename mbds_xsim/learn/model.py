@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, final
 
@@ -15,18 +15,17 @@ from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.statistics import Statistics
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, Sample, Start
+from mbds_xsim.simulate.registry import registered
 
 Change = Literal["acceleration", "displacement"]
 
-_PLACES = {
-    "gns": "gns:GNS",
-    "sgnn": "sgnn:SGNN",
-    "hgnn": "energy_models:HGNN",
-    "lgnn": "energy_models:LGNN",
-    "hold": "model:Hold",
-    "constant_velocity": "model:ConstantVelocity",
-    "constant_acceleration": "model:ConstantAcceleration",
-}
+Symmetry = Literal["shift", "turn"]
+SYMMETRIES: tuple[Symmetry, ...] = ("shift", "turn")
+"""Motions of the whole under which predictions move along: to elsewhere, about the vertical."""
+
+_GROUP = "mbds_xsim.models"
+"""Entry points of models; docs/add-a-model.md."""
+_TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 _BATCH = 512
 _NODES = 4096
 """At a time on a CPU: the tensors of more leave its caches, and are so large that each is made of
@@ -48,6 +47,8 @@ class LearnedModel(nn.Module, ABC):
     """Of what it is given, and of its parameters."""
     needs_bodies: ClassVar[bool] = False
     """Whether starts must have the bodies' states."""
+    symmetries: ClassVar[frozenset[Symmetry]] = frozenset()
+    """Motions of the whole that it does not learn, but keeps by the way it is made."""
     mixes: ClassVar[bool] = False
     """Whether its networks may compute in bfloat16: not where they carry positions."""
 
@@ -128,22 +129,40 @@ class FlowModel(LearnedModel):
 
 
 def model_names() -> list[str]:
-    """Names of all models, the trivial ones last."""
-    return list(_PLACES)
+    """Names of all models that packages register, the trivial ones last."""
+    trivial = [name for name in registered(_GROUP) if name in _TRIVIAL]
+    return [*(name for name in registered(_GROUP) if name not in _TRIVIAL), *trivial]
 
 
 def trainable() -> list[str]:
-    """Names of the models that have something to learn."""
-    return [name for name in model_names() if load_model(name).tracks]
+    """Names of the models that have something to learn; without those that cannot be loaded."""
+    found = []
+    for name in model_names():
+        with suppress(InputError):
+            found += [name] if load_model(name).tracks else []
+    return found
 
 
 def load_model(name: str) -> type[LearnedModel]:
-    """Find a model by name; UnknownName says which there are."""
-    if name not in _PLACES:
+    """Find a model by name.
+
+    Raises:
+        UnknownName: No package registers it.
+        InputError: What a package registers by that name is no model, or fails on import.
+    """
+    points = registered(_GROUP)
+    if name not in points:
         raise UnknownName.of("model", name, model_names())
-    module, kind = _PLACES[name].split(":")
-    model: type[LearnedModel] = getattr(importlib.import_module(f"mbds_xsim.learn.{module}"), kind)
-    return model
+    try:
+        kind = points[name].load()
+    except Exception as error:  # another package's code
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        msg = f"the model {name} cannot be used: {told}; repair or uninstall {points[name].value}"
+        raise InputError(msg) from error
+    if not (isinstance(kind, type) and issubclass(kind, LearnedModel)):
+        msg = f"the model {name} cannot be used: {points[name].value} is no LearnedModel"
+        raise InputError(msg)
+    return kind
 
 
 def build(
@@ -269,6 +288,7 @@ def pushed(model: PointModel, sample: Sample) -> Sample:
 class Hold(PointModel):
     """Everything stays where it is. The loss is the mean squared error [m²]."""
 
+    symmetries: ClassVar[frozenset[Symmetry]] = frozenset(SYMMETRIES)
     change: ClassVar[Change] = "displacement"
 
     def __init__(self, graph: Graph, statistics: Statistics, settings: None) -> None:

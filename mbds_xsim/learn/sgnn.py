@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.layers import keep
-from mbds_xsim.learn.model import Change, PointModel, pushed
+from mbds_xsim.learn.model import Change, PointModel, Symmetry, pushed
 from mbds_xsim.learn.recipe import Cosine, Plateau, Recipe
 from mbds_xsim.learn.sgnn_network import Hierarchy, Network, pool
 from mbds_xsim.learn.statistics import CHANNELS, Channels, Moments, Statistics
@@ -50,6 +50,7 @@ class SGNN(PointModel):
     """The next displacement of a scene's particles."""
 
     change: ClassVar[Change] = "displacement"
+    symmetries: ClassVar[frozenset[Symmetry]] = frozenset({"shift", "turn"})
     tracks: ClassVar[Mapping[str, SGNNSettings]] = {
         "paper": SGNNSettings(),
         # The authors of SGNN train with noise and publish rollouts that are projected.

@@ -173,7 +173,7 @@ def load_scene(name: str) -> Scene:
 
 def is_model(name: str) -> bool:
     """Whether something is registered to read files of such a name."""
-    return Path(name).suffix[1:].lower() in registered("mbds_xsim.models")
+    return Path(name).suffix[1:].lower() in registered("mbds_xsim.model_readers")
 
 
 def read_model(path: Path, *, folder: Path | None = None, floating: bool = False) -> Imported:
@@ -187,7 +187,7 @@ def read_model(path: Path, *, folder: Path | None = None, floating: bool = False
     Raises:
         InputError: One line: the file, what is wrong with it and where.
     """
-    readers = registered("mbds_xsim.models")
+    readers = registered("mbds_xsim.model_readers")
     if (suffix := path.suffix[1:].lower()) not in readers:
         raise UnknownName.of("format of models", suffix, sorted(readers))
     if not path.is_file():

@@ -1,0 +1,72 @@
+"""The model on the page for those who add one passes the suite, is trained, and is a simulator."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.learn.model import load_model, model_names, trainable
+from mbds_xsim.testing.models import ModelContract
+from tests.command_line import CommandLine
+from tests.plugins import installed
+
+_PAGE = Path(__file__).parents[2] / "docs" / "add-a-model.md"
+_NAME = "recurrence"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Install the page's first example, as a package of its own."""
+    model, _ = re.findall(r"^```python\n(.*?)^```$", _PAGE.read_text("utf-8"), re.M | re.S)
+    place = {_NAME: f"{_NAME}:Recurrence"}
+    with installed(tmp_path_factory.mktemp(_NAME) / _NAME, {_NAME: model}, models=place):
+        yield
+    sys.modules.pop(_NAME, None)
+
+
+class TestExample(ModelContract):
+    @pytest.fixture
+    def name(self) -> str:
+        return _NAME
+
+
+@pytest.mark.usefixtures("apart")
+def test_it_is_trained_and_charted_like_the_others(
+    made: Path, run: CommandLine, tmp_path: Path
+) -> None:
+    words = ("--on", "mujoco", "--models", _NAME, "--profile", "smoke", "--out", "models")
+    trained = run("train", str(made / "2pendulum"), *words)
+    assert trained.code == 0, trained.err
+    (file,) = tmp_path.rglob(f"models/2pendulum/native/{_NAME}/mujoco-s0.pt")
+    chart = ("--engines", "mujoco", "--limit", "0.2", "--starts", "1", "--json", "-")
+    charted = run("tradeoff", "2pendulum", "--models", str(file), *chart)
+    assert charted.code == 0, charted.err
+    assert f'"{_NAME}' in charted.out
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("raise OSError('no licence\\nhere')", "OSError: no licence here"),
+        ("Mine = 3", "is no LearnedModel"),
+        ("", "AttributeError: "),
+    ],
+)
+def test_a_model_that_cannot_be_loaded_is_named_and_harms_no_other(
+    source: str, says: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "broken"
+    with installed(folder, {"broken_model": source}, models={"mine": "broken_model:Mine"}):
+        assert "mine" in model_names()
+        assert "mine" not in trainable()
+        assert "gns" in trainable()
+        with pytest.raises(InputError, match=r"^the model mine cannot be used: ") as refused:
+            load_model("mine")
+    assert says in str(refused.value)
+    assert "\n" not in str(refused.value)
+    sys.modules.pop("broken_model", None)
