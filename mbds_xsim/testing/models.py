@@ -156,7 +156,7 @@ class ModelContract:
 
 def _track(name: str) -> str:
     """The last of its tracks is the smallest."""
-    return ([""] + list(load_model(name).tracks))[-1]
+    return ["", *load_model(name).tracks][-1]
 
 
 def _built(name: str, motions: Motions, seed: int = 0) -> LearnedModel:

@@ -259,7 +259,7 @@ def test_settings_of_another_packages_engine_stand_in_its_own_package(
         "[mujoco]\nmethod = 'Euler'\nsteps_per_frame = 3\n"
     )
     engines, shipped = {"outside": "outside:Outside"}, {"outside": "their_settings"}
-    with plugins.installed(folder, {"outside": _OUTSIDE}, engines, shipped):
+    with plugins.installed(folder, {"outside": _OUTSIDE}, engines, matched=shipped):
         told = run("match", "6pendulum", "--engines", "outside").refusal
         scene = registry.load_scene("6pendulum")
         theirs, ours = (
