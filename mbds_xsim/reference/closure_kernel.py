@@ -1,27 +1,31 @@
 """Loop closures of a tree: few multipliers, eight states at once.
 
-With the rows' Jacobian J, A = J M⁻¹ Jᵀ (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter
-8). A row's unit load, handed down its path to the roots by the recursion that `tree_kernel.gather`
-prepared, gives at each speed a generalised load w and the acceleration z = D⁻¹ w that it brings
-there (`response_kernel`), and A is the sum of w · z over the speeds, link by link. The multipliers'
-loads go down once more, all together. Rows are those of `mbds_xsim.scene.constraints`, and behind
-them couplings.
+A row's unit load K, handed down its path by the recursion of `tree_kernel.gather`, gives at each
+speed a generalised load w and the acceleration z = D⁻¹ w that it brings there. What rows couple
+outside of a link, G, is the sum of w · z over the speeds there. The least constraint of all that
+hangs on a link with acceleration a is then ½ a·H a + h·a + λ·(K a + k) − ½ λ·G λ, and a row whose λ
+acts nowhere else is eliminated: H grows by K K/G, h by K k/G (Vereshchagin 1989; Brandl, Johanni &
+Otter 1987), and so do the other rows' K, k and G by what they are coupled. Where all rows are kept
+to the world, G is A = J M⁻¹ Jᵀ. Which row goes where is a matter of `elimination.Plan`. The load of
+a coupling acts on two coordinates alone.
 """
 
 from __future__ import annotations
 
+from mbds_xsim.reference.elimination import BOTH, SECOND
 from mbds_xsim.reference.lanes import (
     add,
     add_to3,
     apply,
+    apply_even,
     compiled,
     cross,
     dot,
     larger,
     load,
     load3,
+    load6,
     load9,
-    number3,
     positive,
     root,
     size,
@@ -32,28 +36,31 @@ from mbds_xsim.reference.lanes import (
     times,
 )
 from mbds_xsim.reference.load_kernel import act, still, weigh
-from mbds_xsim.reference.response_kernel import ROW, load_own, respond
-from mbds_xsim.reference.tree import (
-    ALONG,
-    BALL,
-    COUPLED,
-    DISTANCE,
-    FIXED,
-    FREE,
-    HINGE,
-    NORMAL,
-    Tree,
-)
+from mbds_xsim.reference.row_kernel import ROW, along, contradiction, put_rows
+from mbds_xsim.reference.tree import BALL, COUPLED, FIXED, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import (
     ALPHA,
+    ARM,
+    AXIS,
+    BEND,
+    DI,
+    HJ,
+    JI,
     MI,
     PLACES,
+    REACH,
+    TWIST,
+    UF,
+    UN,
     A,
-    R,
+    F,
+    H,
+    J,
+    M,
+    N,
     V,
     W,
     Workspace,
-    X,
     gather,
     move,
     rates,
@@ -71,21 +78,14 @@ def accelerate(t: Tree, work: Workspace, y, rate, first):
     move(t, work, y)
     act(t, work, y)
     weigh(t, work)
-    gather(t, work)
-    spread_out(t, work, True)
     if len(t.row_kind):
-        _rows(t, work, y)
-        respond(t, work)
-        _factor(t, work)
-        most = spread(_NOTHING)
+        put_rows(t, work, y)
         for k in range(t.loaded):
-            goal = _along(t, work, y, k, A, ALPHA) + load(work.rows, ROW * k + 12)
-            most = larger(most, size(goal))
-            store(work.multipliers, k, -goal)
-        _solve(t, work)
-        load_own(t, work)
-        spread_out(t, work, True)
-        _contradiction(t, work, y, most)
+            store(work.goals, k, load(work.rows, ROW * k + 12))
+    _inwards(t, work)
+    _outwards(t, work)
+    if len(t.row_kind):
+        contradiction(t, work, y)
     rates(t, work, y, rate, first)
 
 
@@ -94,152 +94,222 @@ def project(t: Tree, work: Workspace, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
         for step in range(2):
-            resist(t, work, y)
-            _factor(t, work)
-            for k in range(t.loaded):
-                off = load(work.rows, ROW * k + 13) if step == 0 else _along(t, work, y, k, V, W)
-                store(work.multipliers, k, -off)
-            _solve(t, work)
-            for k in range(t.place_count, t.size):
-                store(work.own, k, spread(0.0))
-            load_own(t, work)
-            spread_out(t, work, False)
+            resist(t, work, y, step)
+            _outwards(t, work)
             _change(t, work, y, step)
     _normalise(t, y)
 
 
 @compiled
-def resist(t: Tree, work: Workspace, y):
-    """Evaluate the rows of states, and A."""
+def resist(t: Tree, work: Workspace, y, step):
+    """Eliminate the rows where nothing acts; goals are residuals at first, then their rates."""
     move(t, work, y)
     still(t, work)
     weigh(t, work)
-    gather(t, work)
-    _rows(t, work, y)
-    respond(t, work)
+    put_rows(t, work, y)
+    for k in range(t.loaded):
+        off = load(work.rows, ROW * k + 13) if step == 0 else along(t, work, y, k, V, W)
+        store(work.goals, k, off)
+    still(t, work)
+    for i in range(len(t.kind)):
+        store3(work.link, i * PLACES + BEND, zero())
+        store3(work.link, i * PLACES + TWIST, zero())
+    _inwards(t, work)
 
 
 @compiled
-def _rows(t, work, y):
-    """Evaluate all rows after `move`."""
-    a, rows = work.link, work.rows
-    for k in range(len(t.row_kind)):
-        kind, p, c = t.row_kind[k], t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
-        if kind == COUPLED:
-            for j in range(ROW):
-                store(rows, ROW * k + j, spread(0.0))
-            here, there = load(y, t.row_place[0, k]), load(y, t.row_place[1, k])
-            store(rows, ROW * k + 13, here + t.row_way[k, 1] * there - t.row_length[k])
-            continue
-        turn, spin, other = load9(a, p + R), load3(a, p + W), load3(a, c + W)
-        first = apply(turn, number3(t.row_points[0], k))
-        second = apply(load9(a, c + R), number3(t.row_points[1], k))
-        swing, roll = cross(spin, first), cross(other, second)
-        line = sub(add(sub(load3(a, c + X), load3(a, p + X)), second), first)
-        bend = sub(cross(other, roll), cross(spin, swing))
-        speed = sub(add(load3(a, c + V), roll), add(load3(a, p + V), swing))
-        way = number3(t.row_way, k)
-        if kind == DISTANCE:
-            length = root(dot(line, line))
-            n = times(1.0 / length, line)
-            along = dot(n, speed)
-            grown = dot(n, bend) + (dot(speed, speed) - along * along) / length
-            store(rows, ROW * k + 12, grown)
-            store(rows, ROW * k + 13, length - t.row_length[k])
-        else:
-            n = apply(turn, way)
-            n_rate = cross(spin, n)
-            n_bend = cross(spin, n_rate)
-            if kind == ALONG:
-                grown = dot(n, bend) + 2.0 * dot(n_rate, speed) + dot(n_bend, line)
-                store(rows, ROW * k + 12, grown)
-                store(rows, ROW * k + 13, dot(n, line))
-                first = add(first, line)
-            else:
-                grown = dot(cross(other, roll), n) + 2.0 * dot(roll, n_rate) + dot(second, n_bend)
-                store(rows, ROW * k + 12, grown)
-                store(rows, ROW * k + 13, dot(second, n))
-        if kind == NORMAL:
-            lever = cross(second, n)
-            _put(t, rows, k, zero(), times(-1.0, lever), lever)
-        else:
-            _put(t, rows, k, n, cross(n, first), cross(second, n))
+def _inwards(t, work):
+    """Hand inertias, biases and the rows' loads down to the roots, and eliminate the rows."""
+    plan, world = t.plan, len(t.kind)
+    for k in range(t.loaded):
+        for at in range(0, 12, 3):
+            store3(work.loads, 12 * k + at, load3(work.rows, ROW * k + at))
+    for k in range(len(plan.pair_row)):
+        store(work.couplings, k, spread(0.0))
+    store(work.share, 0, spread(1.0))
+    store(work.share, 1, spread(_NOTHING))
+    for back in range(world):
+        i = world - 1 - back
+        if plan.drop[i, 0] < plan.drop[i, 1]:
+            _eliminate(t, work, i)
+        p, fast, kind = t.parent[i], t.speed_at[i], t.kind[i]
+        root = p == world
+        gather(work.link, work.own, i * PLACES, p * PLACES, fast, kind, t.armature[i], root)
+        if plan.on_start[i] < plan.on_start[i + 1]:
+            _pass_on(t, work, i)
+    _eliminate(t, work, world)
 
 
 @compiled
-def _put(t, rows, k, n, first, second):
-    """Keep a row of opposite linear parts, and its size."""
-    b = ROW * k
-    store3(rows, b, times(-1.0, n))
-    store3(rows, b + 3, first)
-    store3(rows, b + 6, n)
-    store3(rows, b + 9, second)
-    p, c, linear = t.row_ends[0, k], t.row_ends[1, k], dot(n, n)
-    total = (t.yielding[p, 0] + t.yielding[c, 0]) * linear
-    total = total + t.yielding[p, 1] * dot(first, first)
-    store(rows, b + 14, total + t.yielding[c, 1] * dot(second, second))
+def _eliminate(t, work, i):
+    """Take rows that meet at a link out of those that they are coupled with."""
+    for d in range(t.plan.drop[i, 0], t.plan.drop[i, 1]):
+        _take_out(t.plan, work, d)
+        if i < len(t.kind):
+            _stiffen(work, i * PLACES, t.plan.drop_row[d])
 
 
 @compiled
-def _along(t, work, y, k, linear, angular):
-    """Multiply a row and vectors of the bodies, or what speeds and their accelerations are."""
-    a, rows, b = work.link, work.rows, ROW * k
-    p, c = t.row_ends[0, k] * PLACES, t.row_ends[1, k] * PLACES
-    if t.row_kind[k] == COUPLED:
-        first, second = load(a, p + MI), load(a, c + MI)
-        if linear == V:
-            first = load(y, t.speed_at[t.row_ends[0, k]])
-            second = load(y, t.speed_at[t.row_ends[1, k]])
-        return first + t.row_way[k, 1] * second
-    one = dot(load3(rows, b), load3(a, p + linear)) + dot(load3(rows, b + 3), load3(a, p + angular))
-    two = dot(load3(rows, b + 6), load3(a, c + linear))
-    return one + two + dot(load3(rows, b + 9), load3(a, c + angular))
+def _take_out(plan, work, d):
+    loads, m, k = work.loads, work.couplings, plan.drop_row[d]
+    f = add(load3(loads, 12 * k), load3(loads, 12 * k + 6))
+    n = add(load3(loads, 12 * k + 3), load3(loads, 12 * k + 9))
+    store3(loads, 12 * k, f)
+    store3(loads, 12 * k + 3, n)
+    pivot, least, goal = load(m, k), load(work.share, 0), load(work.goals, k)
+    share = pivot / load(work.rows, ROW * k + 14)
+    store(work.share, 0, positive(least - share, share, least))
+    inverse = 1.0 / larger(pivot, spread(_LOST))
+    store(m, k, inverse)
+    first, at = plan.near_start[d], plan.fill_start[d]
+    for q in range(first, plan.near_start[d + 1]):
+        o = plan.near_row[q]
+        weight = inverse * load(m, plan.near_pair[q])
+        store(work.goals, o, load(work.goals, o) - weight * goal)
+        o = 12 * o + (6 if plan.near_end[q] == SECOND else 0)
+        less = times(-1.0 * weight, f)
+        add_to3(loads, o, less)
+        add_to3(loads, o + 3, times(-1.0 * weight, n))
+        for r in range(first, q + 1):
+            pair = plan.fill_pair[at]
+            store(m, pair, load(m, pair) - weight * load(m, plan.near_pair[r]))
+            at += 1
 
 
 @compiled
-def _factor(t, work):
-    """Put A's Cholesky factor in its place, with the inverse pivots on the diagonal."""
-    count, m, least = t.loaded, work.matrix, spread(1.0)
-    for k in range(count):
-        for j in range(k + 1):
-            total = load(m, k * count + j)
-            for s in range(j):
-                total = total - load(m, k * count + s) * load(m, j * count + s)
-            if j < k:
-                store(m, k * count + j, total * load(m, j * count + j))
-            else:
-                share = total / load(work.rows, ROW * k + 14)
-                least = positive(least - share, share, least)
-                pivot = root(larger(total, spread(_LOST)))
-                store(m, k * count + k, 1.0 / pivot)
-    store(work.share, 0, least)
+def _stiffen(work, b, k):
+    """Let a link resist as one whose row holds."""
+    a, loads, goal = work.link, work.loads, load(work.goals, k)
+    f, n, inverse = load3(loads, 12 * k), load3(loads, 12 * k + 3), load(work.couplings, k)
+    x, y = times(inverse, f), times(inverse, n)
+    add_to3(a, b + M, (x[0] * f[0], x[1] * f[1], x[2] * f[2]))
+    add_to3(a, b + M + 3, (x[0] * f[1], x[0] * f[2], x[1] * f[2]))
+    for row in range(3):
+        add_to3(a, b + H + 3 * row, times(load(loads, 12 * k + row), y))
+    add_to3(a, b + J, (y[0] * n[0], y[1] * n[1], y[2] * n[2]))
+    add_to3(a, b + J + 3, (y[0] * n[1], y[0] * n[2], y[1] * n[2]))
+    add_to3(a, b + F, times(goal, x))
+    add_to3(a, b + N, times(goal, y))
 
 
 @compiled
-def _solve(t, work):
-    """Solve for the multipliers in place of the right-hand sides."""
-    count, m, x = t.loaded, work.matrix, work.multipliers
-    for k in range(count):
-        total = load(x, k)
-        for j in range(k):
-            total = total - load(m, k * count + j) * load(x, j)
-        store(x, k, total * load(m, k * count + k))
-    for q in range(count):
-        k = count - 1 - q
-        total = load(x, k)
-        for j in range(k + 1, count):
-            total = total - load(m, j * count + k) * load(x, j)
-        store(x, k, total * load(m, k * count + k))
+def _pass_on(t, work, i):
+    """Take the rows' loads through a link, and couple them by what they do to its speeds."""
+    plan, a, b, fast = t.plan, work.link, i * PLACES, t.speed_at[i]
+    first, last, speeds = plan.on_start[i], plan.on_start[i + 1], t.speed_at[i + 1] - t.speed_at[i]
+    bend, twist, pair = load3(a, b + BEND), load3(a, b + TWIST), plan.pair_start[i]
+    for q in range(first, last):
+        k, end, at = plan.on_row[q], plan.on_end[q], 12 * plan.on_row[q]
+        if end == SECOND:
+            at += 6
+        f, n = load3(work.loads, at), load3(work.loads, at + 3)
+        if end == BOTH:
+            f, n = add(f, load3(work.loads, at + 6)), add(n, load3(work.loads, at + 9))
+            store3(work.loads, at + 6, zero())
+            store3(work.loads, at + 9, zero())
+        goal, w = load(work.goals, k) + dot(f, bend), 6 * (q - first)
+        if t.kind[i] == HINGE:
+            goal = goal + dot(sub(n, cross(load3(a, b + ARM), f)), twist)
+        f, n = _respond_at(work, b, t.kind[i], w, plan.on_speed[q], f, n)
+        if t.row_kind[k] == COUPLED:
+            f, n = _drive(t, work, i, k, w, plan.on_speed[q], f, n)
+        for s in range(speeds):
+            goal = goal - load(work.through, w + s) * load(work.own, fast + s)
+        store(work.goals, k, goal)
+        store3(work.loads, at, f)
+        store3(work.loads, at + 3, n)
+        for r in range(first, q + 1):
+            total = load(work.couplings, plan.on_pair[pair])
+            z = plan.on_speed[r]
+            for s in range(speeds):
+                total = total + load(work.through, w + s) * load(work.brought, z + s)
+            store(work.couplings, plan.on_pair[pair], total)
+            pair += 1
+        if t.row_kind[k] == COUPLED:
+            z = load(work.brought, plan.on_speed[q])
+            own = load(work.rows, ROW * k + 14) + load(work.through, w) * z
+            store(work.rows, ROW * k + 14, own)
 
 
 @compiled
-def _contradiction(t, work, y, most):
-    """Measure by how much rows without loads do not follow from the others, over the goals."""
-    off = spread(0.0)
-    for k in range(t.loaded, len(t.row_kind)):
-        bias = load(work.rows, ROW * k + 12)
-        off = larger(off, size(_along(t, work, y, k, A, ALPHA) + bias))
-    store(work.share, 1, off / most)
+def _respond_at(work, b, kind, w, z, f, n):
+    """Take a load through one link, and keep what it is and does at the link's speeds."""
+    a, out, brought = work.link, work.through, work.brought
+    if kind == FREE:
+        turn = apply_even(load6(a, b + JI), n)
+        store3(out, w + 3, n)
+        store3(brought, z + 3, turn)
+        f = sub(f, apply(load9(a, b + HJ), turn))
+        store3(out, w, f)
+        store3(brought, z, apply_even(load6(a, b + MI), f))
+        return zero(), zero()
+    n = sub(n, cross(load3(a, b + ARM), f))
+    reach = load3(a, b + REACH)
+    if kind == BALL:
+        turn = apply_even(load6(a, b + JI), n)
+        store3(out, w, n)
+        store3(brought, z, turn)
+        f = sub(f, apply(load9(a, b + HJ), turn))
+        return f, cross(reach, f)
+    if kind != FIXED:
+        load_along = -dot(load3(a, b + AXIS), n if kind == HINGE else f)
+        does = load(a, b + DI) * load_along
+        store(out, w, load_along)
+        store(brought, z, does)
+        f = add(f, times(does, load3(a, b + UF)))
+        n = add(n, times(does, load3(a, b + UN)))
+    return f, add(n, cross(reach, f))
+
+
+@compiled
+def _drive(t, work, i, k, w, z, f, n):
+    """Let a coupling's load act on the coordinate of a link, if it is one of its own."""
+    for end in range(2):
+        if t.row_ends[end, k] == i:
+            a, b, more = work.link, i * PLACES, -t.row_way[k, end]
+            does = more * load(a, b + DI)
+            store(work.through, w, load(work.through, w) + more)
+            store(work.brought, z, load(work.brought, z) + does)
+            pull = times(does, load3(a, b + UF))
+            f = add(f, pull)
+            n = add(n, add(times(does, load3(a, b + UN)), cross(load3(a, b + REACH), pull)))
+    return f, n
+
+
+@compiled
+def _outwards(t, work):
+    """Find multipliers and accelerations from the world outwards."""
+    plan, world = t.plan, len(t.kind)
+    _find_multipliers(t, work, world)
+    for i in range(world):
+        fast, speeds = t.speed_at[i], t.speed_at[i + 1] - t.speed_at[i]
+        for q in range(plan.on_start[i], plan.on_start[i + 1]):
+            weight = load(work.multipliers, plan.on_row[q])
+            for s in range(speeds):
+                more = weight * load(work.brought, plan.on_speed[q] + s)
+                store(work.own, fast + s, load(work.own, fast + s) + more)
+        p = t.parent[i] * PLACES
+        spread_out(work.link, work.own, i * PLACES, p, fast, t.kind[i])
+        if plan.drop[i, 0] < plan.drop[i, 1]:
+            _find_multipliers(t, work, i)
+
+
+@compiled
+def _find_multipliers(t, work, i):
+    """Find those of the rows that were eliminated at a link, the last one first."""
+    plan, a, b = t.plan, work.link, i * PLACES
+    for back in range(plan.drop[i, 1] - plan.drop[i, 0]):
+        d = plan.drop[i, 1] - 1 - back
+        k = plan.drop_row[d]
+        total = load(work.goals, k)
+        if i < len(t.kind):
+            total = total + dot(load3(work.loads, 12 * k), load3(a, b + A))
+            total = total + dot(load3(work.loads, 12 * k + 3), load3(a, b + ALPHA))
+        store(work.share, 1, larger(load(work.share, 1), size(total)))
+        for q in range(plan.near_start[d], plan.near_start[d + 1]):
+            coupling = load(work.couplings, plan.near_pair[q])
+            total = total - coupling * load(work.multipliers, plan.near_row[q])
+        store(work.multipliers, k, load(work.couplings, k) * total)
 
 
 @compiled

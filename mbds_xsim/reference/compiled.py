@@ -16,12 +16,13 @@ from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
 from mbds_xsim.reference.closure_kernel import accelerate, project, resist
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
+from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
 from mbds_xsim.reference.marching import Inputs, Marched, coefficients
 from mbds_xsim.reference.multipliers import POOR
-from mbds_xsim.reference.response_kernel import ROW
+from mbds_xsim.reference.row_kernel import ROW
 from mbds_xsim.reference.singular import typical_states
 from mbds_xsim.reference.tree import BALL, COUPLED, FREE, Tree, to_tree, tree_of, with_rows
 from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move
@@ -49,14 +50,14 @@ def march_compiled(
     marched, frames = Marched.from_start(start, inputs), inputs.force.shape[1]
     if not frames:
         return marched
-    tree, near = _chosen(mechanism)
+    tree, spanned, near = _chosen(mechanism)
     work, lane = _work(tree), _lane(tree)
     method = _method(rtol, frame, companions, near)
     for first in range(0, len(start), _TOGETHER):
         part = slice(first, first + _TOGETHER)
         states = marched.states[part]
         task = Problems(
-            to_tree(mechanism, start[part]),
+            to_tree(spanned, dynamics.unpack(start[part]), start[part]),
             np.require(inputs.force[part], float, ["C", "W"]),
             np.require(inputs.torque[part], float, ["C", "W"]),
             frame,
@@ -85,10 +86,11 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
     Returns:
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
-    tree, _ = _chosen(mechanism)
+    tree, spanned, _ = _chosen(mechanism)
+    coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
     found, work = np.empty((len(states), mechanism.body_count, 6)), _work(tree)
     rate, worlds = _lanes(tree.size), len(tree.kind) + 1
-    for rows, y in _in_lanes(to_tree(mechanism, states)):
+    for rows, y in _in_lanes(coordinates):
         work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
         work.torque[: torque.shape[1]] = torque[rows].T
         accelerate(tree, work, y, rate, 0)
@@ -99,9 +101,10 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
 
 def projected(mechanism: Mechanism, states: Array) -> Array:
     """Put states of the reference onto the closures by least mass-weighted changes."""
-    tree, _ = _chosen(mechanism)
+    tree, spanned, _ = _chosen(mechanism)
     work, found = _work(tree), states.copy()
-    for rows, y in _in_lanes(to_tree(mechanism, states)):
+    coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
+    for rows, y in _in_lanes(coordinates):
         for k, place in enumerate(tree.row_place[0]):
             if tree.row_kind[k] == COUPLED and place in tree.angle_at:
                 wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
@@ -124,29 +127,38 @@ def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
         yield rows, np.ascontiguousarray(y[rows].T)
 
 
-def _coupled(tree: Tree, y: Array) -> tuple[Array, Array]:
-    """Give A of the loaded rows, its lower half, (batch, row, row), and the rows' sizes."""
-    count, work = tree.loaded, _work(tree)
-    matrix, sizes = np.empty((len(y), count, count)), np.empty((len(y), count))
+def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
+    """Eliminate the rows of states; give which of them, and what was found, one after the other."""
+    work = _work(tree)
     for rows, lanes in _in_lanes(y):
-        resist(tree, work, lanes)
-        sizes[rows] = work.rows[14 : ROW * count : ROW].T
-        matrix[rows] = np.moveaxis(work.matrix.reshape(count, count, LANES), -1, 0)
-    return matrix, sizes
+        resist(tree, work, lanes, 0)
+        yield rows, work
 
 
 @functools.lru_cache(maxsize=64)
-def _chosen(mechanism: Mechanism) -> tuple[Tree, float]:
-    """Load independent rows only; also give the share of the least that is usual, or less."""
-    tree, dynamics = tree_of(mechanism), dynamics_of(mechanism)
+def _chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
+    """Load independent rows only, in the tree that closes loops soonest.
+
+    Returns:
+        The tree, the mechanism that has it, and the share of the least row that is usual, or less.
+    """
+    spanned, dynamics = with_short_loops(mechanism), dynamics_of(mechanism)
+    tree = tree_of(spanned)
     if not tree.loaded:
-        return tree, 0.0
+        return tree, spanned, 0.0
     states = typical_states(dynamics, dynamics.pack(pose_of(mechanism)))
-    matrices, sizes = _coupled(tree, to_tree(mechanism, states))
-    found = [_pivoted(*pair) for pair in zip(matrices, sizes, strict=True)]
-    rows, share = max(found, key=lambda each: (len(each[0]), each[1]))
+    y, count = to_tree(spanned, dynamics.unpack(states), states), tree.loaded
+    matrix, (row, column) = np.zeros((len(y), count, count)), tree.plan.pair_row.T
+    sizes = np.empty((len(y), count))
+    for which, work in _resisting(tree, y):
+        sizes[which] = work.rows[14 : ROW * count : ROW].T
+        matrix[which[:, None], row, column] = work.couplings.T
+    found = [_pivoted(*pair) for pair in zip(matrix, sizes, strict=True)]
+    rows, _ = max(found, key=lambda each: (len(each[0]), each[1]))
     left_out = np.setdiff1d(np.arange(tree.loaded), rows)
-    return with_rows(tree, np.concatenate([rows, left_out]), len(rows)), min(POOR, _FEWER * share)
+    tree = with_rows(tree, np.concatenate([rows, left_out]), len(rows))
+    usual = max(float(work.share[0].max()) for _, work in _resisting(tree, y))
+    return tree, spanned, min(POOR, _FEWER * usual)
 
 
 def _pivoted(matrix: Array, size: Array) -> tuple[Array, float]:
@@ -168,7 +180,7 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
 
 
 def _work(tree: Tree) -> Workspace:
-    links, rows, loaded = len(tree.kind) + 1, len(tree.row_kind), tree.loaded
+    links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
     work = Workspace(
         link=_lanes(links * PLACES),
         own=_lanes(tree.size),
@@ -176,8 +188,10 @@ def _work(tree: Tree) -> Workspace:
         torque=_lanes(len(tree.hinge_axis)),
         rows=_lanes(ROW * rows),
         loads=_lanes(12 * loaded),
-        passed=_lanes(12 * loaded),
-        matrix=_lanes(loaded * loaded),
+        goals=_lanes(loaded),
+        through=_lanes(6 * int(np.diff(plan.on_start).max(initial=0))),
+        brought=_lanes(plan.speed_count),
+        couplings=_lanes(len(plan.pair_row)),
         multipliers=_lanes(loaded),
         share=_lanes(2),
     )

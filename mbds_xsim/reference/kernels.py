@@ -14,8 +14,8 @@ from pathlib import Path
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
-_SOURCES = ("lanes", "tree", "tree_kernel", "load_kernel", "response_kernel", "closure_kernel",
-            "march_kernel")  # fmt: skip
+_KERNELS = ("tree", "load", "row", "closure", "march")
+_SOURCES = ("lanes", "elimination", "tree", *(f"{n}_kernel" for n in _KERNELS))
 _READY = "ready"
 _UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
 

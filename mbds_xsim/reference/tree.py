@@ -9,9 +9,10 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.elimination import Plan, plan_of
+from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.constraints import layout_of
-from mbds_xsim.scene.joint_space import joint_coordinate, to_links
+from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_links
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 FIXED, HINGE, SLIDER, BALL, FREE = range(5)
@@ -19,8 +20,6 @@ _KINDS = {"fixed": FIXED, "hinge": HINGE, "slider": SLIDER, "ball": BALL}
 _PLACES, _SPEEDS = (0, 2, 1, 4, 7), (0, 1, 1, 3, 6)
 
 ALONG, NORMAL, DISTANCE, COUPLED = range(4)
-FIRST, SECOND, BOTH = range(3)
-
 
 _Rows = tuple[Index, Index, Array, Array, Array, Index]
 
@@ -96,18 +95,14 @@ class Tree(NamedTuple):
     """Where the coordinates of a coupling stand in a state, shape (2, row); 0 of others."""
     loaded: int
     """Rows that carry loads; those behind them follow from them."""
-    on_start: Index
-    """Where the loaded rows whose loads come through each link begin in the two below, shape
-    (link + 1,)."""
-    on_row: Index
-    on_end: Index
-    """Whose load comes through there: `FIRST`, `SECOND`, or `BOTH` where they meet."""
+    plan: Plan
+    """How these are eliminated."""
 
 
 @functools.lru_cache(maxsize=64)
 def tree_of(mechanism: Mechanism) -> Tree:
     """Lay out a mechanism, with its closure rows in the scene's order (once each)."""
-    top, links = dynamics_of(mechanism).topology, mechanism.links
+    top, links = topology_of(mechanism), mechanism.links
     world = len(links)
     body = np.array([link.body for link in links])
     link_of = np.append(np.argsort(body), world)  # −1 finds the world
@@ -164,36 +159,36 @@ def tree_of(mechanism: Mechanism) -> Tree:
         row_length=row_length,
         row_place=row_place,
         loaded=0,
-        on_start=np.zeros(1, dtype=np.int64),
-        on_row=np.zeros(0, dtype=np.int64),
-        on_end=np.zeros(0, dtype=np.int64),
+        plan=plan_of(body, speeds, row_ends[:, :0], np.zeros(0, dtype=bool)),
     )
-    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind))
+    return with_rows(bare, np.arange(len(bare.row_kind)), len(bare.row_kind), kept=True)
 
 
-def with_rows(tree: Tree, order: Index, loaded: int) -> Tree:
-    """Put closure rows into an order of which the first carry loads."""
-    ends = tree.row_ends[:, order]
-    paths = [_path(tree, *pair) for pair in ends.T.tolist()]
-    on = [_on(tree, link, ends[:, :loaded], paths) for link in range(len(tree.kind))]
+def with_rows(tree: Tree, order: Index, loaded: int, *, kept: bool = False) -> Tree:
+    """Put closure rows into an order of which the first carry loads; `kept` as of `plan_of`."""
+    ends, own = np.ascontiguousarray(tree.row_ends[:, order]), tree.row_kind[order] == COUPLED
+    speeds = np.diff(tree.speed_at)
     return tree._replace(
         row_kind=tree.row_kind[order],
-        row_ends=np.ascontiguousarray(ends),
+        row_ends=ends,
         row_points=np.ascontiguousarray(tree.row_points[:, order]),
         row_way=tree.row_way[order],
         row_length=tree.row_length[order],
         row_place=np.ascontiguousarray(tree.row_place[:, order]),
         loaded=loaded,
-        on_start=np.cumsum([0, *map(len, on)]),
-        on_row=np.array([row for pairs in on for row, _ in pairs], dtype=np.int64),
-        on_end=np.array([end for pairs in on for _, end in pairs], dtype=np.int64),
+        plan=plan_of(tree.parent, speeds, ends[:, :loaded], own[:loaded], kept=kept),
     )
 
 
-def to_tree(mechanism: Mechanism, states: Array) -> Array:
-    """Coordinates of states (batch, body + world, 13) of the reference, shape (batch, number)."""
+def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
+    """Coordinates of states, shape (batch, number).
+
+    Args:
+        mechanism: With the tree in whose coordinates.
+        bodies: The states.
+        states: The same as the reference has them, shape (batch, body + world, 13).
+    """
     tree = tree_of(mechanism)
-    bodies = dynamics_of(mechanism).unpack(states)
     links = to_links(mechanism, bodies)
     y = np.zeros((len(states), tree.size))
     for k, (kind, body) in enumerate(zip(tree.kind, tree.body, strict=True)):
@@ -332,29 +327,3 @@ def _link(mechanism: Mechanism, joint: PlacedJoint) -> int:
     """Give the number of the link that a joint of the tree holds."""
     joints = [None if link.joint is None else link.joint.index for link in mechanism.links]
     return joints.index(joint.index)
-
-
-def _path(tree: Tree, first: int, second: int) -> list[int]:
-    """Links from two up to the roots, each once; children have the larger numbers."""
-    found = set()
-    for link in (first, second):
-        while link < len(tree.kind):
-            found.add(link)
-            link = int(tree.parent[link])
-    return sorted(found, reverse=True)
-
-
-def _on(tree: Tree, link: int, ends: Index, paths: list[list[int]]) -> list[tuple[int, int]]:
-    """Rows whose path leads through a link, and the end that their load comes from.
-
-    From where the two meet on it is the first.
-    """
-    found = []
-    for row, (first, second) in enumerate(ends.T.tolist()):
-        if link in paths[row]:
-            above = {*_path(tree, first, first)}, {*_path(tree, second, second)}
-            reached = [link in path for path in above]
-            meet = max(above[0] & above[1], default=-1)
-            kind = FIRST if reached[0] else SECOND
-            found.append((row, BOTH if link == meet else kind))
-    return found

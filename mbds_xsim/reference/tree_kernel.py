@@ -78,11 +78,14 @@ class Workspace(NamedTuple):
     """Jacobians of closure rows (12), biases and residuals (2)."""
     loads: Array
     """Of each row: force and moment on the way down from its first end, and its second (12)."""
-    passed: Array
-    """Of each row whose load comes through one link: generalised load and the same through the
-    inertia, speed by speed (12)."""
-    matrix: Array
-    """A = J M⁻¹ Jᵀ, then its factor."""
+    goals: Array
+    """Of each row: its bias on the way down."""
+    through: Array
+    """Generalised loads of the rows that come through one link (6)."""
+    brought: Array
+    """What each row does to the speeds of the links that its load comes through."""
+    couplings: Array
+    """Of rows, by the numbers of `Plan`; those of a row with itself become inverse."""
     multipliers: Array
     share: Array
     """Least independent part of a row, and largest contradiction of rows that follow (2)."""
@@ -130,16 +133,12 @@ def move(t: Tree, work: Workspace, y):
 
 
 @compiled
-def gather(t: Tree, work: Workspace):
-    """Hand inertias and biases down to the roots, after `move` and `load_kernel.weigh`."""
-    for k in range(len(t.kind)):
-        i = len(t.kind) - 1 - k
-        kind, b, p = t.kind[i], i * PLACES, t.parent[i] * PLACES
-        root = t.parent[i] == len(t.kind)
-        if kind in (BALL, FREE):
-            _gather_ball(work, b, p, t.speed_at[i], kind, root)
-        else:
-            _gather_axis(work, b, p, t.speed_at[i], kind, t.armature[i], root)
+def gather(a, speeds, b, p, fast, kind, armature, root):
+    """Hand a link's inertia and bias down, after those of its children."""
+    if kind in (BALL, FREE):
+        _gather_ball(a, speeds, b, p, fast, kind, root)
+    else:
+        _gather_axis(a, speeds, b, p, fast, kind, armature, root)
 
 
 @compiled
@@ -167,8 +166,7 @@ def _at_joint(a, b):
 
 
 @compiled
-def _gather_ball(work, b, p, fast, kind, root):
-    a = work.link
+def _gather_ball(a, speeds, b, p, fast, kind, root):
     if kind == FREE:
         hj, jj, f, n = load9(a, b + H), load6(a, b + J), load3(a, b + F), load3(a, b + N)
         fast += 3
@@ -180,7 +178,7 @@ def _gather_ball(work, b, p, fast, kind, root):
     store6(a, b + JI, inverse)
     store9(a, b + G, g)
     own = apply_even(inverse, n)
-    store3(work.own, fast, own)
+    store3(speeds, fast, own)
     if root and kind == BALL:
         return  # the world takes no inertia
     m = load6(a, b + M)
@@ -196,7 +194,7 @@ def _gather_ball(work, b, p, fast, kind, root):
     if kind == FREE:
         left = inverse_even(m)
         store6(a, b + MI, left)
-        store3(work.own, fast - 3, apply_even(left, f))
+        store3(speeds, fast - 3, apply_even(left, f))
         return
     reach = load3(a, b + REACH)
     mine = crossed_even(m, reach)
@@ -205,8 +203,7 @@ def _gather_ball(work, b, p, fast, kind, root):
 
 
 @compiled
-def _gather_axis(work, b, p, fast, kind, armature, root):
-    a = work.link
+def _gather_axis(a, speeds, b, p, fast, kind, armature, root):
     hj, jj, f, n = _at_joint(a, b)
     m, axis, twist = load6(a, b + M), load3(a, b + AXIS), load3(a, b + TWIST)
     if kind == HINGE:
@@ -224,7 +221,7 @@ def _gather_axis(work, b, p, fast, kind, armature, root):
         store3(a, b + UF, uf)
         store3(a, b + UN, un)
         store(a, b + DI, inverse)
-        store(work.own, fast, own)
+        store(speeds, fast, own)
     if root:
         return
     kf, kn = times(inverse, uf), times(inverse, un)
@@ -274,43 +271,34 @@ def _give(a, p, m, h, j, f, n):
 
 
 @compiled
-def spread_out(t: Tree, work: Workspace, with_bias):
-    """Find the accelerations of all bodies from the roots outwards.
-
-    Without bias they are the twists, or displacements, that the own parts alone bring.
-    """
-    a = work.link
-    for i in range(len(t.kind)):
-        p, b, kind, fast = t.parent[i] * PLACES, i * PLACES, t.kind[i], t.speed_at[i]
-        if kind == FREE:
-            linear = times(-1.0, load3(work.own, fast))
-            turning = apply(load9(a, b + G), linear)
-            store3(a, b + A, linear)
-            store3(a, b + ALPHA, times(-1.0, add(turning, load3(work.own, fast + 3))))
-            continue
-        beside = load3(a, p + ALPHA)
-        linear = add(load3(a, p + A), cross(beside, load3(a, b + REACH)))
-        if kind == BALL:
-            turning = apply(load9(a, b + G), linear)
-            turning = times(-1.0, add(turning, load3(work.own, fast)))
-        else:
-            turning = beside
-            if kind != FIXED:
-                bound = dot(load3(a, b + UF), linear) + dot(load3(a, b + UN), beside)
-                free = load(work.own, fast) - load(a, b + DI) * bound
-                # The speed's own acceleration, for `rates`.
-                store(a, b + MI, free)
-                moved = times(free, load3(a, b + AXIS))
-                if kind == HINGE:
-                    turning = add(turning, moved)
-                else:
-                    linear = add(linear, moved)
-        if with_bias:
-            linear = add(linear, load3(a, b + BEND))
+def spread_out(a, speeds, b, p, fast, kind):
+    """Find the acceleration of a link from that of its parent."""
+    if kind == FREE:
+        linear = times(-1.0, load3(speeds, fast))
+        turning = apply(load9(a, b + G), linear)
+        store3(a, b + A, linear)
+        store3(a, b + ALPHA, times(-1.0, add(turning, load3(speeds, fast + 3))))
+        return
+    beside = load3(a, p + ALPHA)
+    linear = add(load3(a, p + A), cross(beside, load3(a, b + REACH)))
+    if kind == BALL:
+        turning = apply(load9(a, b + G), linear)
+        turning = times(-1.0, add(turning, load3(speeds, fast)))
+    else:
+        turning = beside
+        if kind != FIXED:
+            bound = dot(load3(a, b + UF), linear) + dot(load3(a, b + UN), beside)
+            free = load(speeds, fast) - load(a, b + DI) * bound
+            # The speed's own acceleration, for `rates`.
+            store(a, b + MI, free)
+            moved = times(free, load3(a, b + AXIS))
             if kind == HINGE:
-                turning = add(turning, load3(a, b + TWIST))
-        store3(a, b + ALPHA, turning)
-        store3(a, b + A, add(linear, cross(load3(a, b + ARM), turning)))
+                turning = add(turning, add(moved, load3(a, b + TWIST)))
+            else:
+                linear = add(linear, moved)
+    linear = add(linear, load3(a, b + BEND))
+    store3(a, b + ALPHA, turning)
+    store3(a, b + A, add(linear, cross(load3(a, b + ARM), turning)))
 
 
 @compiled

@@ -63,6 +63,17 @@ class PlacedJoint:
     coupled: bool = False
     """Whether it follows another joint, or another follows it."""
 
+    def turned_round(self) -> PlacedJoint:
+        """Give the same joint from the child to the parent."""
+        return dataclasses.replace(
+            self,
+            parent=self.child,
+            child=self.parent,
+            axis=-self.axis,
+            in_parent=self.in_child,
+            in_child=self.in_parent,
+        )
+
     @property
     def complies(self) -> bool:
         """Whether a spring or damper acts on the coordinate."""
@@ -381,20 +392,9 @@ def _spanning_tree(
             queue.append(root)
         here = queue.popleft()
         for joint in at[here]:
-            outwards = joint if joint.parent == here else _reversed(joint)
+            outwards = joint if joint.parent == here else joint.turned_round()
             if outwards.child not in seen:
                 links.append(Link(outwards.child, here, outwards))
                 seen.add(outwards.child)
                 queue.append(outwards.child)
     return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))
-
-
-def _reversed(joint: PlacedJoint) -> PlacedJoint:
-    return dataclasses.replace(
-        joint,
-        parent=joint.child,
-        child=joint.parent,
-        axis=-joint.axis,
-        in_parent=joint.in_child,
-        in_child=joint.in_parent,
-    )

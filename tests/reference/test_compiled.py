@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import compiled, marching
 from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.marching import Inputs, Marched
 from mbds_xsim.reference.solution import start_states
+from mbds_xsim.reference.tree import tree_of, with_rows
 from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.joint_space import to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
@@ -147,11 +149,12 @@ def test_a_coupling_is_a_torque_on_each_of_its_hinges_that_keeps_their_rates(
 @given(
     st.integers(0, 10**6),
     st.lists(st.sampled_from(["hinge", "ball", "free"]), min_size=3, max_size=5),
+    st.integers(1, 3),
 )
 def test_loops_have_the_accelerations_that_newton_and_euler_give(
-    seed: int, kinds: list[Kind]
+    seed: int, kinds: list[Kind], links: int
 ) -> None:
-    mechanism, states, force, torque = random_case(seed, kinds, 1)
+    mechanism, states, force, torque = random_case(seed, kinds, links)
     dynamics = dynamics_of(mechanism)
     rate, share = dynamics.rate(states, force, torque)
     closed = np.abs(dynamics.residual(states)).max(axis=1) < 1e-12
@@ -166,6 +169,17 @@ def test_loops_have_the_accelerations_that_newton_and_euler_give(
     assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * (1.0 + np.abs(rate).max()))
 
 
+def test_closed_loops_cost_in_proportion_to_their_number() -> None:
+    scenes = (load_scene(f"{rungs}ladder") for rungs in (6, 8, 16))
+    trees = [tree_of(with_short_loops(Mechanism.of(scene))) for scene in scenes]
+    done = [with_rows(tree, np.arange(tree.loaded), tree.loaded).plan for tree in trees]
+    for count in (lambda p: len(p.on_row), lambda p: len(p.on_pair), lambda p: len(p.fill_pair)):
+        six, eight, sixteen = map(count, done)
+        assert sixteen - eight == 4 * (eight - six)
+    kept = trees[2].plan
+    assert len(kept.on_row) > 4 * len(done[2].on_row)
+
+
 def both(
     name: str, steps: int, *, index: list[int], rtol: float = 1e-11
 ) -> tuple[Marched, Marched]:
@@ -178,7 +192,7 @@ def both(
 
 
 @pytest.mark.parametrize(
-    "name", ["5pendulum", "6pendulum", "workbench", "andrews", "bricard", "2ladder"]
+    "name", ["5pendulum", "6pendulum", "workbench", "andrews", "bricard", "2ladder", "5ladder"]
 )
 def test_scenes_move_as_in_maximal_coordinates(name: str) -> None:
     fast, slow = both(name, 25, index=[0, 1, 3])
