@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 
+TEXTS = ("1pendulum/README.md", "1pendulum/croissant.json")
+SHARD = "1pendulum/mujoco-matched/0000000000.h5"
+FILE = "1pendulum/mujoco-matched.h5"
+JOINT = "1pendulum/joint.h5"
 TRAJECTORIES = 700  # three shards
 STEPS = 10
 
@@ -90,3 +95,8 @@ def contents(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.suffix in (".h5", ".md", ".json")
     }
+
+
+@pytest.fixture
+def copy(few: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(few, tmp_path / "copy"))

@@ -1,0 +1,103 @@
+"""Every bit of a data file that matters is seen to be flipped."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from mbds_xsim.dataset.verify import recheck
+
+from .conftest import FILE, JOINT, SHARD, TEXTS, Make
+
+_FOUND, _HARMLESS, _MISSED = 0, 1, 2
+_CHECKS: dict[str, Callable[[Path], Any]] = {
+    SHARD: lambda path: recheck(path, "shard"),
+    FILE: lambda path: recheck(path, "joined"),
+    JOINT: lambda path: recheck(path, "joint"),
+    TEXTS[0]: lambda path: recheck(path, "card"),
+    TEXTS[1]: lambda path: recheck(path, "metadata"),
+}
+
+
+def _everything(path: Path) -> dict[str, Any]:
+    """All that can be read from a file."""
+    if path.suffix == ".md":
+        return {"text": path.read_bytes()}
+    if path.suffix == ".json":
+        return dict(json.loads(path.read_bytes()))
+    found: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+
+        def visit(name: str, item: Any) -> None:
+            found[name] = {key: np.asarray(value).tolist() for key, value in item.attrs.items()}
+            if isinstance(item, h5py.Dataset):
+                found[f"{name} values"] = (str(item.dtype), item.shape, item[()].tobytes())
+
+        visit("/", file)
+        file.visititems(visit)
+    return found
+
+
+def _verdict(path: Path, check: Callable[[Path], Any], whole: dict[str, Any]) -> int:
+    """Judge a damaged file in a copy of this process, which the damage may end."""
+    child = os.fork()
+    if child == 0:
+        try:
+            if check(path).problems:
+                os._exit(_FOUND)
+            os._exit(_HARMLESS if _everything(path) == whole else _MISSED)
+        except BaseException:
+            os._exit(_FOUND)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    return code if code in (_HARMLESS, _MISSED) else _FOUND
+
+
+def _flipped(
+    path: Path, check: Callable[[Path], Any], count: int, seed: int
+) -> dict[int, list[int]]:
+    whole, content = _everything(path), path.read_bytes()
+    rng = np.random.default_rng(seed)
+    found: dict[int, list[int]] = {_FOUND: [], _HARMLESS: [], _MISSED: []}
+    for place in rng.integers(len(content), size=count):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        found[_verdict(path, check, whole)].append(int(place))
+    path.write_bytes(content)
+    return found
+
+
+@pytest.mark.parametrize("name", list(_CHECKS))
+def test_flipped_bits_are_found_or_harmless(name: str, copy: Path) -> None:
+    found = _flipped(copy / name, _CHECKS[name], 20, 1)
+    assert found[_MISSED] == []
+    assert len(found[_FOUND]) >= 2
+
+
+@pytest.fixture(scope="module")
+def large(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of 300 trajectories, to be copied."""
+    folder = tmp_path_factory.mktemp("large")
+    make(folder, trajectories=300)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "at_least"),
+    [(SHARD, 180), (FILE, 30), (JOINT, 30), (TEXTS[0], 200), (TEXTS[1], 140)],
+)
+def test_200_flipped_bits(name: str, at_least: int, large: Path, tmp_path: Path) -> None:
+    """Of each kind of file; in shards of a common size nearly all bytes are numbers."""
+    shutil.copytree(large, tmp_path, dirs_exist_ok=True)
+    found = _flipped(tmp_path / name, _CHECKS[name], 200, 2)
+    assert found[_MISSED] == []
+    assert len(found[_FOUND]) >= at_least
