@@ -268,14 +268,36 @@ class Outputs:
         check_targets(**files, **others)
 
     def give(
-        self, reports: Sequence[Report], title: str, result: bytes, *, quiet: bool = False
+        self, reports: Sequence[Report], title: str, result: bytes = b"", *, quiet: bool = False
     ) -> None:
-        """Write the page, the Markdown and the JSON; see `deliver`."""
-        deliver(
-            reports, title, self.console,
-            html=self.html, markdown=self.markdown, opened=self.opened, quiet=quiet,
-        )  # fmt: skip
-        write_json(result, self.json)
+        """Write what is asked for, and say where the page is.
+
+        Args:
+            reports: A chapter each.
+            title: Of a page of several, and what a verdict does not say of one.
+            result: As JSON; nothing: it is not written yet.
+            quiet: Whether to say nothing of the page.
+        """
+        from mbds_xsim.report.files import write_reports
+
+        html, console = self.html, self.console
+        if html is None and self.opened:
+            import tempfile
+
+            html = Path(tempfile.mkdtemp(prefix="mbds-xsim-")) / "page.html"
+        if len(reports) == 1:
+            (one,) = reports
+            title = one.title if one.verdict else f"{one.title}: {title[:1].lower()}{title[1:]}"
+        write_reports(reports, title, html=html, markdown=self.markdown)
+        if html is not None and not quiet:
+            console.print(f"page: {html}", highlight=False, soft_wrap=True)
+        if html is not None and self.opened:
+            import webbrowser
+
+            if not webbrowser.open(html.absolute().as_uri()):
+                console.print("there is no browser to open it in; set BROWSER, or open it by hand")
+        if result:
+            write_json(result, self.json)
 
 
 def command_line() -> str:
@@ -344,48 +366,6 @@ def check_targets(**paths: Path | None) -> None:
     if len({path.absolute() for path in files.values()}) < len(files):
         msg = f"{' and '.join(f'--{option}' for option in files)} both name {path}; give two files"
         raise InputError(msg)
-
-
-def deliver(
-    reports: Sequence[Report],
-    title: str,
-    console: Console,
-    *,
-    html: Path | None = None,
-    markdown: Path | None = None,
-    opened: bool = False,
-    quiet: bool = False,
-) -> None:
-    """Write the page and the Markdown that are asked for, and say where the page is.
-
-    Args:
-        reports: A chapter each.
-        title: Of a page of several, and what a verdict does not say of one.
-        console: Where people read.
-        html: Where the page goes; a temporary file if it is only to be opened.
-        markdown: Where Markdown goes.
-        opened: Whether a browser is to show the page.
-        quiet: Whether to say nothing of the page.
-    """
-    from mbds_xsim.report.files import write_reports
-
-    if html is None and opened:
-        import tempfile
-
-        html = Path(tempfile.mkdtemp(prefix="mbds-xsim-")) / "page.html"
-    if len(reports) == 1:
-        (one,) = reports
-        title = one.title if one.verdict else f"{one.title}: {title[:1].lower()}{title[1:]}"
-    write_reports(reports, title, html=html, markdown=markdown)
-    if html is None or quiet:
-        return
-    console.print(f"page: {html}", highlight=False, soft_wrap=True)
-    if not opened:
-        return
-    import webbrowser
-
-    if not webbrowser.open(html.absolute().as_uri()):
-        console.print("there is no browser to open it in; set BROWSER, or open it by hand")
 
 
 def answer(blocks: Iterable[Block], result: object, json: Path | None, name: str = "") -> None:

@@ -148,7 +148,7 @@ def ablate(
             )
         print_report(present(result), to.console)
         found.append(result)
-        shared.deliver([present(one) for one in found], "", to.console, markdown=to.markdown)
+        to.give([present(one) for one in found], "")
     shared.write_json(shared.encoded(found[0] if len(found) == 1 else found), to.json)
 
 

@@ -72,11 +72,10 @@ class Cluster(AbstractContextManager["Cluster"]):
         self,
         tasks: Sequence[Task],
         *,
-        workers: int | None = None,
         finished: Callable[[int, Any], None] | None = None,
+        **_: Any,
     ) -> list[Any]:
-        """Carry out all tasks; `workers` is the cluster's own affair."""
-        del workers
+        """Carry out all tasks; how many at a time is the cluster's own affair."""
         answers: list[Any] = [None] * len(tasks)
         futures: list[Any] = []
         try:

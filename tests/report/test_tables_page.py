@@ -11,8 +11,8 @@ import pytest
 import typer
 from rich.console import Console
 
-from mbds_xsim.commands import app
-from mbds_xsim.commands.shared import command_line, deliver
+from mbds_xsim.commands import app, shared
+from mbds_xsim.commands.shared import Outputs, command_line
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
@@ -128,10 +128,11 @@ def test_a_page_is_opened_where_it_was_written(
     monkeypatch.setattr(tempfile, "mkdtemp", lambda **_: str(tmp_path))
     report = audit.present(_audited(_finding("gap", 1e-6, 1e-4)), "")
 
-    deliver([report], "", console)
+    monkeypatch.setattr(shared, "console_for", lambda _: console)
+    Outputs().give([report], "")
     assert not list(tmp_path.iterdir())
-    deliver([report], "", console, html=tmp_path / "a.html", opened=True)
-    deliver([report], "", console, opened=True)
+    Outputs(html=tmp_path / "a.html", opened=True).give([report], "")
+    Outputs(opened=True).give([report], "")
 
     pages = [tmp_path / "a.html", tmp_path / "page.html"]
     assert seen == [page.as_uri() for page in pages]
