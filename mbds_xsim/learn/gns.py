@@ -81,7 +81,9 @@ class GNS(PointModel):
         width, depth = settings.width, settings.hidden_layers
         self.node_encoder = _perceptron(self.feature_count, width, depth)
         self.edge_encoder = _perceptron(DIMENSION + 1, width, depth)
-        self.interactions = nn.ModuleList(Interaction(width, depth) for _ in range(settings.steps))
+        self.interactions = nn.ModuleList(
+            InteractionLayer(width, depth) for _ in range(settings.steps)
+        )
         self.decoder = mlp(width, DIMENSION, hidden=width, layers=depth + 1, activation=nn.ReLU)
 
     def _remember(self, graph: Graph, statistics: Statistics) -> None:
@@ -161,7 +163,7 @@ class GNS(PointModel):
         return torch.cat(features, dim=-1)
 
 
-class Interaction(nn.Module):
+class InteractionLayer(nn.Module):
     """One interaction network: messages along edges, their sum at nodes, residuals on both."""
 
     def __init__(self, width: int, hidden_layers: int) -> None:

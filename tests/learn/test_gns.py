@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.learn.gns import GNS, GNSSettings, Interaction, random_walk
+from mbds_xsim.learn.gns import GNS, GNSSettings, InteractionLayer, random_walk
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import build, rollout
 from mbds_xsim.learn.statistics import Moments, Statistics
@@ -107,7 +107,7 @@ def test_it_does_not_turn_with_the_frame() -> None:
 def test_an_interaction_is_that_of_the_paper() -> None:
     torch.manual_seed(0)
     width, senders, receivers = 8, torch.tensor([0, 1, 2, 2]), torch.tensor([1, 0, 1, 0])
-    layer = Interaction(width, 2)
+    layer = InteractionLayer(width, 2)
     nodes, edges = torch.randn(3, 5, width), torch.randn(4, 5, width)
     new_nodes, new_edges = layer(nodes, edges, senders, receivers)
     for batch in range(5):
