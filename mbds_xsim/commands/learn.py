@@ -1,4 +1,4 @@
-"""`mbds-xsim train`: learned models of the data's motions."""
+"""`mbds-xsim train` and `shift`: learned models, and what a change of engine does to them."""
 
 from __future__ import annotations
 
@@ -11,17 +11,7 @@ import typer
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.text import counted
-from mbds_xsim.commands.shared import (
-    Device,
-    DeviceWorkers,
-    JsonFile,
-    check_targets,
-    check_torch,
-    command,
-    console_for,
-    encoded,
-    write_json,
-)
+from mbds_xsim.commands import shared
 from mbds_xsim.report.blocks import Block, Column, Remarks, Text, table_of
 
 if TYPE_CHECKING:
@@ -30,7 +20,9 @@ if TYPE_CHECKING:
     from mbds_xsim.base.isolate import Carrier
     from mbds_xsim.learn.recipe import Profile
     from mbds_xsim.learn.runs import Cost, TrainingRequest
+    from mbds_xsim.learn.shift.study import ShiftStudy
     from mbds_xsim.learn.trainings import TrainingOutcome, TrainingPlan
+    from mbds_xsim.report.blocks import Report
 
 _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
@@ -67,9 +59,41 @@ _Scheduler = Annotated[
 ]
 _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
 _Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")]
+_ModelFolder = Annotated[
+    Path, typer.Argument(metavar="MODELS", help="Folder that train has written.")
+]
+_DataFolder = Annotated[
+    Path, typer.Argument(metavar="DATA", help="Folder that generate has written.")
+]
+_OnlyScenes = Annotated[
+    list[str] | None,
+    typer.Option(help="Only this scene; may be repeated. All with models when left out."),
+]
+_Trajectories = Annotated[
+    int | None,
+    typer.Option(help="Test with at most so many; all of the test part when left out.", min=1),
+]
+_OnlySettings = Annotated[
+    str | None, typer.Option(help="Only these: native or matched; both when left out.")
+]
+_OnlyOn = Annotated[
+    str | None,
+    typer.Option(help="Only models so trained: each, leave-one-out, all, by-interval."),
+]
+_OnlySeeds = Annotated[
+    int | None, typer.Option(help="Only models of so many seeds: 0, 1, …", min=1)
+]
+_At = Annotated[
+    int | None,
+    typer.Option(help="Frame of answers and tables: 1, 10, 20, …; 10 when left out.", min=1),
+]
+_Cache = Annotated[bool, typer.Option(help="Use what was solved, predicted and simulated before.")]
+_Rollouts = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Draw rollouts over the truth.")
+]
 
 
-@command("learn")
+@shared.command("learn")
 def train(
     data: _Data,
     out: _Out = Path("models"),
@@ -80,14 +104,14 @@ def train(
     steps: _Steps = None,
     track: _Track = None,
     plan: _Plan = False,
-    device: Device = "cpu",
+    device: shared.Device = "cpu",
     bf16: _Mixed = False,
     compiled: _Compiled = False,
-    workers: DeviceWorkers = None,
+    workers: shared.DeviceWorkers = None,
     scheduler: _Scheduler = None,
     tensorboard: _Events = None,
     png: _Curves = None,
-    json: JsonFile = None,
+    json: shared.JsonFile = None,
 ) -> None:
     """Train learned models on engines' data, all on equally much of it; see docs/train.md.
 
@@ -96,15 +120,15 @@ def train(
         mbds-xsim train data/6pendulum --on each,leave-one-out,all --out models
         run it again after any interruption, and it goes on
     """
-    check_torch("train")
+    shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
     from mbds_xsim.learn.model import trainable
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
 
-    console = console_for(json)
-    check_targets(json=json, png=png, out=None if plan else out / "model.pt")
+    console = shared.console_for(json)
+    shared.check_targets(json=json, png=png, out=None if plan else out / "model.pt")
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     named = [word.strip() for word in dict.fromkeys((models or "").split(","))]
     request = TrainingRequest(
@@ -126,10 +150,12 @@ def train(
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
             measured = _costs(trainings, *carrier, console)
-            write_json(encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json)
+            shared.write_json(
+                shared.encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json
+            )
             return
         told = _trained(trainings, request, *carrier, console)
-    write_json(encoded(told, "train"), json)
+    shared.write_json(shared.encoded(told, "train"), json)
     _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
 
@@ -273,3 +299,88 @@ def _outcome(plan: TrainingPlan, outcome: TrainingOutcome) -> Iterator[Block]:
     )
     names = diverged({**plan.done, **outcome.trained})
     yield Remarks.of((f"{name} diverged", why) for name in names)
+
+
+@shared.command("learn", writes="json csv html opened png markdown")
+def shift(
+    to: shared.Outputs,
+    models: _ModelFolder,
+    data: _DataFolder,
+    scene: _OnlyScenes = None,
+    trajectories: _Trajectories = None,
+    settings: _OnlySettings = None,
+    on: _OnlyOn = None,
+    seeds: _OnlySeeds = None,
+    at: _At = None,
+    cache: _Cache = True,
+    workers: shared.DeviceWorkers = None,
+    device: shared.Device = "cpu",
+    rollouts: _Rollouts = None,
+) -> None:
+    """Test models that were trained on one engine's data on every other engine's.
+
+    Examples:
+        mbds-xsim shift models data --html shift.html
+        mbds-xsim shift models data --scene 6pendulum --json - --workers 2
+    """
+    shared.check_torch("shift")
+    from mbds_xsim.dataset.variant import folder_name
+    from mbds_xsim.learn.recipe import check_device
+    from mbds_xsim.learn.shift.domains import Selection
+    from mbds_xsim.learn.shift.evaluation import to_csv
+    from mbds_xsim.learn.shift.result import to_json
+    from mbds_xsim.learn.shift.study import question_of, samples_of, study
+    from mbds_xsim.report.files import link, write_if
+    from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.studies.shift.figures import to_png
+    from mbds_xsim.studies.shift.present import present, samples_png
+
+    to.check(rollouts=rollouts)
+    check_device(device)
+    part = Selection.parse(settings, on, seeds)
+    names = map(folder_name, scene or _scenes(models, data))
+    # All at once: what the last is lacking is said before the first has taken its time.
+    questions = [question_of(models, data, n, trajectories=trajectories, part=part) for n in names]
+    how: dict[str, Any] = {"at": at, "cache": cache, "workers": workers, "device": device}
+    studies = []
+    for question in questions:
+        with shared.progress_on(to.console) as meter:
+            found = study(question, meter=meter, command=shared.command_line(), **how)
+        print_report(present(found.shift), to.console)
+        studies.append(found)
+    stored = to_json([found.shift for found in studies])
+    write_if(to.csv, lambda: to_csv([found.evaluation for found in studies]))
+    write_if(to.png, lambda: to_png([found.shift for found in studies], stored))
+    write_if(rollouts, lambda: samples_png([samples_of(found.evaluation) for found in studies]))
+    title = "Learned models under a change of engine"
+    to.give(_reports(studies, link(to.png, to.markdown), shown=to.paged), title, stored)
+
+
+def _reports(studies: list[ShiftStudy], picture: str, *, shown: bool) -> list[Report]:
+    """Give a chapter each; a page shows motions too, and plays those of a single study."""
+    from mbds_xsim.learn.shift.study import samples_of
+    from mbds_xsim.studies.shift.present import present
+
+    return [
+        present(
+            found.shift,
+            samples_of(found.evaluation) if shown else None,
+            played=len(studies) == 1,
+            picture="" if k else picture,
+        )
+        for k, found in enumerate(studies)
+    ]
+
+
+def _scenes(models: Path, data: Path) -> list[str]:
+    """Scenes that there are both models and data of."""
+    from mbds_xsim.base.errors import InputError
+    from mbds_xsim.learn.shift.domains import scenes_in
+
+    found = [name for name in scenes_in(data) if any((models / name).glob("*/*/*-s*.pt"))]
+    if not found:
+        msg = (
+            f"no scene has both trained models in {models} and data in {data}; see train, generate"
+        )
+        raise InputError(msg)
+    return found
