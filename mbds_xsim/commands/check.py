@@ -36,7 +36,7 @@ def validate(
     scene: shared.SceneName,
     engines: shared.EngineNames = None,
     settings: Annotated[
-        str, Option(help="matched, native, a file of `match --out`, or two (matched,native).")
+        str, Option(help="matched, native, files of settings, or several (matched,native).")
     ] = "matched",
     trajectories: Annotated[int, Option(help="Starts of each interval.", min=1, max=10_000)] = 1,
     seed: shared.Seed = 0,

@@ -32,7 +32,7 @@ def plan(
     trajectories: Annotated[int, Option(help="How many are planned.", min=1)] = 15_000,
     engines: shared.EngineNames = None,
     settings: Annotated[
-        str, Option(help="matched, native, a file of `match --out`, or two: matched,native.")
+        str, Option(help="matched, native, files of settings, or several: matched,native.")
     ] = "matched",
     sample: Annotated[
         int, Option(help="Trajectories of each of the two measured shards.", min=2, max=1000)
@@ -116,7 +116,8 @@ def generate(
     settings: Annotated[
         str,
         Option(
-            help="matched or a file of `match --out` (certified), native (uncertified), or two."
+            help="matched or a file of `match --out` (certified), native or a file with a name of "
+            "its own (uncertified), or several."
         ),
     ] = "matched",
     trajectories: Annotated[

@@ -31,7 +31,7 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Settings
-from mbds_xsim.simulate.choice import Choice, Matched, is_stored
+from mbds_xsim.simulate.choice import MATCHED, Choice, Matched, is_stored
 
 _VERSION = 1
 """To be raised when the search changes what is found."""
@@ -70,7 +70,7 @@ def searched(
         workers: Processes at a time; all cores when left out.
         progress: Where it is told.
     """
-    if "matched" not in choice.profiles or choice.step is not None or choice.method is not None:
+    if MATCHED not in choice.profiles or choice.step is not None or choice.method is not None:
         return choice
     keys = {name: _key(scene, registry.load_adapter(name)) for name in _without(scene, choice)}
     found = {name: entry for name in keys if cache and (entry := _load(keys[name])) is not None}
@@ -95,15 +95,17 @@ def searched(
             found[name] = answer
             if cache:
                 _store(keys[name], answer)
-    return dataclasses.replace(choice, given={**choice.given, **found})
+    matched = {**choice.given.get(MATCHED, {}), **found}
+    return dataclasses.replace(choice, given={**choice.given, MATCHED: matched})
 
 
 def _without(scene: Scene, choice: Choice) -> list[str]:
     """List the engines that have no settings for the scene."""
+    given = choice.given.get(MATCHED, {})
     return [
         name
         for name in choice.engines
-        if name not in choice.given and not is_stored(scene, name) and _able(scene, name)
+        if name not in given and not is_stored(scene, name) and _able(scene, name)
     ]
 
 

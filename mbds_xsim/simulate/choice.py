@@ -1,12 +1,14 @@
 """Which engines run at which settings, from the user's words.
 
-Settings are the stored matched ones, those of a file, or an adapter's own presets.
+Settings are the stored matched ones, an adapter's own presets, or those of files; each has a name,
+its *profile*.
 """
 
 from __future__ import annotations
 
 import functools
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -25,13 +27,17 @@ from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Adapter, Profile, Settings
 
+MATCHED, _NATIVE = "matched", "native"
+_NAME = re.compile("[a-z][a-z0-9_]{0,39}")  # no "-": file names have the engine's before one
+
 
 @dataclass(frozen=True)
 class Contender:
     """One row of the table to be."""
 
     engine: str
-    profile: Profile
+    profile: str
+    """What its settings are called: matched, native, or the name of a file's."""
     settings: Settings
     limit: float = field(default=LIMIT, compare=False)
     """Longest that one piece of its work may take [s]."""
@@ -47,14 +53,14 @@ class Choice:
     """Which engines at which settings."""
 
     engines: tuple[str, ...]
-    profiles: tuple[Profile, ...] = ("matched",)
+    profiles: tuple[str, ...] = (MATCHED,)
     method: str | None = None
     step: float | None = None
     named: bool = True
     """Whether the engines were asked for by name: one that cannot do the scene is then an error;
     otherwise it is left out, and the result says so."""
-    given: Mapping[str, Matched] = field(default_factory=dict, hash=False)
-    """Matched settings by engine, from a file or a search, that go before those stored."""
+    given: Mapping[str, Mapping[str, Matched]] = field(default_factory=dict, hash=False)
+    """Settings by profile and engine, from files or a search, that go before those stored."""
     limit: float = LIMIT
     """Longest that one piece of an engine's work may take [s]."""
 
@@ -62,7 +68,7 @@ class Choice:
     def parse(
         *,
         engines: str | Iterable[str] | None = None,
-        profiles: str | Iterable[str] = "matched",
+        profiles: str | Iterable[str] = MATCHED,
         method: str | None = None,
         step: float | None = None,
         limit: float = LIMIT,
@@ -72,15 +78,17 @@ class Choice:
 
         What is beside these, `also`, then takes part too.
 
-        A profile may be the path of a file of settings, as `mbds-xsim match --out` writes it:
-        settings that are matched for a scene; no engine named means all of the file then.
+        A profile may be the path of a file of settings: as `mbds-xsim match --out` writes it, or
+        with a `name` of its own. No engine named means all of the files then.
         """
         names = words_of(engines) if engines is not None else ()
         for name in names:
             registry.load_adapter(name)
         named = bool(names)
         words, given = _profiles(words_of(profiles), names)
-        names = names or tuple(given) or (*registry.installed_engines(), *also)
+        if not names:
+            names = tuple(dict.fromkeys(name for one in given.values() for name in one))
+        names = names or (*registry.installed_engines(), *also)
         if not names:
             msg = "no engine is installed; install them with: pip install 'mbds-xsim[engines]'"
             raise InputError(msg)
@@ -103,6 +111,8 @@ class Choice:
         left_out: dict[str, str] = {}
         for profile in self.profiles:
             for name in self.engines:
+                if profile != MATCHED and name not in self.given.get(profile, {name: None}):
+                    continue
                 adapter = registry.load_adapter(name)
                 try:
                     settings = self._settings(scene, adapter, profile)
@@ -120,12 +130,10 @@ class Choice:
         """Adapters that would take part but cannot be used, each with the reason."""
         return {} if self.named or self.given else registry.faulty_engines()
 
-    def _settings(self, scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
-        preset = (
-            self.given[adapter.name].settings(scene)
-            if profile == "matched" and adapter.name in self.given
-            else settings_for(scene, adapter, profile)
-        )
+    def _settings(self, scene: Scene, adapter: Adapter, profile: str) -> Settings:
+        given = self.given.get(profile, {}).get(adapter.name)
+        preset = given and given.settings(scene)
+        preset = preset or settings_for(scene, adapter, as_profile(profile))
         method = self.method or preset.method
         if self.step is not None and method in adapter.methods and adapter.methods[method].adaptive:
             msg = f"--step: {adapter.name} {method} chooses its steps; leave it out"
@@ -154,18 +162,28 @@ def is_file(word: str) -> bool:
 
 def _profiles(
     words: tuple[str, ...], engines: tuple[str, ...]
-) -> tuple[tuple[Profile, ...], dict[str, Matched]]:
-    """Tell profiles from files of settings, and read these."""
-    paths = [word for word in words if is_file(word)]
-    if not words or len(paths) > 1 or (paths and "matched" in words):
-        msg = f"--settings: got {','.join(words) or 'none'}, allowed is one of matched and a file"
+) -> tuple[tuple[str, ...], dict[str, dict[str, Matched]]]:
+    """Name the profiles, and read those of files."""
+    profiles, given = list[str](), dict[str, dict[str, Matched]]()
+    for word in words:
+        if not is_file(word):
+            profiles.append(as_profile(word))
+            continue
+        name, settings = read_settings(Path(word))
+        missing = [engine for engine in engines if engine not in settings]
+        if missing and (name == MATCHED or len(missing) == len(engines)):
+            has = ", ".join(settings)
+            msg = f"--settings {word}: no settings of {missing[0]}; there are: {has}"
+            raise InputError(msg)
+        profiles.append(name)
+        given[name] = settings
+    if not profiles or len(set(profiles)) < len(profiles):
+        msg = (
+            f"--settings: got {','.join(words) or 'none'}, allowed are settings of different names;"
+            " a file without a `name` is called matched"
+        )
         raise InputError(msg)
-    given = read_matched(Path(paths[0])) if paths else {}
-    missing = [name for name in engines if given and name not in given]
-    if missing:
-        msg = f"--settings {paths[0]}: no settings of {missing[0]}; there are: {', '.join(given)}"
-        raise InputError(msg)
-    return tuple("matched" if word in paths else as_profile(word) for word in words), given
+    return tuple(profiles), given
 
 
 def _able_methods(adapter: Adapter, scene: Scene) -> list[str]:
@@ -210,7 +228,7 @@ def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
     that this package registers. They hold for its physics, whatever a scene is called.
     For other scenes the adapter makes a careful choice.
     """
-    if profile == "matched" and is_stored(scene, adapter.name):
+    if profile == MATCHED and is_stored(scene, adapter.name):
         return _stored(scene.name)[adapter.name].settings(scene)
     return adapter.settings(scene, profile)
 
@@ -220,14 +238,17 @@ def is_stored(scene: Scene, engine: str) -> bool:
     return engine in _stored(scene.name) and _physics(scene) == _built_in(scene.name)
 
 
-def read_matched(path: Path) -> dict[str, Matched]:
-    """Read a file that `mbds-xsim match --out` wrote: settings by engine.
+def read_settings(path: Path) -> tuple[str, dict[str, Matched]]:
+    """Read a file of settings: what they are called, and those of each engine.
+
+    `mbds-xsim match --out` writes such a file; its settings are called matched. With another `name`
+    they are a variant, of which no budget is expected.
 
     Raises:
         InputError: The file cannot be read or is none of settings; the text says where.
     """
     try:
-        found = _tables(read_file(path).decode("utf-8-sig"))
+        name, found = _tables(read_file(path).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         msg = f"--settings {path}: cannot be read: {error}"
         raise InputError(msg) from error
@@ -237,6 +258,12 @@ def read_matched(path: Path) -> dict[str, Matched]:
             "`steps_per_frame` and, where need be, `options`, as `mbds-xsim match --out` writes it"
         )
         raise InputError(msg) from error
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or name == _NATIVE:
+        msg = (
+            f"--settings {path}: name: got {name!r}, allowed are small letters, digits and _, a "
+            f"letter first, and not {_NATIVE}"
+        )
+        raise InputError(msg)
     for engine, entry in found.items():
         registry.load_adapter(engine)
         if entry.steps_per_frame < 1:
@@ -248,29 +275,31 @@ def read_matched(path: Path) -> dict[str, Matched]:
     if not found:
         msg = f"--settings {path}: no engine has settings there"
         raise InputError(msg)
-    return found
+    return name, found
 
 
 @functools.cache
 def _stored(scene_name: str) -> Mapping[str, Matched]:
     """Read the toolkit's, and each engine's that its own package ships."""
     entry = files("mbds_xsim_scenes") / "matched" / f"{scene_name}.toml"
-    found = _tables(entry.read_text("utf-8")) if entry.is_file() else {}
+    found = _tables(entry.read_text("utf-8"))[1] if entry.is_file() else {}
     for engine, point in registry.registered("mbds_xsim.matched").items():
         package = find_spec(point.value)  # which imports nothing
         for folder in (package and package.submodule_search_locations) or ():
             theirs = Path(folder) / f"{scene_name}.toml"
             if engine not in found and theirs.is_file():
-                found |= {name: e for name, e in read_matched(theirs).items() if name == engine}
+                of_all = read_settings(theirs)[1]
+                found |= {name: e for name, e in of_all.items() if name == engine}
     return found
 
 
-def _tables(text: str) -> dict[str, Matched]:
+def _tables(text: str) -> tuple[Any, dict[str, Matched]]:
     tables: Any = tomllib.loads(text)
+    name = tables.pop("name", MATCHED)
     for table in tables.values():
         if isinstance(table, dict):
             table.pop("found", None)
-    return msgspec.convert(tables, dict[str, Matched])
+    return name, msgspec.convert(tables, dict[str, Matched])
 
 
 @functools.cache

@@ -9,8 +9,10 @@ import pytest
 
 from mbds_xsim.base import isolate
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.scene import Scene
-from mbds_xsim.simulate.choice import Choice, Contender, read_matched
+from mbds_xsim.simulate.choice import Choice, Contender, read_settings
+from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.match import search as match
 from tests.command_line import CommandLine
 
@@ -55,7 +57,7 @@ def written(here: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch) -> Pa
 def test_every_command_takes_the_settings_that_match_has_written(
     written: Path, run: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (found,) = read_matched(written).values()
+    (found,) = read_settings(written)[1].values()
     seen: list[tuple[Scene, list[Contender]]] = []
     settle = Choice.contenders
 
@@ -79,3 +81,56 @@ def test_studies_with_scenes_of_their_own_take_no_file(here: Path, run: CommandL
         assert ended.code == 2
         assert "matched" in ended.err
         assert "native" in ended.err
+
+
+_UNDAMPED = """\
+name = "undamped"
+
+[pybullet]
+method = "semi-implicit-euler"
+steps_per_frame = 20
+"""
+
+
+def test_settings_of_another_name_are_a_variant_beside_the_others(
+    here: Path, run: CommandLine
+) -> None:
+    """Published as they are, paired with the others: no budget is expected of them."""
+    (here / "undamped.toml").write_text(_UNDAMPED)
+    words = ("--trajectories", "4", "--out", "data", "--engines", "pybullet")
+    made = run("generate", "1pendulum", "--settings", "native,undamped.toml", *words)
+
+    assert made.code == 0, made.err
+    native, undamped = (
+        load_dataset(here / f"data/1pendulum/pybullet-{name}.h5") for name in ("native", "undamped")
+    )
+    assert undamped.attributes["profile"] == "undamped"
+    assert undamped.attributes["certification"] == "uncertified"
+    assert undamped.attributes["step_s"] == pytest.approx(1e-3)
+    assert (native.index[:] == undamped.index[:]).all()
+    assert not (native.position[:] == undamped.position[:]).all()
+
+
+def test_a_variant_has_the_engines_of_its_file_alone(here: Path) -> None:
+    (here / "undamped.toml").write_text(_UNDAMPED)
+    scene = load_scene("1pendulum")
+
+    found, _ = Choice.parse(profiles="undamped.toml").contenders(scene)
+    assert [(c.engine, c.profile) for c in found] == [("pybullet", "undamped")]
+
+    choice = Choice.parse(engines="mujoco,pybullet", profiles=["native", "undamped.toml"])
+    found, _ = choice.contenders(scene)
+    assert [(c.engine, c.profile) for c in found] == [
+        ("mujoco", "native"),
+        ("pybullet", "native"),
+        ("pybullet", "undamped"),
+    ]
+    with pytest.raises(InputError, match="no settings of mujoco; there are: pybullet"):
+        Choice.parse(engines="mujoco", profiles="undamped.toml")
+
+
+@pytest.mark.parametrize("name", ["native", "two-words", "Undamped", "3", ""])
+def test_a_variant_has_a_name_that_files_can_have(name: str, here: Path) -> None:
+    (here / "own.toml").write_text(_UNDAMPED.replace('"undamped"', f'"{name}"'))
+    with pytest.raises(InputError, match=rf"^--settings own.toml: name: got '{name}', allowed are"):
+        Choice.parse(profiles="own.toml")

@@ -68,7 +68,7 @@ def checked(
 ) -> Validation:
     """Validate a scene with a fault in one engine, on its motion alone or its native model too."""
     given = {name: _quick(scene, name) for name in engines if name in able(scene)}
-    choice = Choice(tuple(given), given=given)
+    choice = Choice(tuple(given), given={"matched": given})
     with planted(fault.change if fault else None, engine):
         return validate_with_evidence(
             scene_of(scene, frames), choice=choice, workers=0, readback=readback

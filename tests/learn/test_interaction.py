@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -83,9 +84,45 @@ def test_the_answer_names_the_pair_that_loses_most() -> None:
         )
 
     (answer,) = answers_of_interactions(_found(error), 0, 1)
-    assert answer.variant == "native"
-    assert "gns loses by a change of engine in 1 of 3 pairs, at most " in answer.answer
+    assert answer.question == "What does a change of engine cost on native data?"
+    assert "gns loses in 1 of 3 pairs, at most " in answer.answer
     assert answer.answer.endswith("squared error, between a-native and c-native")
 
     (answer,) = answers_of_interactions(_found(lambda i, j, _: _product(i, j, 1.0, 0.0)), 1, FRAMES)
     assert "loses nothing that can be told, 1 times the squared error on average" in answer.answer
+
+
+def test_settings_of_one_engine_are_compared_too_but_not_both_at_once() -> None:
+    """Undamped beside native is one change; another engine's undamped data beside it are two."""
+    board = evaluation(lambda i, j, seed: _product(i, j, 4.0, 0.1, seed), floor=0.0)
+    names = {"a-native": "a-native", "b-native": "a-undamped", "c-native": "c-undamped"}
+    domains = tuple(
+        dataclasses.replace(d, engine=names[d.name][0], variant=names[d.name][2:])
+        for d in board.test.domains
+    )
+    figures = {
+        (
+            dataclasses.replace(
+                run,
+                training=names[run.training],
+                engines=(names[run.training][0],),
+                variant=names[run.training][2:],
+            ),
+            names[test],
+        ): each
+        for (run, test), each in board.figures.items()
+    }
+    board = dataclasses.replace(
+        board, test=dataclasses.replace(board.test, domains=domains), figures=figures, oracles={}
+    )
+
+    found = interactions_of(Draws(board))
+
+    assert [(each.first, each.second) for each in found] == [
+        ("a-native", "a-undamped"),
+        ("a-undamped", "c-undamped"),
+    ]
+    assert [answer.question for answer in answers_of_interactions(found, 0, 1)] == [
+        "What does a change of settings cost in a?",
+        "What does a change of engine cost on undamped data?",
+    ]

@@ -64,7 +64,7 @@ def test_consistency_fails_no_engine_whose_error_is_far_below_its_budget(
     preset = registry.load_adapter(sound).settings(scene, "matched")
     given = Matched(preset.method, preset.substeps(scene.clock.frame), dict(preset.options))
 
-    choice = Choice((sound,), given={sound: given})
+    choice = Choice((sound,), given={"matched": {sound: given}})
     validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
 
     (row,) = validation.engines

@@ -48,7 +48,8 @@ def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
 
 def _searched(scene: Scene, engines: str, **options: bool) -> dict[str, Matched]:
     choice = Choice.parse(engines=engines)
-    return dict(searched(scene, choice, workers=0, progress=Silent(), **options).given)
+    choice = searched(scene, choice, workers=0, progress=Silent(), **options)
+    return dict(choice.given["matched"])
 
 
 def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
@@ -58,7 +59,7 @@ def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
     for adapter, least in ((MUJOCO, 3.0), (DART, 10.0)):
         preset = adapter.settings(scene, "matched").substeps(scene.clock.frame)
         assert found[adapter.name].steps_per_frame * least <= preset
-    choice = Choice(("mujoco", "dart"), given=found)
+    choice = Choice(("mujoco", "dart"), given={"matched": found})
     validation, _ = validate_with_evidence(scene, choice=choice, workers=0)
     assert [row.reasons for row in validation.engines] == [(), ()]
 
@@ -183,13 +184,13 @@ def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
     path.write_text('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 3\n')
     with pytest.raises(InputError, match="no settings of dart; there are: mujoco"):
         Choice.parse(engines="dart", profiles=str(path))
-    with pytest.raises(InputError, match="one of matched and a file"):
+    with pytest.raises(InputError, match="a file without a `name` is called matched"):
         Choice.parse(profiles=f"matched,{path}")
 
 
 def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> None:
     scene = cart_pole()
-    choice = Choice(("mujoco",), given={"mujoco": Matched("Euler", 1)})
+    choice = Choice(("mujoco",), given={"matched": {"mujoco": Matched("Euler", 1)}})
     validation, evidence = validate_with_evidence(scene, choice=choice, trajectories=4, workers=0)
 
     assert validation.trajectories == (0,)

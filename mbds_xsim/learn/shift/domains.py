@@ -32,6 +32,7 @@ from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
+from mbds_xsim.simulate.choice import words_of
 
 REFERENCE = "reference"
 """Name of the domain that no engine made."""
@@ -42,7 +43,6 @@ _TOGETHER = 8  # reference solutions a process
 TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
 """What every model must beat."""
 
-_VARIANTS = ("native", "matched")
 _WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
@@ -296,10 +296,8 @@ class Selection:
 
     @staticmethod
     def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
-        """Read it from a user's words; InputError says which there are."""
-        return Selection(
-            _words("--settings", settings, _VARIANTS), _words("--on", on, _WAYS), seeds
-        )
+        """Read it from a user's words; InputError says which ways there are."""
+        return Selection(words_of(settings or ()), _words("--on", on, _WAYS), seeds)
 
     def has(self, model: TrainedModel) -> bool:
         """Whether a trained model takes part."""

@@ -40,7 +40,10 @@ _ROUNDING = 1e-9  # of a logarithm
 
 
 def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
-    """Give those of all pairs of engines of a variant on which a model was trained alone."""
+    """Give those of all pairs of engines at the same settings, and of settings of one engine.
+
+    Each pair of a model that was trained on both, on each alone.
+    """
     found, chances = [], []
     for first, second in _pairs(draws):
         ratio = draws.bounded(functools.partial(interaction, first=first, second=second))
@@ -82,8 +85,17 @@ def _pairs(draws: Draws) -> Iterator[tuple[TrainedModel, TrainedModel]]:
             if training.single and training.domains[0] in tested
         ]
         for first, second in itertools.combinations(singles, 2):
-            if first.variant == second.variant:
+            if _changed(first.domains[0], second.domains[0]):
                 yield first, second
+
+
+def _changed(first: str, second: str) -> tuple[str, str] | None:
+    """Say what differs between two domains, and where, if it is one thing alone."""
+    engine, _, variant = first.rpartition("-")
+    other_engine, _, other_variant = second.rpartition("-")
+    if variant == other_variant:
+        return "engine", f"on {variant} data"
+    return ("settings", f"in {engine}") if engine == other_engine else None
 
 
 def _kept(chances: Array) -> Array:
@@ -99,15 +111,14 @@ def _kept(chances: Array) -> Array:
 def answers_of_interactions(
     found: Sequence[Interaction], place: int, frame: int
 ) -> Iterator[Answer]:
-    """Say for each variant which models do better where they were trained, whatever else is so."""
-    variants = [each.first.rpartition("-")[2] for each in found]
-    for variant in dict.fromkeys(variants):
-        own = [each for each, name in zip(found, variants, strict=True) if name == variant]
+    """Say of each change, of engine or settings, what it costs whatever else differs."""
+    changes = [_changed(each.first, each.second) for each in found]
+    for change, where in dict.fromkeys(each for each in changes if each):
+        own = [e for e, what in zip(found, changes, strict=True) if what == (change, where)]
         models = dict.fromkeys(each.model for each in own)
         parts = [_told([e for e in own if e.model == model], model, place) for model in models]
-        text = f"At t = {frame} on {variant} data {'; '.join(parts)}"
-        question = f"Does it matter which engine a model was trained on ({variant})?"
-        yield Answer(INTERACTION, question, text, variant)
+        question = f"What does a change of {change} cost {where}?"
+        yield Answer(INTERACTION, question, f"At t = {frame} {where} {'; '.join(parts)}")
 
 
 def _told(own: Sequence[Interaction], model: str, place: int) -> str:
@@ -119,12 +130,12 @@ def _told(own: Sequence[Interaction], model: str, place: int) -> str:
         mean = statistics.geometric_mean(each.value[place] or 1.0 for each in known)
         return (
             f"{model} loses nothing that can be told, {mean:.3g} times the squared error on "
-            f"average (pairs of engines: {len(own)})"
+            f"average (pairs: {len(own)})"
         )
     most = max(losses, key=lambda each: each.value[place] or 0.0)
     value, low, high = (getattr(most, name)[place] for name in ("value", "low", "high"))
     return (
-        f"{model} loses by a change of engine in {len(losses)} of {len(own)} pairs, at most "
+        f"{model} loses in {len(losses)} of {len(own)} pairs, at most "
         f"{value:.3g} [{low:.3g}, {high:.3g}] times the squared error, between {most.first} and "
         f"{most.second}"
     )

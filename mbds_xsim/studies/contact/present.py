@@ -26,7 +26,7 @@ from mbds_xsim.report.themed import DOTTED, ENGINES, engine_style, png
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
-from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.choice import Choice, as_profile
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
@@ -117,10 +117,11 @@ def study_contact(
         command: What is told to make the study again.
     """
     begin = time.perf_counter()
+    profiles = tuple(map(as_profile, choice.profiles))
     work = [
         (engine, profile, part)
         for part in _PARTS
-        for profile in choice.profiles
+        for profile in profiles
         for engine in choice.engines
     ]
     progress.begin(len(work))
@@ -134,7 +135,7 @@ def study_contact(
     told = list(zip(work, answers, strict=True))
     return ContactStudy(
         versions={engine: adapter.version() for engine, adapter in adapters.items()},
-        profiles=choice.profiles,
+        profiles=profiles,
         laws={engine: law for engine, law in laws.items() if law is not None},
         figures=tuple(m for _, part in told if not isinstance(part, Crash) for m in part),
         missing=(
@@ -142,7 +143,7 @@ def study_contact(
             *(
                 Missing(engine, profile, "the study", why)
                 for engine, why in choice.faulty.items()
-                for profile in choice.profiles
+                for profile in profiles
             ),
         ),
         command=command,
