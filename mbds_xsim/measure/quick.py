@@ -95,6 +95,8 @@ def searched(
             found[name] = answer
             if cache:
                 _store(keys[name], answer)
+    if not found:
+        return choice
     matched = {**choice.given.get(MATCHED, {}), **found}
     return dataclasses.replace(choice, given={**choice.given, MATCHED: matched})
 

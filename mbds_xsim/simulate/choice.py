@@ -179,8 +179,8 @@ def _profiles(
         given[name] = settings
     if not profiles or len(set(profiles)) < len(profiles):
         msg = (
-            f"--settings: got {','.join(words) or 'none'}, allowed are settings of different names;"
-            " a file without a `name` is called matched"
+            f"--settings: got {','.join(words) or 'none'}, allowed is each name once; a file "
+            "without a `name` is called matched"
         )
         raise InputError(msg)
     return tuple(profiles), given

@@ -184,7 +184,7 @@ def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
     path.write_text('[mujoco]\nmethod = "RK4"\nsteps_per_frame = 3\n')
     with pytest.raises(InputError, match="no settings of dart; there are: mujoco"):
         Choice.parse(engines="dart", profiles=str(path))
-    with pytest.raises(InputError, match="a file without a `name` is called matched"):
+    with pytest.raises(InputError, match="allowed is each name once; a file"):
         Choice.parse(profiles=f"matched,{path}")
 
 
