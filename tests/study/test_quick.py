@@ -49,7 +49,7 @@ def cart_pole(name: str = "cart-pole", pull: float = 2.0) -> Scene:
 def _searched(scene: Scene, engines: str, **options: bool) -> dict[str, Matched]:
     choice = Choice.parse(engines=engines)
     choice = searched(scene, choice, workers=0, progress=Silent(), **options)
-    return dict(choice.given["matched"])
+    return dict(choice.given.get("matched", {}))
 
 
 def test_settings_keep_the_budgets_and_cost_a_fraction_of_the_presets() -> None:
