@@ -14,10 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import print_head, print_table
-from mbds_xsim.dataset.shard import LOG
+from mbds_xsim.dataset.shard import spent
 from mbds_xsim.dataset.summary import Summary, summaries
-
-STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
 
 TEXT = """\
 Every trajectory that was drawn is checked, and only what passes is published; rejected ones are
@@ -60,7 +58,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def row(each: Summary, verified: dict[str, Any]) -> tuple[str, ...]:
-    seconds = stages(Path(each.file))
+    seconds = spent(Path(each.file))
     whole = sum(seconds.values())
     causes = ", ".join(f"{cause} {count}" for cause, count in sorted(each.rejected_by.items()))
     return (
@@ -77,13 +75,6 @@ def row(each: Summary, verified: dict[str, Any]) -> tuple[str, ...]:
         f"{each.bytes / 1e6:.4g}",
         verdict(Path(each.file), verified),
     )
-
-
-def stages(joined: Path) -> dict[str, float]:
-    """Seconds of each stage over all shards; of one that was made twice the last time."""
-    lines = (joined.with_suffix("") / LOG).read_text("utf-8").splitlines()
-    shards = {facts["first"]: facts for facts in map(json.loads, lines)}
-    return {stage: sum(facts[stage] for facts in shards.values()) for stage in STAGES}
 
 
 def verdict(joined: Path, verified: dict[str, Any]) -> str:

@@ -51,6 +51,9 @@ from mbds_xsim.simulate.timed import simulate
 LOG = "log.jsonl"
 """Wall-clock facts of the shards of a folder, one JSON object a line; no part of the data."""
 
+STAGES = ("draw_s", "simulate_s", "check_s", "write_s")
+"""Of a shard, as its log names them."""
+
 Crashes = Mapping[int, str]
 """Trajectories that end the engine's process, each with how."""
 
@@ -217,6 +220,19 @@ def _log(folder: Path, facts: Mapping[str, Any]) -> None:
         os.write(handle, line.encode())  # one call, so that lines of several workers do not mix
     finally:
         os.close(handle)
+
+
+def spent(joined: Path) -> dict[str, float]:
+    """Processor time of each stage over all shards of a joined file [s], as their log tells it.
+
+    Of a shard that was made twice the last time counts; nothing where there is no log, as of data
+    that were fetched from elsewhere.
+    """
+    path = joined.with_suffix("") / LOG
+    lines = path.read_text("utf-8").splitlines() if path.is_file() else []
+    shards = {facts["first"]: facts for facts in map(json.loads, lines)}
+    each = shards.values()
+    return {stage: sum(facts[stage] for facts in each) for stage in STAGES} if shards else {}
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Task
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.read import load_dataset
+from mbds_xsim.dataset.shard import LOG, spent
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal
 from mbds_xsim.learn.particles import RolloutFigures, figures_on
@@ -31,6 +32,7 @@ from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.studies.shift.figures import costs_of
 from mbds_xsim.studies.shift.present import present
 from mbds_xsim.studies.shift.tables import tables
 from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, make, train
@@ -71,6 +73,33 @@ def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
         ("all", "all-native", "exudyn-native"),
         ("all", "all-native", "mujoco-native"),
     ]
+
+
+def test_what_data_cost_stands_beside_what_is_learned_from_them(folder: Path, shift: Shift) -> None:
+    """From the logs of the shards; nobody knows what fetched data cost."""
+    costs = {domain.name: domain.cost_s for domain in shift.domains}
+    for engine in ENGINES:
+        path = folder / "data" / SCENE / f"{engine}-native.h5"
+        lines = [json.loads(x) for x in (path.with_suffix("") / LOG).read_text().splitlines()]
+        made = {line["first"]: line for line in lines}
+        count = sum(line["count"] for line in made.values())
+        each = sum(line["simulate_s"] for line in made.values()) / count
+        assert costs[f"{engine}-native"] == pytest.approx(each)
+        assert spent(path.with_name("fetched.h5")) == {}
+    assert costs["reference"] is None
+
+    (table,) = (table for table in tables(shift) if "training data cost" in table.title)
+    dear = sorted(ENGINES, key=lambda engine: costs[f"{engine}-native"] or 0.0)
+    assert [row.texts[0] for row in table.rows] == [f"{engine}-native" for engine in dear]
+    points = costs_of(shift, "gns")
+    assert [name for name, _, _ in points] == [f"{engine}-native" for engine in dear]
+    for name, _, error in points:
+        seeds = [
+            c.mse[1]
+            for c in shift.cells
+            if (c.model, c.training, c.test, c.interval) == ("gns", name, "reference", "all")
+        ]
+        assert error == pytest.approx(np.mean(np.array(seeds, dtype=float)))
 
 
 def test_engine_floor_is_the_distance_of_the_data(folder: Path, shift: Shift) -> None:

@@ -25,6 +25,7 @@ from mbds_xsim.dataset.layout import SPLITS, split_of
 from mbds_xsim.dataset.paired import STARTS, check_alike, check_paired, numbers_in
 from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.dataset.shard import spent
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.shift.result import INTERVALS
 from mbds_xsim.learn.trained import TrainedModel, trained_model
@@ -125,6 +126,14 @@ class Paired:
     def graph(self) -> Graph:
         """Of the scene."""
         return Graph.of(self.scene)
+
+
+def cost_of(domain: Domain) -> float | None:
+    """Processor time of the engine for one of its trajectories [s]; None where nothing tells."""
+    seconds = spent(domain.path).get("simulate_s") if isinstance(domain, Recorded) else None
+    if seconds is None:
+        return None
+    return seconds / int(attributes_of(domain.path)["count"])
 
 
 def scenes_in(folder: Path) -> list[str]:

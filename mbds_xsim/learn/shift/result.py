@@ -27,6 +27,8 @@ class DomainFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     variant: str
     content: str
     """Checksum of the data."""
+    cost_s: float | None = None
+    """Processor time that the engine took for a trajectory, where the data's log is beside them."""
 
 
 class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):

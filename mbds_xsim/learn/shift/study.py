@@ -26,6 +26,7 @@ from mbds_xsim.learn.shift.domains import (
     Selection,
     check_budget,
     check_data,
+    cost_of,
     find_models,
     load_paired,
     read_reference,
@@ -131,7 +132,9 @@ def study(
         plan,
         at,
         command=command,
-        domains=tuple(DomainFacts(d.name, d.engine, d.variant, d.content) for d in domains),
+        domains=tuple(
+            DomainFacts(d.name, d.engine, d.variant, d.content, cost_of(d)) for d in domains
+        ),
         left_out={
             **test.left_out,
             **({} if solved else {REFERENCE: reason}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +11,7 @@ from typing import Any
 
 from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.curves import looks
-from mbds_xsim.learn.shift.domains import TRIVIAL
+from mbds_xsim.learn.shift.domains import REFERENCE, TRIVIAL
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
 from mbds_xsim.report import themed
@@ -213,6 +214,40 @@ def draw_interactions(axes: Any, shift: Shift, frame: int) -> None:
     axes.set_xticks(range(len(models)), models)
     axes.set_yticks(range(len(pairs)), [f"{one} ↔ {two}" for one, two in pairs])
     axes.tick_params(length=0, labelsize=8)
+
+
+def costs_of(shift: Shift, model: str) -> list[tuple[str, float, float]]:
+    """Give single-engine trainings by what their data cost: name, cost [s], error on the truth."""
+    matrix = matrix_of(shift, model, at(shift, shift.at))
+    costs = {domain.name: domain.cost_s for domain in shift.domains}
+    found = [(name, costs.get(name), matrix.entry(name, REFERENCE)) for name in matrix.homes]
+    known = [(name, cost, error) for name, cost, error in found if cost and error]
+    return sorted(known, key=lambda each: each[1])
+
+
+def draw_costs(axes: Any, shift: Shift) -> None:
+    """Draw the error of each model on the truth over what its training data cost.
+
+    A line is the least error that so dear data, or cheaper ones, have brought.
+    """
+    named: dict[str, float] = {}
+    for model in trained_models(shift):
+        points = costs_of(shift, model)
+        costs, errors = [cost for _, cost, _ in points], [error for _, _, error in points]
+        look = {"color": themed.model_colour(model)}
+        axes.plot(costs, errors, "o", ms=4.5, label=model, **look)
+        axes.step(costs, list(itertools.accumulate(errors, min)), where="post", lw=1, **look)
+        named |= {name: cost for name, cost, _ in points}
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for name, cost in named.items():
+        axes.axvline(cost, color=themed.GREY, lw=0.4, zorder=0)
+        axes.text(
+            cost, 1.01, name, rotation=40, ha="left", va="bottom", fontsize=7, color=themed.GREY,
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+    axes.set_xlabel("processor time of the engine for a trajectory of training data [s]")
+    axes.set_ylabel(f"squared error at t = {shift.at} [m²]")
 
 
 def spread_of(matrices: Sequence[Matrix]) -> tuple[float, float]:

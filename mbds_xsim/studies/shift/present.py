@@ -33,7 +33,9 @@ from mbds_xsim.report.motion import encoded, packed_base, packed_entry
 from mbds_xsim.report.themed import LIGHT, Style, model_style
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.studies.shift.figures import (
+    costs_of,
     curves_of,
+    draw_costs,
     draw_curves,
     draw_interactions,
     draw_matrix,
@@ -47,6 +49,7 @@ from mbds_xsim.studies.shift.tables import tables
 
 _ENOUGH = 3  # seeds
 _CURVES = (6.6, 3.4)
+_WORTH = (7.6, 4.2)
 _PAGE: frozenset[Place] = frozenset({"page"})
 _BESIDE = EVERYWHERE - {"terminal"}
 
@@ -81,6 +84,8 @@ def _blocks(shift: Shift, samples: Samples | None, *, played: bool) -> Iterator[
     if shift.interactions:
         yield _change(shift)
     yield Remarks.of(answers(shift))
+    if any(len(costs_of(shift, model)) > 1 for model in trained_models(shift)):
+        yield _worth(shift)
     if samples is not None:
         yield from _figures(shift, samples, played=played)
     few = len(trained_models(shift)) + bool(shift.interactions)
@@ -130,6 +135,23 @@ def _change(shift: Shift) -> Section:
     return Section(
         title, (Text(told), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
     )
+
+
+def _worth(shift: Shift) -> Section:
+    """How good data must be."""
+
+    def draw(figure: Any) -> None:
+        draw_costs(figure.subplots(), shift)
+        figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+
+    title = f"What data cost, and what is learned from them, t = {shift.at}"
+    told = (
+        "A point is a training on one engine's data, held against the reference; the line is the "
+        "least error that so dear data, or cheaper ones, have brought. Where it is level, cheaper "
+        "data do as well."
+    )
+    group = FigureGroup((Figure(title, draw, _WORTH, wide=True),))
+    return Section(title, (Text(told), group), folded=True, on=_PAGE)
 
 
 def _figures(shift: Shift, samples: Samples, *, played: bool) -> Iterator[Section]:

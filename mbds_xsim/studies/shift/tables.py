@@ -13,7 +13,7 @@ from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.interaction import FALSE
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
 from mbds_xsim.report.blocks import Column, Table, table_of
-from mbds_xsim.report.quantity import NONE, number
+from mbds_xsim.report.quantity import NONE, number, with_unit
 from mbds_xsim.studies.shift.figures import (
     Pick,
     at,
@@ -37,6 +37,7 @@ def _tables(shift: Shift) -> Iterator[Table]:
     yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
+    yield _costs(shift, place)
     yield _floors(shift)
     yield _by_interval(shift, frame)
     if any(facts.interval for facts in shift.models):
@@ -195,6 +196,30 @@ def _gap_row(gap: Gap, place: int) -> tuple[str, ...]:
         f"{number(gap.ratio_low[place])} … {number(gap.ratio_high[place])}",
         *(number(floor[place]) for floor in floors),
         "resolved" if gap.resolved[place] else f"not resolvable: {gap.why[place]}",
+    )
+
+
+def _costs(shift: Shift, place: int) -> Table:
+    """What data cost, beside what models that learned from them err on the truth."""
+    models, pick = trained_models(shift), at(shift, shift.frames[place])
+    matrices = [matrix_of(shift, model, pick) for model in models]
+    told = [d for d in shift.domains if d.cost_s is not None]
+    rows = (
+        (
+            domain.name,
+            with_unit(domain.cost_s, "s"),
+            *(number(matrix.entry(domain.name, REFERENCE)) for matrix in matrices),
+        )
+        for domain in sorted(told, key=lambda d: d.cost_s or 0.0)
+        if any(domain.name in matrix.rows for matrix in matrices)
+    )
+    return _table(
+        f"What training data cost, and what is learned from them, t = {shift.frames[place]}",
+        "Processor time of the engine for a trajectory of its data, and the mean squared error "
+        "[m²], against the independent reference, of each model that was trained on it alone: the "
+        "first row from which on dearer data bring no less error tells how good data must be",
+        ("trained on", "a trajectory", *models),
+        rows,
     )
 
 
