@@ -19,7 +19,7 @@ comma = ,
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-models-in-the-wild \
 	reports-data \
-	reports-data-full reports-pages pictures readme
+	reports-data-full reports-paper-tables reports-pages pictures readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -70,7 +70,7 @@ figures = --csv $(REPORTS)/$(1).csv --png $(REPORTS)/$(1).png
 
 reports: reports-validate reports-tradeoff reports-stability \
 	reports-shift reports-lite reports-models reports-ablation reports-overhead \
-	reports-learn-speed reports-data reports-data-full reports-pages readme
+	reports-learn-speed reports-data reports-data-full reports-paper-tables reports-pages readme
 
 # A verdict of fail (exit code 1) is a result too.
 reports-validate: $(VENV)/ready
@@ -225,6 +225,10 @@ reports-data-full: $(VENV)/ready
 	$(call said,full,6pendulum --engines mujoco,$(FULL))
 	$(call made,full,6pendulum --engines mujoco,$(FULL))
 	$(page)
+
+reports-paper-tables: $(VENV)/ready
+	$(BIN)/python -m benchmarks.paper_tables $(REPORTS)/shift $(REPORTS)/lite \
+		> $(REPORTS)/paper-tables.md
 
 # What is told of the reports: how near the validations come to the budgets, and the page of all.
 reports-pages: $(VENV)/ready
