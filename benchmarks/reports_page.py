@@ -23,6 +23,7 @@ CHAPTERS = (
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Models under a change of engine", "make reports-shift", "shift/*.md"),
     ("Models trained until level", "make reports-lite", "lite/*.md"),
+    ("The paper's tables", "make reports-paper-tables", "paper-tables.md"),
     ("What energies are given", "make reports-models", "energy-rollouts.md"),
     ("Speed of learned models", "make reports-learn-speed", "learn-speed.md"),
 )
