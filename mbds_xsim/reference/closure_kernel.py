@@ -21,6 +21,7 @@ from mbds_xsim.reference.lanes import (
     compiled,
     cross,
     dot,
+    entered,
     larger,
     load,
     load3,
@@ -72,7 +73,7 @@ _LOST = 1e-300
 _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 
 
-@compiled
+@entered
 def accelerate(t: Tree, work: Workspace, y, rate, first):
     """Write the time derivative of states."""
     move(t, work, y)
@@ -89,7 +90,7 @@ def accelerate(t: Tree, work: Workspace, y, rate, first):
     rates(t, work, y, rate, first)
 
 
-@compiled
+@entered
 def project(t: Tree, work: Workspace, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
@@ -100,7 +101,7 @@ def project(t: Tree, work: Workspace, y):
     _normalise(t, y)
 
 
-@compiled
+@entered
 def resist(t: Tree, work: Workspace, y, step):
     """Eliminate the rows where nothing acts; goals are residuals at first, then their rates."""
     move(t, work, y)

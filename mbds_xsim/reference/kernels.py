@@ -54,7 +54,7 @@ def compilation(
     """Give what compiles, and what hears of its answer; None where the machine code is there."""
     if (kernel_folder() / _READY).exists():
         return None
-    notice("the reference is compiled for this machine, once: some 30 s of one core")
+    notice("the reference is compiled for this machine, once: some 15 s of one core")
 
     def then(answer: object) -> None:
         if isinstance(answer, Crash):  # the work itself will meet it, and say where

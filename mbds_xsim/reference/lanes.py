@@ -161,11 +161,20 @@ larger = _function("maxnum", 2)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a kernel, with no counting of references, as it makes no arrays."""
+    """Compile a kernel that kernels call; no references are counted, as it makes no arrays."""
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def entered(function: Callable[..., Any]) -> Any:
+    """Compile a kernel that Python calls; what takes its arguments apart takes long to compile."""
+    return _compiled(function, no_cfunc_wrapper=True)
+
+
+def _compiled(function: Callable[..., Any], **options: bool) -> Any:
     before = config.CACHE_DIR
     config.CACHE_DIR = before or str(kernel_folder())
     make = functools.partial(
-        njit, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False
+        njit, nogil=True, error_model="numpy", fastmath={"contract"}, _nrt=False, **options
     )
     try:
         return make(cache=True)(function)

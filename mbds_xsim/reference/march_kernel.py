@@ -14,6 +14,7 @@ from mbds_xsim.reference.closure_kernel import accelerate, project
 from mbds_xsim.reference.lanes import (
     LANES,
     compiled,
+    entered,
     larger,
     load,
     positive,
@@ -86,7 +87,7 @@ class Problems(NamedTuple):
     status: Index
 
 
-@compiled
+@entered
 def march(t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
     """Find all trajectories of a task; there is one at least, of one frame at least."""
     following = 0

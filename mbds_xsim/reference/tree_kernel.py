@@ -29,6 +29,7 @@ from mbds_xsim.reference.lanes import (
     cross_matrix,
     crossed_even,
     dot,
+    entered,
     even_product,
     inverse_even,
     load,
@@ -91,7 +92,7 @@ class Workspace(NamedTuple):
     """Least independent part of a row, and largest contradiction of rows that follow (2)."""
 
 
-@compiled
+@entered
 def move(t: Tree, work: Workspace, y):
     """Place all bodies, and find their velocities and what these do to accelerations."""
     a = work.link
