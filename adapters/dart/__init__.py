@@ -28,7 +28,7 @@ _CONTACT_STEP = 1e-4
 _LOOP_ERROR_REDUCTION = 0.8
 _ERROR_REDUCTION = "error_reduction"
 _DETECTOR, _FRICTION = "collision_detector", "friction_solver"
-_NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts"
+_NO_CONTACT = "the toolkit's RK4 on the engine's forward dynamics solves no impacts or dry friction"
 _NO_LOOPS = "the toolkit's RK4 on the engine's forward dynamics solves no constraints"
 
 
@@ -52,6 +52,7 @@ class Dart(Adapter):
                 Feature.LOOP_BALL: _NO_LOOPS,
                 Feature.LOOP_HINGE: _NO_LOOPS,
                 Feature.LOOP_FIXED: _NO_LOOPS,
+                Feature.JOINT_FRICTION: _NO_CONTACT,
                 **dict.fromkeys(CONTACTS, _NO_CONTACT),
             },
             own=False,

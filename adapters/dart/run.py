@@ -143,6 +143,7 @@ class DartRun(Run):
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
+            friction=self._friction(),
         )
 
     def _axis(self, link: Link) -> Array:
@@ -162,6 +163,11 @@ class DartRun(Run):
         stiffness, damping = joint.getSpringStiffness(0), joint.getDampingCoefficient(0)
         return stiffness, damping, joint.getRestPosition(0)
 
+    def _friction(self) -> Array:
+        bodies = {link.joint.index: link.body for link in self._mechanism.links if link.joint}
+        joints = [self._model.joints[bodies[j.index]] for j in self._mechanism.frictional]
+        return np.array([joint.getCoulombFriction(0) for joint in joints])
+
     def _damping(self) -> Array:
         carried = {link.body: link.joint for link in self._mechanism.links}
         found = []
@@ -169,9 +175,11 @@ class DartRun(Run):
             asked = carried[body]
             for k in range(joint.getNumDofs()):
                 stiffness, damping = joint.getSpringStiffness(k), joint.getDampingCoefficient(k)
+                friction = joint.getCoulombFriction(k)
                 if asked is not None:
                     stiffness, damping = stiffness - asked.stiffness, damping - asked.damping
-                found += [damping, joint.getCoulombFriction(k), stiffness]
+                    friction -= asked.friction
+                found += [damping, friction, stiffness]
         return np.array(found)
 
     def native(self, batch: Batch) -> str:

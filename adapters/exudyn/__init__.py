@@ -40,6 +40,7 @@ _NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
 # With fewer steps an impact is not resolved.
 _SHORTEST_IMPACT = 4
 _CONSTRAINTS = LOOPS | {Feature.DISTANCE_LINK}
+_NODES = "coordinates of nodes, and joints of rigid bodies have none"
 _NO_FRICTION = dict.fromkeys(
     CONTACTS,
     "friction in an impact is too stiff for Exudyn's explicit solvers, which then create energy",
@@ -104,8 +105,8 @@ class Exudyn(Adapter):
     }
     limits: ClassVar[dict[Feature, str]] = {
         Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
-        Feature.COUPLING: "Exudyn constrains coordinates of nodes, and joints of rigid bodies have "
-        "none",
+        Feature.JOINT_FRICTION: f"Exudyn has dry friction of {_NODES}",
+        Feature.COUPLING: f"Exudyn constrains {_NODES}",
     }
     coordinates = "maximal"
     contact_law = CONTACT_LAW

@@ -28,7 +28,7 @@ PROPERTIES = {
     "rest": "",
     "damping": "",
     "armature": "",
-    "friction": _NOT_YET,
+    "friction": "",
     "limits": _NOT_YET,
 }
 """Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""

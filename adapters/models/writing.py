@@ -180,8 +180,9 @@ def _urdf_link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int
     SubElement(hold, "origin", xyz=numbers(frames[body] - frames[link.parent]), rpy="0 0 0")
     if joint is not None and joint.axis.any():
         SubElement(hold, "axis", xyz=numbers(joint.axis))
-    if joint is not None and joint.damping:
-        SubElement(hold, "dynamics", damping=repr(joint.damping))
+    if joint is not None and (joint.damping or joint.friction):
+        law = {key: repr(getattr(joint, key)) for key in ("damping", "friction")}
+        SubElement(hold, "dynamics", law)
     for tie in mechanism.couplings:
         if joint is not None and tie.follower.name == joint.name:
             law = {"multiplier": repr(tie.ratio), "offset": repr(tie.offset)}

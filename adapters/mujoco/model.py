@@ -86,10 +86,11 @@ def mechanics(
         root: What is added to.
         mechanism: Of the scene.
         idle: As `mjcf` has it.
-        loops: Attributes of the equalities that close loops and couple joints.
+        loops: Attributes of the equalities that close loops and couple joints, and of friction.
         links: The same of distance links.
     """
-    bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle)
+    grip = {f"{key}friction": value for key, value in loops.items()}
+    bodies = _bodies(SubElement(root, "worldbody"), mechanism, idle, grip)
     tendons, equalities = Element("tendon"), Element("equality")
     for joint in mechanism.loops:
         _close(equalities, bodies, joint, mechanism.scene.length, loops)
@@ -156,24 +157,30 @@ def _idle(mechanism: Mechanism) -> list[str]:
             *mechanism.loops,
             *mechanism.distances,
             *mechanism.couplings,
+            *mechanism.frictional,
             *mechanism.scene.contacts,
         ),
         "limit": (),
-        "frictionloss": (),
+        "frictionloss": mechanism.frictional,
         "sensor": (),
     }
     return [name for name, work in parts.items() if not work]
 
 
-def _bodies(world: Element, mechanism: Mechanism, idle: Array) -> dict[int, Element]:
+def _bodies(
+    world: Element, mechanism: Mechanism, idle: Array, grip: dict[str, str]
+) -> dict[int, Element]:
     """Nest the spanning tree; returns the element of each body and of the world."""
     elements = {WORLD_INDEX: world}
     for link in mechanism.links:
-        elements[link.body] = _body(elements[link.parent], mechanism, link, idle[link.body])
+        above, axis = elements[link.parent], idle[link.body]
+        elements[link.body] = _body(above, mechanism, link, axis, grip)
     return elements
 
 
-def _body(above: Element, mechanism: Mechanism, link: Link, axis: Array) -> Element:
+def _body(
+    above: Element, mechanism: Mechanism, link: Link, axis: Array, grip: dict[str, str]
+) -> Element:
     origin = mechanism.com[link.parent] if link.parent != WORLD_INDEX else np.zeros(3)
     name = mechanism.scene.bodies[link.body].name
     body = SubElement(above, "body", name=name, pos=numbers(mechanism.com[link.body] - origin))
@@ -200,6 +207,9 @@ def _body(above: Element, mechanism: Mechanism, link: Link, axis: Array) -> Elem
             element.attrib.update({key: repr(value) for key, value in law.items()})
         if joint.armature:
             element.set("armature", repr(joint.armature))
+        if joint.friction:
+            element.set("frictionloss", repr(joint.friction))
+            element.attrib.update(grip)
     return body
 
 

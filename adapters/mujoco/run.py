@@ -177,7 +177,8 @@ class ModelRun(Run):
             spring=self._springs(),
             law=joint_laws(self._mechanism, self._law),
             coupling=self._couplings(),
-            armature=model.dof_armature[[self._dof(joint) for joint in self._mechanism.rotors]],
+            armature=model.dof_armature[self._dofs(self._mechanism.rotors)],
+            friction=model.dof_frictionloss[self._dofs(self._mechanism.frictional)],
         )
 
     def _twist(self, body: int) -> Array:
@@ -236,6 +237,9 @@ class ModelRun(Run):
     def _dof(self, joint: PlacedJoint) -> int:
         return int(self._model.jnt_dofadr[self._model.joint(joint.name).id])
 
+    def _dofs(self, joints: tuple[PlacedJoint, ...]) -> list[int]:
+        return [self._dof(joint) for joint in joints]
+
     def _place(self, body: int, point: Array) -> Array:
         """Place a point of MuJoCo's body in W."""
         turn = self._data.xmat[body].reshape(3, 3)
@@ -248,15 +252,17 @@ class ModelRun(Run):
         damping = model.dof_damping.copy()
         for joint in self._mechanism.compliant:
             damping[self._dof(joint)] -= joint.damping
+        friction = model.dof_frictionloss.copy()
+        friction[self._dofs(self._mechanism.frictional)] = 0.0
         return np.concatenate(
             [
                 model.tendon_damping - asked,
                 damping,
+                friction,
                 *(
                     getattr(model, name).ravel()
                     for name in (
                         "dof_dampingpoly",
-                        "dof_frictionloss",
                         "tendon_dampingpoly",
                         "tendon_frictionloss",
                         "actuator_damping",

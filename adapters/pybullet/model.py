@@ -134,6 +134,18 @@ class Multibodies:
                     number, moving, targetValues=values, targetVelocities=rates,
                 )  # fmt: skip
 
+    def set_friction(self, substeps: int) -> None:
+        """Let motors at rest brake joints with dry friction.
+
+        Bullet allows in each of the sub-steps of a call the impulse of the whole call.
+        """
+        bodies = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
+        for joint in self.mechanism.frictional:
+            self.client.build(
+                "setJointMotorControl2", *self.address(bodies[joint.index]),
+                Constant("VELOCITY_CONTROL"), force=joint.friction / substeps,
+            )  # fmt: skip
+
     def read(self) -> Array:
         """What Bullet tells of every body, see `states`; shape (body, 13)."""
         reading = np.empty((self.mechanism.body_count, 13))

@@ -159,6 +159,7 @@ class PyBulletRun(Run):
         self._client.build(
             "setPhysicsEngineParameter", fixedTimeStep=self._step * substeps, numSubSteps=substeps
         )
+        self._model.set_friction(substeps)
 
     def readback(self, batch: Batch) -> Readback:
         inertia = self._model.inertia()  # puts the model at its reference pose

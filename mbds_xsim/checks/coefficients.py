@@ -30,6 +30,7 @@ from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
+from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.scene.joint_space import joint_rate
 
 SURE = 3e-3
@@ -181,7 +182,8 @@ def _left(record: Record) -> Array:
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)
-    return np.where(record.flying(), left, np.nan)
+    seen = record.flying() & steady(record.mechanism, record.world)
+    return np.where(seen, left, np.nan)
 
 
 def _power_gained(record: Record) -> Array:
@@ -202,6 +204,8 @@ def _power_gained(record: Record) -> Array:
     for joint in mechanism.compliant:
         rate = joint_rate(joint, record.world)
         gained += np.diff(joint.effort(coordinate_of(record, joint), rate) * rate, axis=1)
+    for joint in mechanism.frictional:
+        gained -= joint.friction * np.diff(np.abs(joint_rate(joint, record.world)), axis=1)
     return gained
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import apart
-from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of
+from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
@@ -131,7 +131,7 @@ class Record:
             self.bodies,
             self.batch.force,
             self.batch.torque,
-            self.flying(),
+            self.flying() & steady(self.mechanism, self.world),
             frame=self.frame,
             lag=self.lag,
             steps=self.steps_compared,

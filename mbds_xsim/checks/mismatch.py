@@ -18,13 +18,20 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_bodies, to_links
+from mbds_xsim.scene.joint_space import (
+    BodyStates,
+    joint_coordinate,
+    joint_rate,
+    to_bodies,
+    to_links,
+)
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
 
 EVERY_SECOND = (0, 2)
 """First step, and every how many: these take in every frame once."""
 
 _MOMENT = 5e-4  # of the interval of the frames: jerks are differences of accelerations over it
+_STEADY = 0.02  # of the largest rate: below it a joint with dry friction may stop within a step
 _FACTOR = 5.0  # errors of the quintic are up to so many times their estimate (measured: 4.6)
 _ARMS = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
@@ -346,6 +353,22 @@ class Flow:
         for name, values in vars(filled).items():
             values[known] = getattr(found, name)
         return filled
+
+
+def steady(mechanism: Mechanism, world: BodyStates) -> Mask:
+    """Tell in which steps no dry friction of a joint changes its sense, (trajectory, step).
+
+    Args:
+        mechanism: Whose motion.
+        world: Recorded states, with the world.
+    """
+    found = np.ones(world.position[:, 1:, 0, 0].shape, dtype=bool)
+    for joint in mechanism.frictional:
+        rate = joint_rate(joint, world)
+        least = _STEADY * np.nanmax(np.abs(rate), axis=1, keepdims=True, initial=0.0)
+        begin, end = rate[:, :-1], rate[:, 1:]
+        found &= np.minimum(end * np.sign(begin), np.abs(begin)) > least
+    return found
 
 
 def known_states(states: BodyStates) -> Mask:

@@ -24,7 +24,16 @@ from mbds_xsim.reference.marching import Inputs, Marched, coefficients
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.row_kernel import ROW
 from mbds_xsim.reference.singular import typical_states
-from mbds_xsim.reference.tree import BALL, COUPLED, FREE, Tree, to_tree, tree_of, with_rows
+from mbds_xsim.reference.tree import (
+    BALL,
+    COUPLED,
+    FREE,
+    Tree,
+    link_number,
+    to_tree,
+    tree_of,
+    with_rows,
+)
 from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move
 from mbds_xsim.scene.mechanism import Mechanism
 
@@ -50,8 +59,8 @@ def march_compiled(
     marched, frames = Marched.from_start(start, inputs), inputs.force.shape[1]
     if not frames:
         return marched
-    tree, spanned, near = _chosen(mechanism)
-    work, lane = _work(tree), _lane(tree)
+    tree, spanned, near = chosen(mechanism)
+    work, lane = workspace(tree), _lane(tree)
     method = _method(rtol, frame, companions, near)
     for first in range(0, len(start), _TOGETHER):
         part = slice(first, first + _TOGETHER)
@@ -83,14 +92,21 @@ def march_compiled(
 def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque: Array) -> Array:
     """Evaluate the equations of motion at states of the reference.
 
+    Dry friction is that of joints that move; those that stand still have none here.
+
     Returns:
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
-    tree, spanned, _ = _chosen(mechanism)
+    tree, spanned, _ = chosen(mechanism)
     coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
-    found, work = np.empty((len(states), mechanism.body_count, 6)), _work(tree)
-    rate, worlds = _lanes(tree.size), len(tree.kind) + 1
+    found, work = np.empty((len(states), mechanism.body_count, 6)), workspace(tree)
+    rate, worlds = lines(tree.size), len(tree.kind) + 1
+    joints = spanned.frictional
+    fast = [tree.speed_at[link_number(spanned, joint)] for joint in joints]
+    law = [spanned.counted.index(joint) for joint in joints]
+    most = np.array([[joint.friction] for joint in joints]).reshape(-1, 1)
     for rows, y in _in_lanes(coordinates):
+        work.grip[law] = most * np.sign(y[fast])
         work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
         work.torque[: torque.shape[1]] = torque[rows].T
         accelerate(tree, work, y, rate, 0)
@@ -101,8 +117,8 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
 
 def projected(mechanism: Mechanism, states: Array) -> Array:
     """Put states of the reference onto the closures by least mass-weighted changes."""
-    tree, spanned, _ = _chosen(mechanism)
-    work, found = _work(tree), states.copy()
+    tree, spanned, _ = chosen(mechanism)
+    work, found = workspace(tree), states.copy()
     coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
         for k, place in enumerate(tree.row_place[0]):
@@ -110,14 +126,27 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
                 wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
         project(tree, work, y)
-        move(tree, work, y)
-        link = np.moveaxis(work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
-        turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
-        parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
-        found[rows[:, None], tree.body] = np.concatenate(parts, axis=-1)
-    along = np.sum(found[..., 3:7] * states[..., 3:7], axis=-1, keepdims=True)
-    found[..., 3:7] *= np.where(along < 0.0, -1.0, 1.0)
+        found[rows] = body_states(tree, work, y)
+    return with_signs_of(found, states)
+
+
+def body_states(tree: Tree, work: Workspace, y: Array) -> Array:
+    """Give the states of lanes as the reference has them, shape (lane, body + world, 13)."""
+    move(tree, work, y)
+    link = np.moveaxis(work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
+    turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
+    parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])
+    found = np.zeros((LANES, len(tree.kind) + 1, 13))
+    found[:, -1, 3] = 1.0
+    found[:, tree.body] = np.concatenate(parts, axis=-1)
     return found
+
+
+def with_signs_of(states: Array, others: Array) -> Array:
+    """Let quaternions have the sign that those of other states have."""
+    along = np.sum(states[..., 3:7] * others[..., 3:7], axis=-1, keepdims=True)
+    states[..., 3:7] *= np.where(along < 0.0, -1.0, 1.0)
+    return states
 
 
 def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
@@ -129,14 +158,14 @@ def _in_lanes(y: Array) -> Iterator[tuple[Index, Array]]:
 
 def _resisting(tree: Tree, y: Array) -> Iterator[tuple[Index, Workspace]]:
     """Eliminate the rows of states; give which of them, and what was found, one after the other."""
-    work = _work(tree)
+    work = workspace(tree)
     for rows, lanes in _in_lanes(y):
         resist(tree, work, lanes, 0)
         yield rows, work
 
 
 @functools.lru_cache(maxsize=64)
-def _chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
+def chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
     """Load independent rows only, in the tree that closes loops soonest.
 
     Returns:
@@ -179,21 +208,23 @@ def _keep_signs(tree: Tree, states: Array, start: Array) -> None:
     states[:, 0] = start
 
 
-def _work(tree: Tree) -> Workspace:
+def workspace(tree: Tree) -> Workspace:
+    """Make the arrays that kernels of a tree need."""
     links, rows, loaded, plan = len(tree.kind) + 1, len(tree.row_kind), tree.loaded, tree.plan
     work = Workspace(
-        link=_lanes(links * PLACES),
-        own=_lanes(tree.size),
-        load=_lanes(6 * links),
-        torque=_lanes(len(tree.hinge_axis)),
-        rows=_lanes(ROW * rows),
-        loads=_lanes(12 * loaded),
-        goals=_lanes(loaded),
-        through=_lanes(6 * int(np.diff(plan.on_start).max(initial=0))),
-        brought=_lanes(plan.speed_count),
-        couplings=_lanes(len(plan.pair_row)),
-        multipliers=_lanes(loaded),
-        share=_lanes(2),
+        link=lines(links * PLACES),
+        own=lines(tree.size),
+        load=lines(6 * links),
+        torque=lines(len(tree.hinge_axis)),
+        grip=lines(len(tree.law)),
+        rows=lines(ROW * rows),
+        loads=lines(12 * loaded),
+        goals=lines(loaded),
+        through=lines(6 * int(np.diff(plan.on_start).max(initial=0))),
+        brought=lines(plan.speed_count),
+        couplings=lines(len(plan.pair_row)),
+        multipliers=lines(loaded),
+        share=lines(2),
     )
     work.share[0] = 1.0
     world = (links - 1) * PLACES + R
@@ -202,7 +233,7 @@ def _work(tree: Tree) -> Workspace:
 
 
 def _lane(tree: Tree) -> Lane:
-    size, idle = -(-tree.size // BLOCK) * BLOCK, _lanes(1)
+    size, idle = -(-tree.size // BLOCK) * BLOCK, lines(1)
     idle[:] = -1.0
     whole = [np.zeros(LANES, dtype=np.int64) for _ in range(2)]
     return Lane(
@@ -213,15 +244,15 @@ def _lane(tree: Tree) -> Lane:
         tries=np.zeros(LANES, dtype=np.int64),
         due=np.zeros(LANES, dtype=np.bool_),
         h=idle,
-        ratio=_lanes(3),
-        worst=_lanes(2),
-        y=_lanes(size),
-        new=_lanes(size),
-        stages=_lanes(12 * size),
+        ratio=lines(3),
+        worst=lines(2),
+        y=lines(size),
+        new=lines(size),
+        stages=lines(12 * size),
     )
 
 
-def _lanes(count: int) -> Array:
+def lines(count: int) -> Array:
     """Make zeros of shape (count, 8), or (1, 8): each row one line of the processor's cache."""
     raw = np.zeros((count + 2) * LANES)
     first = -raw.ctypes.data % 64 // raw.itemsize

@@ -56,7 +56,7 @@ def dynamics_of(mechanism: Mechanism) -> Dynamics:
 class Dynamics:
     """Equations of motion of one mechanism, vectorised over a batch.
 
-    Those of a mechanism with rotors or couplings are the compiled ones.
+    Those of a mechanism with rotors, dry friction or couplings are the compiled ones.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
@@ -113,12 +113,13 @@ class Dynamics:
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
-        if self._mechanism.rotors or self._mechanism.couplings:
-            # Both are of coordinates, which only a tree has.
+        mechanism = self._mechanism
+        if mechanism.rotors or mechanism.couplings or mechanism.frictional:
+            # They are of coordinates, which only a tree has.
             from mbds_xsim.reference.compiled import body_accelerations  # imports a compiler
 
             rate[:, -1, 7:] = 0.0
-            rate[:, :-1, 7:] = body_accelerations(self._mechanism, state, force, torque)
+            rate[:, :-1, 7:] = body_accelerations(mechanism, state, force, torque)
             return rate, np.ones(len(state))
         motion = self._motion(state)
         applied = self._applied(motion, state, force, torque)

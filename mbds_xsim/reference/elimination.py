@@ -180,12 +180,12 @@ def with_short_loops(mechanism: Mechanism) -> Mechanism:
     """Give a mechanism the spanning tree in which closing its loops costs least.
 
     Besides its own these are the two that go as far as they can before they turn back, by the
-    first joint of each body or the last. Joints with rotors or couplings stay in the tree.
+    first joint of each body or the last. Joints with rotors, dry friction or couplings stay.
     """
     if not mechanism.loops:
         return mechanism
     trees = [mechanism, *(_far(mechanism, turn) for turn in (1, -1))]
-    able = [t for t in trees if not any(joint.armature or joint.coupled for joint in t.loops)]
+    able = [t for t in trees if not any(joint.in_tree for joint in t.loops)]
     return min(able, key=_work)
 
 

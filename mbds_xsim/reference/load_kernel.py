@@ -58,10 +58,12 @@ def act(t: Tree, work: Workspace, y):
             line, rate = _between(a, p, c, first, second)
             # The line is along the axis, which what turns with the parent leaves as it is.
             tension = stiffness * (dot(axis, line) - rest) + damping * dot(axis, rate)
+            tension = tension + load(work.grip, k)
             _pull(a, p, c, first, second, times(tension, axis))
         else:
             rate = dot(axis, sub(load3(a, c + W), load3(a, p + W)))
             moment = stiffness * (load(y, t.angle_at[k]) - rest) + damping * rate
+            moment = moment + load(work.grip, k)
             _turn(a, p, c, times(-1.0 * moment, axis))
     for k in range(len(t.hinge_axis)):
         p, c = t.hinge_ends[0, k] * PLACES, t.hinge_ends[1, k] * PLACES

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -28,6 +29,7 @@ _TOGETHER = 64  # trajectories; more do not get cheaper
 _SUNK = 1e-9  # what rounding may do to a start on the ground [m]
 TIGHTEST, LOOSEST = 1e-14, 1e-3
 _CONFIRMED = 1e-13
+_ALONE = 1e-11
 
 
 def solve(
@@ -97,6 +99,8 @@ def _solved(
 def _marched(
     scene: Scene, start: Array, batch: Batch, rtol: float, *, progress: Progress | None
 ) -> Marched:
+    if Mechanism.of(scene).frictional:
+        return integrate(scene, start, batch, rtol, progress=progress)
     dynamics, inputs = dynamics_of(Mechanism.of(scene)), Inputs(batch.force, batch.torque)
     return march(dynamics, start, inputs, scene.clock.frame, rtol=rtol, progress=progress)
 
@@ -139,6 +143,8 @@ def integrate(
     mechanism, inputs = Mechanism.of(scene), Inputs(batch.force, batch.torque)
     if scene.contacts and mechanism.has_only_balls:
         return march_balls(mechanism, start, inputs, progress=progress)
+    if mechanism.frictional:
+        return _gripping(mechanism, start, inputs, rtol, companions, progress)
     dynamics, frame = dynamics_of(mechanism), scene.clock.frame
     stiff = is_stiff(dynamics, start, inputs, frame)
     if stiff or scene.contacts:
@@ -152,6 +158,25 @@ def integrate(
     return march_compiled(
         mechanism, start, inputs, rtol=rtol, companions=companions, progress=progress
     )
+
+
+def _gripping(
+    mechanism: Mechanism,
+    start: Array,
+    inputs: Inputs,
+    rtol: float,
+    companions: int,
+    progress: Progress | None,
+) -> Marched:
+    if mechanism.scene.contacts:
+        marched = Marched.from_start(start, inputs)
+        why = "contact and dry friction of joints together are beyond the reference"
+        return dataclasses.replace(marched, failures=[Failure(1, why)] * len(start))
+    from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
+
+    # Companions stop and start at times of their own, so that their errors do not cancel.
+    rtol = min(rtol, _ALONE) if companions > 1 else rtol
+    return march_gripping(mechanism, start, inputs, rtol=rtol, progress=progress)
 
 
 def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Trajectory:

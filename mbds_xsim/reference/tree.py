@@ -232,7 +232,8 @@ def _acting(mechanism: Mechanism, inwards: Array, link_of: Index, first: int) ->
         law=np.array([(j.rest, j.stiffness, j.damping) for j in laws]).reshape(-1, 3),
         angle_at=np.where(turning, first + np.cumsum(turning) - 1, -1),
         angle_link=np.array(
-            [_link(mechanism, j) if j.coupled and j.kind == "hinge" else -1 for j in laws], np.int64
+            [link_number(mechanism, j) if j.coupled and j.kind == "hinge" else -1 for j in laws],
+            dtype=np.int64,
         ),
     )
 
@@ -309,9 +310,9 @@ def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
     """Give the rows of couplings, whose vectors are none."""
     count, places = len(mechanism.couplings), {}
     for joint, angle in zip(mechanism.counted, angle_at.tolist(), strict=True):
-        places[joint.name] = angle if angle >= 0 else int(at[_link(mechanism, joint)])
+        places[joint.name] = angle if angle >= 0 else int(at[link_number(mechanism, joint)])
     pairs = [(each.follower, each.leader) for each in mechanism.couplings]
-    ends = [[_link(mechanism, joint) for joint in pair] for pair in pairs]
+    ends = [[link_number(mechanism, joint) for joint in pair] for pair in pairs]
     found = [[places[joint.name] for joint in pair] for pair in pairs]
     return (
         np.full(count, COUPLED),
@@ -323,7 +324,7 @@ def _coupled(mechanism: Mechanism, at: Index, angle_at: Index) -> _Rows:
     )
 
 
-def _link(mechanism: Mechanism, joint: PlacedJoint) -> int:
+def link_number(mechanism: Mechanism, joint: PlacedJoint) -> int:
     """Give the number of the link that a joint of the tree holds."""
     joints = [None if link.joint is None else link.joint.index for link in mechanism.links]
     return joints.index(joint.index)

@@ -75,6 +75,8 @@ class Workspace(NamedTuple):
     """Held forces and moments in W, six of each link and of the world."""
     torque: Array
     """Held torques about hinges."""
+    grip: Array
+    """Dry friction of the joints with a law, against their coordinates."""
     rows: Array
     """Jacobians of closure rows (12), biases and residuals (2)."""
     loads: Array

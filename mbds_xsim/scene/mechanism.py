@@ -12,7 +12,6 @@ import dataclasses
 import functools
 import math
 from collections import defaultdict, deque
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -60,6 +59,7 @@ class PlacedJoint:
     damping: float = 0.0
     rest: float = 0.0
     armature: float = 0.0
+    friction: float = 0.0
     coupled: bool = False
     """Whether it follows another joint, or another follows it."""
 
@@ -81,8 +81,13 @@ class PlacedJoint:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it has a spring, damper or rotor, or is coupled."""
-        return self.complies or self.armature > 0.0 or self.coupled
+        """Whether it has a spring, damper, rotor or friction, or is coupled."""
+        return self.complies or self.in_tree
+
+    @property
+    def in_tree(self) -> bool:
+        """Whether something is on it that only a joint of the tree can have."""
+        return self.armature > 0.0 or self.friction > 0.0 or self.coupled
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
         """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
@@ -176,7 +181,12 @@ class Mechanism:
     @functools.cached_property
     def counted(self) -> tuple[PlacedJoint, ...]:
         """The joints whose coordinate matters, a hinge's with its whole turns, in scene order."""
-        return tuple(joint for joint in self.joints if joint.complies or joint.coupled)
+        return tuple(j for j in self.joints if j.complies or j.friction or j.coupled)
+
+    @functools.cached_property
+    def frictional(self) -> tuple[PlacedJoint, ...]:
+        """The joints with dry friction, in scene order."""
+        return tuple(joint for joint in self.joints if joint.friction)
 
     @functools.cached_property
     def couplings(self) -> tuple[PlacedCoupling, ...]:
@@ -253,9 +263,10 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     joints = tuple(_place(scene, k, index, com) for k in range(len(scene.joints)))
     links, loops = _spanning_tree(len(scene.bodies), joints, cut)
     for joint in loops:
-        if joint.armature or joint.coupled:
-            what = f"armature: got {joint.armature}" if joint.armature else "got a coupling"
-            where = f"joints[{joint.name!r}]: {what} on a joint that closes a loop"
+        if joint.in_tree:
+            given = [key for key in ("armature", "friction") if getattr(joint, key)]
+            what = (given or ["a coupling"])[0]
+            where = f"joints[{joint.name!r}]: got {what} on a joint that closes a loop"
             raise SceneError(f"{where}, allowed is it on others; let another joint close it")
     particle_body = np.repeat(
         np.arange(len(scene.bodies)), [len(body.particles) for body in scene.bodies]
@@ -322,6 +333,7 @@ def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         damping=joint.damping + damping,
         rest=joint.rest,
         armature=joint.armature,
+        friction=joint.friction,
         coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),
     )
 
@@ -335,26 +347,14 @@ def _pair(
     return PointPair(item.name, (a, b), (_native(here, a, com), _native(there, b, com)), length)
 
 
-def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Group the bodies that pairs connect, directly or by way of others but not of the world."""
-    label = list(range(body_count))
-    for a, b in pairs:
-        if WORLD_INDEX not in (a, b):
-            old, new = label[b], label[a]
-            label = [new if one == old else one for one in label]
-    return [
-        tuple(k for k, one in enumerate(label) if one == group) for group in dict.fromkeys(label)
-    ]
-
-
 def _spanning_tree(
     body_count: int, joints: tuple[PlacedJoint, ...], cut: tuple[JointKind, ...]
 ) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
     """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
 
     Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
-    the tree if any can, as reduced coordinates have them there, and those that have a rotor or are
-    coupled before all.
+    the tree if any can, as reduced coordinates have them there, and those that have a rotor or
+    friction or are coupled before all.
     """
     group = list(range(body_count + 1))  # the last one is the world
 
@@ -367,7 +367,7 @@ def _spanning_tree(
     tree, loops = [], []
 
     def cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
-        return not (joint.armature or joint.coupled), -cut.index(joint.kind), not joint.complies
+        return not joint.in_tree, -cut.index(joint.kind), not joint.complies
 
     for joint in sorted(joints, key=cut_last):
         a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))

@@ -129,8 +129,10 @@ class Joint(Neutral):
     """Coordinate at which the spring is slack [rad] or [m]."""
     armature: NotNegative = 0.0
     """Inertia of a rotor on it, times the gear ratio squared [kg·m²] or [kg]."""
+    friction: NotNegative = 0.0
+    """Of dry friction on it, which it takes at most while it stands still [N·m] or [N]."""
 
-    added = ("stiffness", "damping", "rest", "armature")
+    added = ("stiffness", "damping", "rest", "armature", "friction")
 
     def __post_init__(self) -> None:
         super().__post_init__()

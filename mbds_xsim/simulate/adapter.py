@@ -109,6 +109,8 @@ class Readback:
     N·m·s/rad or N·s/m, rad or m], shape (joint, 3); likewise."""
     armature: Array | None = None
     """Of `Mechanism.rotors` [kg·m² or kg], shape (joint,)."""
+    friction: Array | None = None
+    """Dry friction of `Mechanism.frictional` [N·m or N], shape (joint,)."""
     coupling: Array | None = None
     """Ratio and offset of `Mechanism.couplings`, shape (coupling, 2)."""
 

@@ -50,6 +50,7 @@ class Feature(Enum):
     JOINT_DAMPER = "damper in a joint"
     ARMATURE = "armature of a joint"
     COUPLING = "joint that follows another"
+    JOINT_FRICTION = "dry friction in a joint"
     CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
@@ -85,6 +86,7 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.JOINT_DAMPER: any(joint.damping for joint in mechanism.joints),
         Feature.ARMATURE: bool(mechanism.rotors),
         Feature.COUPLING: bool(mechanism.couplings),
+        Feature.JOINT_FRICTION: bool(mechanism.frictional),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
         Feature.HINGE_TORQUE: bool(scene.torques or scene.servos) or "hinge_torque" in draws,
@@ -133,7 +135,9 @@ class Method:
         return self.family == TRUTH
 
     def order_for(self, scene: Scene) -> int:
-        """Order that holds for a scene."""
+        """Order that holds for a scene: 1 where dry friction stops joints within steps."""
+        if Mechanism.of(scene).frictional and not self.adaptive:
+            return 1
         constrained = self.loop_order is not None and _constrained(scene)
         return self.loop_order if constrained and self.loop_order is not None else self.order
 

@@ -126,10 +126,14 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
     yield from _of_springs(mechanism, batch, readback)
     laws = np.array([(j.stiffness, j.damping, j.rest) for j in mechanism.compliant]).reshape(-1, 3)
     names = [joint.name for joint in mechanism.compliant]
-    rotors = mechanism.rotors
-    wanted = np.array([[joint.armature] for joint in rotors]).reshape(-1, 1)
-    got = None if readback.armature is None else readback.armature.reshape(-1, 1)
-    yield "armature", got, wanted, 0.0, [joint.name for joint in rotors]
+    for what, key, joints in (
+        ("armature", "armature", mechanism.rotors),
+        ("dry friction", "friction", mechanism.frictional),
+    ):
+        wanted = np.array([[getattr(joint, key)] for joint in joints]).reshape(-1, 1)
+        held: Array | None = getattr(readback, key)
+        got = None if held is None else held.reshape(-1, 1)
+        yield what, got, wanted, 0.0, [joint.name for joint in joints]
     yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
     tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
     names = [each.name for each in mechanism.couplings]

@@ -315,6 +315,7 @@ def _scene_of(scene: Scene, imported: Imported, read: ModelFacts) -> Scene:
             damping=own_joint.damping,
             stiffness=own_joint.stiffness,
             armature=own_joint.armature,
+            friction=own_joint.friction,
         )
         if (own_joint := joints.get(joint.name)) and joint.axis and any(own_joint.axis)
         else joint

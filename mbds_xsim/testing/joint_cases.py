@@ -7,7 +7,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.coupling import Coupling
-from mbds_xsim.scene.scene import Joint, Torque
+from mbds_xsim.scene.scene import Clock, Joint, Torque
 from mbds_xsim.scene.servo import Servo
 from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, solve
 
@@ -264,6 +264,72 @@ def _rack() -> Case:
     )  # fmt: skip
 
 
+def _braked() -> Case:
+    """A wheel on a free carrier is braked by dry friction until both turn alike.
+
+    Nothing else acts about the mount: the momentum is the wheel's at the start.
+    """
+    friction, rate, wheel, arm = 0.4, 5.0, 0.1, 0.5
+    carrier = 0.4 + 0.01 + 0.5 * arm**2
+    reduced = carrier * wheel / (carrier + wheel)
+
+    def exact(time: Array) -> Array:
+        moving = np.minimum(time, rate * reduced / friction)
+        angle = rate * moving - 0.5 * friction / reduced * moving**2
+        turned = wheel * (rate * time - angle) / (carrier + wheel)
+        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
+        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+
+    return case_of(
+        "brake",
+        "dry friction of a hinge, its reaction, the time at which it stops",
+        [
+            even("carrier", 2.0, 0.4),
+            even("wheel", 1.0, wheel),
+            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
+        ],
+        exact,
+        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
+        Joint("axle", "hinge", "carrier", "wheel", NONE, _UP, rate=rate, friction=friction),
+        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
+        gravity=NONE,
+    )
+
+
+def _dragged() -> Case:
+    """A sprung block slides back and forth on a rail against dry friction, until it sticks.
+
+    Each half swing is about a point that friction shifts, by the same on the other way back; it
+    comes to rest at the first turn from which the spring cannot pull it.
+    """
+    stiffness, mass, friction, start = 60.0, 1.5, 4.0, 0.5
+    omega, shift = np.sqrt(stiffness / mass), friction / stiffness
+
+    def exact(time: Array) -> Array:
+        half = np.floor(time * omega / np.pi)
+        # Amplitudes about the shifted points fall by two shifts, while they are more than nil.
+        last = np.ceil((start / shift - 1.0) / 2.0)
+        count = np.minimum(half, last)
+        side = (-1.0) ** count
+        rest, swing = side * (start - 2.0 * count * shift), start - (2.0 * count + 1.0) * shift
+        moving = side * (swing * np.cos(omega * time - np.pi * count) + shift)
+        x = np.where(count < last, moving, rest)
+        return np.stack([x, 0.0 * x, 0.0 * x], axis=-1)[:, None]
+
+    return case_of(
+        "dragged block",
+        "dry friction of a slider: its changes of sense, and where it sticks",
+        [even("block", mass, 0.1)],
+        exact,
+        Joint(
+            "rail", "slider", "world", "block", NONE, (1.0, 0.0, 0.0), start=start,
+            stiffness=stiffness, friction=friction,
+        ),
+        gravity=NONE,
+        clock=Clock(frame=0.02, steps=120),
+    )  # fmt: skip
+
+
 JOINT_CASES: tuple[Case, ...] = (
     _sprung_hinge(),
     _sprung_slider(),
@@ -272,4 +338,6 @@ JOINT_CASES: tuple[Case, ...] = (
     _servo(),
     _planetary(),
     _rack(),
+    _braked(),
+    _dragged(),
 )

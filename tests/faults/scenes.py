@@ -19,6 +19,7 @@ SCENES = {
     "workbench with sprung joints": 16,
     "workbench with rotors": 16,
     "workbench with a gear": 16,
+    "workbench with dry friction": 16,
     "ballscroll": 40,
     "ballscroll at 45°": 40,
     "balldrop": 75,
@@ -47,6 +48,7 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "workbench with sprung joints": _sprung,
         "workbench with rotors": _geared,
         "workbench with a gear": _coupled,
+        "workbench with dry friction": _braked,
     }
     return changes[name](scene) if name in changes else scene
 
@@ -99,6 +101,13 @@ def _coupled(scene: Scene) -> Scene:
     draws = (draw for draw in scene.sampling if not isinstance(draw, HingeRate))
     coupling = Coupling("rotor axle", "elbow", ratio=3.0)
     return msgspec.structs.replace(scene, sampling=tuple(draws), couplings=(coupling,))
+
+
+def _braked(scene: Scene) -> Scene:
+    """Brake two hinges of the arm and the cart, by friction that Exudyn has not."""
+    friction = {"shoulder": 0.3, "elbow": 0.2, "rail": 0.5}
+    joints = (msgspec.structs.replace(j, friction=friction.get(j.name, 0.0)) for j in scene.joints)
+    return msgspec.structs.replace(scene, joints=tuple(joints))
 
 
 def _started(scene: Scene, *sampling: Draw) -> Scene:

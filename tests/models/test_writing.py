@@ -51,7 +51,8 @@ def _same(first: Scene, second: Scene) -> None:
         turn = 1 if again.child == (order[joint.child] if joint.child >= 0 else -1) else -1
         apart = np.cross(again.axis, joint.axis)
         np.testing.assert_allclose(apart, 0, atol=1e-11)
-        laws = [(j.damping, j.stiffness, j.rest, j.armature) for j in (joint, again)]
+        keys = ("damping", "stiffness", "rest", "armature", "friction")
+        laws = [[getattr(j, key) for key in keys] for j in (joint, again)]
         assert laws[0] == pytest.approx(laws[1], abs=1e-12)
         assert joint.name in loops or turn * again.axis @ joint.axis >= 0
     assert len(held) + len(loops) == len(ours.joints)
@@ -82,7 +83,9 @@ def test_any_tree_comes_back_from_mjcf(
     points = tuple(map(tuple, rng.standard_normal((2, 3)).tolist()))
     spring = SpringDamper("coil", (WORLD, scene.bodies[0].name), points, 30.0, 0.5, 0.7)  # type: ignore[arg-type]
     joints = tuple(
-        msgspec.structs.replace(joint, damping=0.3, stiffness=2.0, rest=0.1, armature=0.2)
+        msgspec.structs.replace(
+            joint, damping=0.3, stiffness=2.0, rest=0.1, armature=0.2, friction=0.4
+        )
         if joint.kind in ("hinge", "slider")
         else joint
         for joint in scene.joints
@@ -114,6 +117,8 @@ def test_any_tree_of_hinges_and_sliders_comes_back_from_urdf(
     tmp_path: Path, kinds: list[Kind], seed: int
 ) -> None:
     scene = _coupled(random_tree(np.random.default_rng(seed), kinds))
+    joints = (msgspec.structs.replace(each, damping=0.3, friction=0.4) for each in scene.joints)
+    scene = msgspec.structs.replace(scene, joints=tuple(joints))
 
     _same(scene, _again(scene, "urdf", tmp_path))
 

@@ -1,0 +1,97 @@
+"""Dry friction of joints: the only motion, whatever sticks, slides and turns back."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.conservation import energy_balance
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.joint_space import BodyStates, to_bodies, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Clock, Scene
+from mbds_xsim.simulate.registry import load_scene
+from tests.random_scenes import Kind, random_tree
+
+_STILL = 1e-12
+
+
+def _rubbing(seed: int, kinds: list[Kind], friction: float) -> Scene:
+    scene = random_tree(np.random.default_rng(seed), kinds)
+    joints = (
+        msgspec.structs.replace(joint, friction=friction, rate=0.5, stiffness=9.0)
+        for joint in scene.joints
+    )
+    clock = Clock(frame=0.005, steps=100)
+    return msgspec.structs.replace(scene, joints=tuple(joints), clock=clock)
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=3),
+    st.sampled_from([0.5, 5.0]),
+)
+def test_friction_takes_what_the_ways_of_joints_cost(
+    seed: int, kinds: list[Kind], friction: float
+) -> None:
+    scene = _rubbing(seed, kinds, friction)
+    batch = draw_batch(scene, [0])
+    record = Record(scene, batch, solve(scene, batch, cache=False))
+    finding = energy_balance.finding(record)
+
+    assert record.trajectory.failures == (None,)
+    assert finding.uncertainty is not None
+    assert finding.figure.max() < finding.uncertainty.max() + 1e-6
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 3))
+def test_where_all_stands_still_no_friction_holds_more_than_it_can(seed: int, hinges: int) -> None:
+    kinds: list[Kind] = ["hinge"] * hinges
+    scene = _rubbing(seed, [*kinds, "slider"], 40.0)
+    batch, mechanism = draw_batch(scene, [0]), Mechanism.of(scene)
+    links = to_links(mechanism, BodyStates.of(mechanism, solve(scene, batch, cache=False)))
+    at = np.flatnonzero((np.abs(links.rate[0]) < _STILL).all(axis=-1))
+
+    if len(at):
+        assert np.ptp(links.coordinate[0, at], axis=0).max() < _STILL
+    for k, link in enumerate(mechanism.links):
+        if len(at) and link.joint is not None:
+            unit = np.zeros_like(links.rate)
+            unit[..., k] = 1.0
+            moved = to_bodies(mechanism, dataclasses.replace(links, rate=unit)).velocity[0, at]
+            weight = moved @ np.array(scene.gravity) @ mechanism.mass
+            spring = link.joint.stiffness * links.coordinate[0, at, k]
+            assert np.abs(weight - spring).max() < 40.0 * (1 + 1e-6)
+
+
+def test_heavy_friction_stops_a_chain_and_light_friction_does_not() -> None:
+    rates = []
+    for friction in (0.1, 400.0):
+        scene = _rubbing(7, ["hinge", "slider", "hinge"], friction)
+        mechanism = Mechanism.of(scene)
+        states = BodyStates.of(mechanism, solve(scene, draw_batch(scene, [0]), cache=False))
+        rates.append(to_links(mechanism, states).rate[0, 1:])
+
+    assert (np.abs(rates[0]) > _STILL).all()
+    assert (np.abs(rates[1][50:]) < _STILL).all()
+
+
+def test_with_contact_it_is_beyond_the_reference() -> None:
+    scene = load_scene("particlecar")
+    joints = (msgspec.structs.replace(joint, friction=0.1) for joint in scene.joints)
+    scene = msgspec.structs.replace(
+        scene, joints=tuple(joints), clock=msgspec.structs.replace(scene.clock, steps=2)
+    )
+    (failure,) = solve(scene, draw_batch(scene, [0]), cache=False).failures
+
+    assert failure is not None
+    assert "beyond the reference" in failure.reason
+    assert failure.frame == 1
