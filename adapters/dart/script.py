@@ -128,9 +128,9 @@ def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
     if joint.complies:
         yield f"joints[{k}].setSpringStiffness(0, {joint.stiffness!r})"
         yield f"joints[{k}].setDampingCoefficient(0, {joint.damping!r})"
+        yield f"joints[{k}].setRestPosition(0, {joint.rest!r})"
     if joint.friction:
         yield f"joints[{k}].setCoulombFriction(0, {joint.friction!r})"
-        yield f"joints[{k}].setRestPosition(0, {joint.rest!r})"
 
 
 def _pin(joint: PlacedJoint, point: Array) -> str:
