@@ -16,7 +16,7 @@ from contextlib import suppress
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_type_hints
 
 import msgspec
 
@@ -29,16 +29,10 @@ from mbds_xsim.base.errors import (
     Unsupported,
 )
 from mbds_xsim.base.isolate import Crash, Task, in_worker, run_tasks
-from mbds_xsim.scene.mechanism import JointKind
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings
 from mbds_xsim.simulate.claims import (
-    ContactLaw,
     ContactScales,
-    Feature,
-    Method,
-    Option,
-    Sweep,
     check_claims,
 )
 
@@ -259,35 +253,9 @@ def _scene_files() -> dict[str, Path]:
     return found
 
 
-class _Claims(msgspec.Struct, forbid_unknown_fields=True):
-    """What an adapter says of itself; see `Adapter`."""
-
-    name: str
-    package: str
-    version: str
-    revision: int
-    methods: dict[str, Method]
-    options: dict[str, Option]
-    sweeps: dict[str, Sweep]
-    limits: dict[Feature, str]
-    coordinates: Literal["reduced", "maximal"]
-    contact_law: ContactLaw | None
-    smallest: str
-    cut: tuple[JointKind, ...]
-
-    @classmethod
-    def of(cls, adapter: Adapter, name: str) -> Self:
-        """Ask an adapter; raises where a claim is missing, or not of the type it must have."""
-        attributes = {key: getattr(adapter, key) for key in cls.__struct_fields__[3:]}
-        package = getattr(adapter, "package", "")
-        raw = cls(adapter.name, package, adapter.version(), **attributes)
-        claims = msgspec.json.decode(msgspec.json.encode(raw), type=cls)
-        if claims.name != name:
-            raise ValueError(f"its name is {claims.name!r}, that of the entry point {name!r}")
-        if not claims.version:
-            raise ValueError("it has no version")
-        check_claims(claims.methods, claims.options, claims.sweeps, claims.cut)
-        return claims
+_CLAIMED = {key: hint.__args__[0] for key, hint in get_type_hints(Adapter).items()}
+_Claims: Any = msgspec.defstruct("_Claims", [*_CLAIMED.items(), ("installed", str)])
+"""What an adapter says of itself: the class variables of `Adapter`, and its engine's version."""
 
 
 class _StandIn(Adapter):
@@ -352,9 +320,7 @@ def _tried(point: EntryPoint) -> Adapter | str:
     answer = _ask(_claims, point)
     if isinstance(answer, Crash):
         return f"{point.value} of the package {_owner(point)}: {answer.reason}"
-    claims = {key: getattr(answer, key) for key in _Claims.__struct_fields__}
-    more = {"installed": claims.pop("version"), "point": point}
-    adapter: Adapter = type(point.name, (_StandIn,), claims | more)()
+    adapter: Adapter = type(point.name, (_StandIn,), answer | {"point": point})()
     return adapter
 
 
@@ -372,8 +338,18 @@ def _answer(function: Any, point: EntryPoint, about: bytes) -> Any:
     return answer
 
 
-def _claims(point: EntryPoint) -> _Claims:
-    return _Claims.of(made(point), point.name)
+def _claims(point: EntryPoint) -> dict[str, Any]:
+    """Ask an adapter; raises where a claim is missing, or not of the type it must have."""
+    adapter = made(point)
+    said = {key: getattr(adapter, key) for key in _CLAIMED if key != "package"}
+    raw = _Claims(**said, package=getattr(adapter, "package", ""), installed=adapter.version())
+    claims = msgspec.json.decode(msgspec.json.encode(raw), type=_Claims)
+    if claims.name != point.name:
+        raise ValueError(f"its name is {claims.name!r}, that of the entry point {point.name!r}")
+    if not claims.installed:
+        raise ValueError("it has no version")
+    check_claims(claims.methods, claims.options, claims.sweeps, claims.cut)
+    return msgspec.structs.asdict(claims)
 
 
 def _preset(point: EntryPoint, scene: Scene, profile: Profile) -> Settings:
