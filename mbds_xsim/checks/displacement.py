@@ -143,8 +143,7 @@ def _residual(
     gained = np.diff(velocity, axis=1)
     share = (record.step or 0.0) / record.frame
     own = min(_METHOD * share**2, _BEND)
-    change = np.zeros_like(velocity[..., 0])
-    change[:, 1:-1] = rotation.norm(np.diff(gained, axis=1))
+    change = _second_differences(gained)
     bend = (_BEND + own) * _with_ends(_window(np.maximum(change[:, 1:], change[:, :-1])))
     if record.lag:
         left = left + record.lag / record.frame * gained
@@ -168,6 +167,21 @@ def _residual(
 def _repeats(record: Record) -> Mask:
     """Whether bodies neither move nor turn in a step, to the last bit, (trajectory, step, body)."""
     return _same(record.bodies.position) & _same(record.bodies.native)
+
+
+def _second_differences(gained: Array) -> Array:
+    """Sizes of those of velocities at every frame, shape (trajectory, frame, body).
+
+    Those of the ends go on as they change beside them: on one side the frames see nothing.
+    """
+    inside = np.diff(gained, axis=1)
+    found = np.zeros((len(gained), gained.shape[1] + 1, gained.shape[2]))
+    found[:, 1:-1] = rotation.norm(inside)
+    if inside.shape[1]:
+        for end, near, next_ in ((0, 0, 1), (-1, -1, -2)):
+            beyond = inside[:, next_ % inside.shape[1]]
+            found[:, end] = rotation.norm(2.0 * inside[:, near] - beyond)
+    return found
 
 
 def _same(values: Array) -> Mask:

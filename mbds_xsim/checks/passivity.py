@@ -58,12 +58,14 @@ def law_gain(record: Record, push: Push) -> Array:
     """Give the energy that impacts may add by their own law [J], shape (trajectory, step).
 
     Of a single impact between two frames in flight it follows from the slip on arrival and the
-    impulse. Where more may have happened in a step, it is bounded by the fastest slip.
+    impulse. Where more may have happened in a step, it is bounded by the fastest slip: that of the
+    step's ends, and what turning about a body's centre of mass makes of it in between.
     """
     gain = np.zeros(push.impulse.shape[:2])
     if push.ball:
         return gain
     ground, slip = record.ground, np.linalg.norm(push.over.slip, axis=-1)
+    slip = slip + record.frame * _veering(record, push)
     fastest = np.where(push.reach, np.maximum(slip[:, 1:], slip[:, :-1]), 0.0).max(axis=2)
     unclear = push.reach.any(axis=2) & ~push.steady
     most = 0.5 * ground.friction * np.maximum(push.impulse[..., 2], 0.0) * fastest
@@ -73,6 +75,15 @@ def law_gain(record: Record, push: Push) -> Array:
     lost = (1.0 - ground.restitution) * hits.impulse[:, 2] * hits.arriving
     gain[hits.row, hits.step] = 0.5 * np.maximum(forward - lost, 0.0)
     return np.asarray(np.nan_to_num(gain))
+
+
+def _veering(record: Record, push: Push) -> Array:
+    """Acceleration |ω × (ω × r)| of spheres' centres [m/s²], shape (trajectory, frame, sphere)."""
+    mechanism, own = record.mechanism, push.spheres
+    body = mechanism.sphere_body[own]
+    speed = record.bodies.speeds(body, mechanism.sphere_offset[own])
+    round_ = np.linalg.norm(speed - record.bodies.velocity[:, :, body], axis=-1)
+    return np.asarray(round_ * np.linalg.norm(record.bodies.angular_velocity[:, :, body], axis=-1))
 
 
 def _all_pushes(record: Record) -> list[Push]:
