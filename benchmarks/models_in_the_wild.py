@@ -264,7 +264,7 @@ def _together(model: Any, data: Any, bodies: Any) -> tuple[float, Array, Array]:
 def _from_pinocchio(path: Path, imported: Imported, packages: Path) -> float:
     """Compare with what Pinocchio reads of a URDF; it adds up what is fixed to a link as well."""
     site.addsitedir(str(packages))
-    import pinocchio  # type: ignore[import-not-found]
+    import pinocchio
 
     model = pinocchio.buildModelFromUrdf(str(path))
     data = model.createData()
