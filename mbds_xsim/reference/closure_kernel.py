@@ -12,6 +12,8 @@ a coupling acts on two coordinates alone.
 
 from __future__ import annotations
 
+import numpy as np
+
 from mbds_xsim.reference.elimination import BOTH, SECOND
 from mbds_xsim.reference.lanes import (
     add,
@@ -73,7 +75,7 @@ _LOST = 1e-300
 _NOTHING = 1e-9  # acceleration [m/s² or rad/s²]
 
 
-@entered
+@compiled
 def accelerate(t: Tree, work: Workspace, y, rate, first):
     """Write the time derivative of states."""
     move(t, work, y)
@@ -91,6 +93,12 @@ def accelerate(t: Tree, work: Workspace, y, rate, first):
 
 
 @entered
+def accelerate_once(t: Tree, work: Workspace, y, rate):
+    """Do it for Python."""
+    accelerate(t, work, y, rate, np.int64(0))  # a literal 0 would be compiled for itself
+
+
+@compiled
 def project(t: Tree, work: Workspace, y):
     """Put states onto the closures by least mass-weighted changes; unit quaternions."""
     if len(t.row_kind):
@@ -99,6 +107,12 @@ def project(t: Tree, work: Workspace, y):
             _outwards(t, work)
             _change(t, work, y, step)
     _normalise(t, y)
+
+
+@entered
+def project_once(t: Tree, work: Workspace, y):
+    """Do it for Python."""
+    project(t, work, y)
 
 
 @entered

@@ -14,7 +14,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import accelerate, project, resist
+from mbds_xsim.reference.closure_kernel import accelerate_once, project_once, resist
 from mbds_xsim.reference.dynamics import dynamics_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.lanes import LANES
@@ -34,7 +34,7 @@ from mbds_xsim.reference.tree import (
     tree_of,
     with_rows,
 )
-from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move
+from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move_once
 from mbds_xsim.scene.mechanism import Mechanism
 
 Progress = Callable[[int, int], None]
@@ -109,7 +109,7 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         work.grip[law] = most * np.sign(y[fast])
         work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
         work.torque[: torque.shape[1]] = torque[rows].T
-        accelerate(tree, work, y, rate, 0)
+        accelerate_once(tree, work, y, rate)
         link = work.link.reshape(worlds, PLACES, LANES)[:-1, A : A + 6]
         found[rows[:, None], tree.body] = np.moveaxis(link, -1, 0)
     return found
@@ -125,14 +125,14 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
             if tree.row_kind[k] == COUPLED and place in tree.angle_at:
                 wanted = tree.row_length[k] - tree.row_way[k, 1] * y[tree.row_place[1, k]]
                 y[place] += 2 * np.pi * np.round((wanted - y[place]) / (2 * np.pi))
-        project(tree, work, y)
+        project_once(tree, work, y)
         found[rows] = body_states(tree, work, y)
     return with_signs_of(found, states)
 
 
 def body_states(tree: Tree, work: Workspace, y: Array) -> Array:
     """Give the states of lanes as the reference has them, shape (lane, body + world, 13)."""
-    move(tree, work, y)
+    move_once(tree, work, y)
     link = np.moveaxis(work.link.reshape(-1, PLACES, LANES)[:-1], -1, 0)
     turn = rotation.from_matrix(link[..., R : R + 9].reshape(*link.shape[:-1], 3, 3))
     parts = (link[..., X : X + 3], turn, link[..., V : V + 3], link[..., W : W + 3])

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.reference.closure_kernel import accelerate, project
+from mbds_xsim.reference.closure_kernel import accelerate_once, project_once
 from mbds_xsim.reference.compiled import body_states, chosen, lines, with_signs_of, workspace
 from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.lanes import LANES
@@ -186,7 +186,7 @@ class _Motion:
         for first in range(0, len(grips), LANES):
             part = grips[first : first + LANES]
             self._work.grip[self._law, : len(part)] = part.T
-            accelerate(self._tree, self._work, self._lanes, self._rates, 0)
+            accelerate_once(self._tree, self._work, self._lanes, self._rates)
             found[first : first + len(part)] = self._rates.T[: len(part), : len(y)]
         return found
 
@@ -194,7 +194,7 @@ class _Motion:
         """Put a state onto the closures; what stood still does so again."""
         still = self._fast[y[self._fast] == 0.0]
         self._lanes[:] = y[:, None]
-        project(self._tree, self._work, self._lanes)
+        project_once(self._tree, self._work, self._lanes)
         closed = self._lanes[:, 0].copy()
         closed[still] = 0.0
         return closed

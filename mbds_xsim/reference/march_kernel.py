@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.reference.closure_kernel import accelerate, project
 from mbds_xsim.reference.lanes import (
@@ -90,7 +92,7 @@ class Problems(NamedTuple):
 @entered
 def march(t: Tree, work: Workspace, method: Scheme, lane: Lane, task: Problems):
     """Find all trajectories of a task; there is one at least, of one frame at least."""
-    following = 0
+    following = np.int64(0)
     for k in range(LANES):
         lane.row[k] = -1
     while True:
@@ -156,7 +158,7 @@ def _start_frames(t, work, lane, task):
                     lane.y[j, k] = lane.new[j, k]
                 if lane.at[k] < task.force.shape[1]:
                     _load(t, work, lane, task, k)
-    accelerate(t, work, lane.y, lane.stages, 0)
+    accelerate(t, work, lane.y, lane.stages, np.int64(0))
     store(lane.worst, 0, load(work.share, 0))
     store(lane.worst, 1, load(work.share, 1))
     for k in range(LANES):

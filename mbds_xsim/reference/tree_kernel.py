@@ -94,7 +94,7 @@ class Workspace(NamedTuple):
     """Least independent part of a row, and largest contradiction of rows that follow (2)."""
 
 
-@entered
+@compiled
 def move(t: Tree, work: Workspace, y):
     """Place all bodies, and find their velocities and what these do to accelerations."""
     a = work.link
@@ -133,6 +133,12 @@ def move(t: Tree, work: Workspace, y):
         store3(a, b + X, sub(add(load3(a, p + X), reach), arm))
         store3(a, b + V, add(sub(add(load3(a, p + V), swing), roll), slide))
         store3(a, b + BEND, add(bend, sub(cross(spin, swing), cross(own, roll))))
+
+
+@entered
+def move_once(t: Tree, work: Workspace, y):
+    """Do it for Python."""
+    move(t, work, y)
 
 
 @compiled
