@@ -57,6 +57,14 @@ def adapter(engine: str) -> Adapter:
         pytest.skip(str(error))
 
 
+@pytest.fixture(scope="session")
+def grounded(adapter: Adapter) -> Adapter:
+    """Skip an engine that has no contact."""
+    if adapter.contact_law is None:
+        pytest.skip(f"{adapter.name} has no contact")
+    return adapter
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _presets() -> Iterator[None]:
     """Leave out the search for settings, seconds an engine, where a test does not ask for it."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, PointPair
+from mbds_xsim.simulate.turning_rk4 import TurningRK4
 
 from .model import SkeletonModel
 
@@ -146,12 +147,8 @@ class SemiImplicitEuler(DartStepper):
 
 
 class ForwardDynamicsRK4(DartStepper):
-    """Classical Runge–Kutta on DART's `computeForwardDynamics`.
-
-    Rotations are advanced on their group: within a step they are the start's times the
-    exponential of an increment, which DART's `integratePositions` takes, and commutators make up
-    for the increments' turning (Munthe-Kaas 1998, BIT 38, 92, with the commutators reduced as in
-    Munthe-Kaas and Owren 1999, Phil. Trans. R. Soc. A 357, 957).
+    """The toolkit's `TurningRK4` on DART's `computeForwardDynamics`, whose `integratePositions`
+    takes a rotation's increments.
     """
 
     call = ""
@@ -163,32 +160,14 @@ class ForwardDynamicsRK4(DartStepper):
         # A ball's increments stand on the right of its rotation, a free body's on the left.
         self._turns = np.concatenate([model.turning_at, model.free_turn_at])
         self._side = np.repeat([1.0, -1.0], [len(model.turning_at), len(model.free_turn_at)])
-        count = model.coordinate_count
-        self._next, self._after = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
-        self._sign = np.zeros(count)
-        self._next[self._turns] = np.roll(self._turns, -1, axis=-1)
-        self._after[self._turns] = np.roll(self._turns, -2, axis=-1)
-        self._sign[self._turns] = self._side[:, None]
+        self._rk4 = TurningRK4(model.coordinate_count, self._turns, self._side)
 
     def advance(self, step_count: int) -> None:
         skeleton = self.model.skeleton
         q, u = skeleton.getPositions(), skeleton.getVelocities()
         for _ in range(step_count):
-            q, u = self._one(q, u)
+            q, u = self._rk4.step(self.step, q, u, self._acceleration, self._moved)
         self.model.set_state(q, u)
-
-    def _one(self, q: Array, u: Array) -> tuple[Array, Array]:
-        h, rate = self.step, self._acceleration
-        a1 = rate(q, np.zeros_like(u), u)
-        u2 = u + 0.5 * h * a1
-        a2 = rate(q, 0.5 * h * u, u2)
-        u3 = u + 0.5 * h * a2
-        a3 = rate(q, 0.5 * h * u2 + 0.125 * h * h * self._commutator(u, u2), u3)
-        u4 = u + h * a3
-        a4 = rate(q, h * u3, u4)
-        increment = h / 6.0 * (u + 2.0 * (u2 + u3) + u4)
-        increment += h * h / 12.0 * self._commutator(u, u4)
-        return self._moved(q, increment), u + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
     def _acceleration(self, q: Array, increment: Array, u: Array) -> Array:
         skeleton = self.model.skeleton
@@ -205,11 +184,6 @@ class ForwardDynamicsRK4(DartStepper):
         turns = self._turns
         moved[turns] = _composed(q[turns], increment[turns], self._side)
         return moved
-
-    def _commutator(self, a: Array, b: Array) -> Array:
-        """a × b of each rotation, positive where increments stand on the right; 0 elsewhere."""
-        i, j = self._next, self._after
-        return self._sign * (a[i] * b[j] - a[j] * b[i])
 
 
 def _composed(q: Array, increment: Array, side: Array) -> Array:

@@ -71,6 +71,7 @@ def no_reaction(engine: str) -> AbstractContextManager[object]:
         "pybullet": _one_sided_pybullet,
         "dart": _one_sided_dart,
         "exudyn": _one_sided_exudyn,
+        "pinocchio": _one_sided_pinocchio,
     }
     return one_sided[engine]()
 
@@ -194,6 +195,20 @@ def _one_sided_exudyn() -> AbstractContextManager[object]:
         load(self, force, torque)
 
     return mock.patch.object(run, "_load", load_one_sided)
+
+
+def _one_sided_pinocchio() -> AbstractContextManager[object]:
+    run = _adapter("pinocchio.run").PinocchioRun
+    hold = run._hold
+
+    def hold_one_sided(self: Any, batch: Any, rows: Any, frame: int) -> None:
+        hold(self, batch, rows, frame)
+        turning = np.zeros_like(batch.force[rows, frame])
+        for k, hinge in enumerate(self._mechanism.hinges):
+            turning[:, hinge.child] += batch.torque[rows, frame][:, [k]] * hinge.axis
+        self._dynamics.torque, self._dynamics.turning = 0.0, turning
+
+    return mock.patch.object(run, "_hold", hold_one_sided)
 
 
 def _adapter(module: str) -> Any:

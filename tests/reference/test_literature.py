@@ -65,7 +65,13 @@ SEVEN_RATES_AT_END = np.array(
 )
 """Their rates at 0.03 s [rad/s], from the same table."""
 
-ANDREWS_ACCURACY = {"mujoco": 1e-5, "exudyn": 2e-4, "dart": 1e-3, "pybullet": 1e-3}
+ANDREWS_ACCURACY = {
+    "mujoco": 1e-5,
+    "exudyn": 2e-4,
+    "dart": 1e-3,
+    "pybullet": 1e-3,
+    "pinocchio": 1e-6,
+}
 """What the matched settings leave of the crank's 15.8 rad [rad]."""
 
 EXUDYN_TEST_MODEL = 4.172189649307425 - 2.0
@@ -83,7 +89,13 @@ BRICARD_CURVE = np.array(
 """Time [s] and x, y, z [m] of P3, read to 0.02 m from the plot of the benchmark's reference
 solution in Tagliapietra et al., MBS benchmarks in OpenSim, A04."""
 
-BRICARD_ACCURACY = {"mujoco": 2e-6, "exudyn": 5e-6, "dart": 5e-4, "pybullet": 5e-4}
+BRICARD_ACCURACY = {
+    "mujoco": 2e-6,
+    "exudyn": 5e-6,
+    "dart": 5e-4,
+    "pybullet": 5e-4,
+    "pinocchio": 1e-7,
+}
 """What the matched settings leave of the path of P3 [m]."""
 
 SWING = 150

@@ -23,7 +23,7 @@ LINKED = Scene(
 def test_engines_that_cannot_do_a_scene_are_left_out_with_the_reason() -> None:
     contenders, left_out = Choice.parse().contenders(LINKED)
     assert {contender.engine for contender in contenders} == {"mujoco", "exudyn"}
-    assert set(left_out) == {"dart", "pybullet"}
+    assert set(left_out) == {"dart", "pinocchio", "pybullet"}
     assert all("distance link" in reason for reason in left_out.values())
 
 
@@ -50,7 +50,7 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
 
     contenders, left_out = Choice.parse().contenders(small)
 
-    assert {contender.engine for contender in contenders} == {"dart", "exudyn"}
+    assert {contender.engine for contender in contenders} == {"dart", "exudyn", "pinocchio"}
     assert left_out["mujoco"] == (
         "mujoco cannot hold a value of the scene: 'rod' has 2e-15 kg and 8e-20 kg·m², MuJoCo's "
         "compiler takes masses of 1e-15 kg and principal moments of 1e-14 kg·m², or more"
@@ -68,6 +68,7 @@ def test_engines_that_hold_no_body_so_small_are_left_out_with_the_reason() -> No
         ("pybullet", 2.23e-16, 2.23e-16),
         ("dart", 1e-30, 1e-24),
         ("exudyn", 1e-30, 1e-24),
+        ("pinocchio", 1e-30, 2.23e-16),
     ],
 )
 def test_what_an_engine_holds_it_moves(name: str, moment: float, mass: float) -> None:

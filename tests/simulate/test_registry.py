@@ -11,8 +11,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.claims import FAMILIES, Method, Sweep, check_claims, own_family
 
 
-def test_the_four_engines_are_registered() -> None:
-    assert registry.engine_names() == ["dart", "exudyn", "mujoco", "pybullet"]
+def test_the_engines_are_registered() -> None:
+    assert registry.engine_names() == ["dart", "exudyn", "mujoco", "pinocchio", "pybullet"]
 
 
 @pytest.mark.parametrize(

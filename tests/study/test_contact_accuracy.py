@@ -167,11 +167,11 @@ def test_what_was_lost_breaks_the_limit() -> None:
 
 
 @pytest.mark.parametrize("name", CONTACT_SCENES)
-def test_matched_settings_keep_the_limits(name: str, adapter: Adapter) -> None:
+def test_matched_settings_keep_the_limits(name: str, grounded: Adapter) -> None:
     scene, batch, exact = prepared(name, 40)
-    settings = settings_for(registry.load_scene(name), adapter, "matched")
-    motion = simulate(scene, batch, adapter.name, settings).trajectory
-    method = adapter.methods[settings.method]
+    settings = settings_for(registry.load_scene(name), grounded, "matched")
+    motion = simulate(scene, batch, grounded.name, settings).trajectory
+    method = grounded.methods[settings.method]
     checks = {f.check: f for f in audit(scene, batch, motion, method, step=settings.step)}
     momentum = checks["momentum"].series if "momentum" in checks else None
 

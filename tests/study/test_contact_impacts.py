@@ -11,10 +11,10 @@ from mbds_xsim.studies.contact.impacts import rebounds
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_matched_engines_give_back_what_is_asked(adapter: Adapter, restitution: float) -> None:
+def test_matched_engines_give_back_what_is_asked(grounded: Adapter, restitution: float) -> None:
     """Within the scene's budget, and what gravity does in the time that an impact takes."""
-    bench = ContactBench(adapter.name, "matched", "balldrop")
-    time = adapter.contact_scales(bench.settings).time
+    bench = ContactBench(grounded.name, "matched", "balldrop")
+    time = grounded.contact_scales(bench.settings).time
 
     kept, duration, _ = rebounds(bench, restitution, 2.0)
 

@@ -1,0 +1,82 @@
+"""Pinocchio (https://github.com/stack-of-tasks/pinocchio): exact dynamics in joint coordinates."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.stiffness import spring_step
+from mbds_xsim.simulate.adapter import Adapter, Profile, Run, Settings, careful_step, nearest_step
+from mbds_xsim.simulate.claims import CONTACTS, LOOPS, Feature, Method, Option, Sweep
+
+__all__ = ["Pinocchio"]
+
+_METHOD = "forward-dynamics-RK4"
+_DRIFT, _SOFTNESS = "drift_time", "softness"
+_NATIVE_STEP = 1e-3
+# Keeps the budgets of the pendulums and ladders.
+_CAREFUL_STEP, _CAREFUL_COUNT = 0.005, 4
+# That a spring's oscillation turns by, and a damper's motion decays, in a step at most.
+_SPRING_ANGLE, _DECAY = 0.15, 0.5
+# Where bodies are put on a joint, Pinocchio divides by no smaller mass [kg].
+_LEAST = 2.23e-16
+_NO_CONTACT = "Pinocchio gives accelerations; impacts are left to what steps it"
+
+
+class Pinocchio(Adapter):
+    """Articulated bodies; loops closed by constraints on accelerations, by proximal steps."""
+
+    name = "pinocchio"
+    package = "pin"
+    methods: ClassVar = {_METHOD: Method(_METHOD, "toolkit RK4", 4, own=False)}
+    options: ClassVar = {
+        _DRIFT: Option(
+            5.0,
+            "frames in which loops that have drifted open are closed (Baumgarte's terms); 0 leaves "
+            "them",
+            least=0,
+        ),
+        _SOFTNESS: Option(
+            0.01,
+            "of the proximal steps that solve the constraints (mu), over the mean of the bodies' "
+            "1/mass; with less, redundant constraints pull more at what rounding leaves of them",
+            above=0,
+            most=1,
+        ),
+    }
+    sweeps: ClassVar = {_DRIFT: Sweep((0.0, 1.0, 5.0), needs=LOOPS)}
+    limits: ClassVar = {
+        Feature.LOOP_SLIDER: "Pinocchio has no constraint that keeps a point on a line",
+        Feature.DISTANCE_LINK: "Pinocchio has no constraint that keeps a distance",
+        Feature.COUPLING: "its articulated-body algorithm does not know Pinocchio's mimic joints",
+        Feature.JOINT_FRICTION: "Pinocchio gives accelerations; sticking is left to what steps it",
+        Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Pinocchio",
+        **dict.fromkeys(CONTACTS, _NO_CONTACT),
+    }
+    coordinates = "reduced"
+    smallest = (
+        f"masses of {_LEAST:g} kg: the centre of mass of what is less is moved, without a word"
+    )
+
+    def cannot_hold(self, scene: Scene) -> str:
+        mass = Mechanism.of(scene).mass
+        small = int(np.argmin(mass))
+        if mass[small] >= _LEAST:
+            return ""
+        return f"{scene.bodies[small].name!r} has {mass[small]:.3g} kg, Pinocchio takes {_LEAST:g}"
+
+    def settings(self, scene: Scene, profile: Profile) -> Settings:
+        frame = scene.clock.frame
+        if profile == "native":
+            return Settings(_METHOD, nearest_step(frame, _NATIVE_STEP), {_DRIFT: 0.0})
+        longest = min(_CAREFUL_STEP, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
+        return Settings(_METHOD, careful_step(frame, longest, _CAREFUL_COUNT))
+
+    def load(self, scene: Scene, settings: Settings) -> Run:
+        from .run import PinocchioRun
+
+        drift_time = scene.clock.frame * self.option(settings, _DRIFT)
+        return PinocchioRun(scene, settings, drift_time, self.option(settings, _SOFTNESS))

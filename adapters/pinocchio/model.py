@@ -1,0 +1,199 @@
+"""A scene as Pinocchio holds it: the program that builds it, and its coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.scene.joint_space import LinkStates
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint
+
+_KINDS = {
+    "hinge": "JointModelRevoluteUnaligned",
+    "slider": "JointModelPrismaticUnaligned",
+    "ball": "JointModelSpherical",
+}
+_HEAD = """\
+import numpy as np
+import pinocchio as pin
+
+
+def at(x, y, z):
+    return pin.SE3(np.eye(3), np.array([x, y, z]))
+
+
+def add_body(name, joint, place, mass, inertia):
+    held = pin.Inertia(mass, np.zeros(3), np.array(inertia))
+    return model.addFrame(pin.Frame(name, joint, 0, at(*place), pin.FrameType.BODY, held))
+
+
+def close(kind, first, point, second, other):
+    kinds = {3: pin.ContactType.CONTACT_3D, 6: pin.ContactType.CONTACT_6D}
+    ends = first, at(*point), second, at(*other)
+    held = pin.RigidConstraintModel(kinds[kind], model, *ends, pin.ReferenceFrame.LOCAL)
+    held.m_baumgarte_parameters.Kp, held.m_baumgarte_parameters.Kd = %s, %s
+    return held
+
+
+model = pin.Model()
+model.gravity.linear = np.array(%s)
+bodies, constraints = {}, []"""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where bodies and links stand in the native model."""
+
+    joint: Index
+    """That each body is fixed to, shape (body,)."""
+    place: Array
+    """Of each body's centre of mass in that joint's frame [m], (body, 3); axes are parallel."""
+    carrier: dict[int, int]
+    """The joint of each link that has coordinates, by its body; a free body's is that of its turn.
+    """
+
+    native: dict[int, int]
+    """The same, by the scene's joint."""
+
+    def end(self, body: int, point: Array) -> tuple[int, list[float]]:
+        """Give joint and point in its frame, of a point in a native frame."""
+        if body == WORLD_INDEX:
+            return 0, point.tolist()
+        return int(self.joint[body]), (self.place[body] + point).tolist()
+
+    @staticmethod
+    def of(mechanism: Mechanism) -> Layout:
+        """Number the joints as they are added: each branch to its end before the next."""
+        joint = np.zeros(mechanism.body_count, dtype=int)
+        place = np.zeros((mechanism.body_count, 3))
+        carrier: dict[int, int] = {}
+        native: dict[int, int] = {}
+        count = 1
+        for link in depth_first(mechanism):
+            kind = link.joint.kind if link.joint else "free"
+            if link.joint is not None and kind == "fixed":
+                above = link.parent != WORLD_INDEX
+                joint[link.body] = joint[link.parent] if above else 0
+                place[link.body] = link.joint.in_parent - link.joint.in_child
+                place[link.body] += place[link.parent] if above else 0.0
+                continue
+            count += 2 if kind == "free" else 1
+            joint[link.body] = carrier[link.body] = count - 1
+            if link.joint is not None:
+                place[link.body] = -link.joint.in_child
+                native[link.joint.index] = count - 1
+        return Layout(joint, place, carrier, native)
+
+
+def depth_first(mechanism: Mechanism) -> Iterator[Link]:
+    """Give the links in the order that Pinocchio's joints must have."""
+    below: dict[int, list[Link]] = {}
+    for link in reversed(mechanism.links):
+        below.setdefault(link.parent, []).append(link)
+    waiting = below.get(WORLD_INDEX, [])
+    while waiting:
+        link = waiting.pop()
+        yield link
+        waiting += below.get(link.body, [])
+
+
+def listing(mechanism: Mechanism, layout: Layout, drift_time: float) -> str:
+    """Write the program that leaves `model`, `bodies` and `constraints` behind.
+
+    Args:
+        mechanism: With the spanning tree that the model has.
+        layout: Of it.
+        drift_time: In which loops that have drifted open are closed [s]; 0: never.
+    """
+    stiffness, damping = (1 / drift_time**2, 2 / drift_time) if drift_time else (0.0, 0.0)
+    lines = [_HEAD % (stiffness, damping, list(mechanism.scene.gravity))]
+    for link in depth_first(mechanism):
+        lines += _link(mechanism, layout, link)
+    for joint in mechanism.loops:
+        lines += _closure(mechanism, layout, joint)
+    for joint in mechanism.rotors:
+        place = f"model.idx_vs[{layout.native[joint.index]}]"
+        lines.append(f"model.armature[{place}] = {joint.armature!r}  # {joint.name!r}")
+    return "\n".join([*lines, ""])
+
+
+def _link(mechanism: Mechanism, layout: Layout, link: Link) -> Iterator[str]:
+    name, joint = mechanism.scene.bodies[link.body].name, link.joint
+    if joint is None:
+        shift = f"model.addJoint(0, pin.JointModelTranslation(), at(0, 0, 0), {name + ' at'!r})"
+        yield f"model.addJoint({shift}, pin.JointModelSpherical(), at(0, 0, 0), {name!r})"
+    elif joint.kind != "fixed":
+        above, point = layout.end(link.parent, joint.in_parent)
+        axis = f"np.array({joint.axis.tolist()})" if joint.kind != "ball" else ""
+        kind = f"pin.{_KINDS[joint.kind]}({axis})"
+        yield f"model.addJoint({above}, {kind}, at(*{point}), {joint.name!r})"
+    where = f"{layout.joint[link.body]}, {layout.place[link.body].tolist()}"
+    held = f"{float(mechanism.mass[link.body])!r}, {mechanism.inertia[link.body].tolist()}"
+    yield f"bodies[{link.body}] = add_body({name!r}, {where}, {held})"
+
+
+def _closure(mechanism: Mechanism, layout: Layout, joint: PlacedJoint) -> Iterator[str]:
+    """Tie one point, two on a hinge's axis, or a whole frame. Bodies that are one need no tie."""
+    arm = mechanism.scene.length * joint.axis
+    for off in (arm, -arm) if joint.kind == "hinge" else (np.zeros(3),):
+        first = layout.end(joint.parent, joint.in_parent + off)
+        second = layout.end(joint.child, joint.in_child + off)
+        if first[0] != second[0]:
+            ends = f"{first[0]}, {first[1]}, {second[0]}, {second[1]}"
+            yield f"constraints.append(close({6 if joint.kind == 'fixed' else 3}, {ends}))"
+
+
+class Coordinates:
+    """The way between a model's coordinates and those of links.
+
+    Pinocchio's quaternions are xyzw; angular velocities are in a body's own axes.
+    """
+
+    def __init__(self, mechanism: Mechanism, layout: Layout, idx_q: list[int], idx_v: list[int]):
+        kinds = [link.joint.kind if link.joint else "free" for link in mechanism.links]
+        carriers = [layout.carrier.get(link.body, 0) for link in mechanism.links]
+        q, v = np.array(idx_q)[carriers], np.array(idx_v)[carriers]
+        turning, free = (np.array([kind in some for kind in kinds]) for some in _TURNING)
+        scalar = np.array([kind in ("hinge", "slider") for kind in kinds])
+        self._turning, self._free, self._scalar = map(np.flatnonzero, (turning, free, scalar))
+        self._turn_q = q[turning][:, None] + [3, 0, 1, 2]
+        self.turn_v = v[turning][:, None] + np.arange(3)
+        self._shift_q, self._shift_v = (
+            # A free body's translation is the joint before that of its turn.
+            (at[free] - 3)[:, None] + np.arange(3) for at in (q, v)
+        )  # fmt: skip
+        self._scalar_q, self._scalar_v = q[scalar], v[scalar]
+
+    def of_links(self, links: LinkStates, size: tuple[int, int]) -> tuple[Array, Array]:
+        """Give coordinates (…, nq) and velocities (…, nv)."""
+        lead = links.coordinate.shape[:-1]
+        q, u = (np.zeros((*lead, count)) for count in size)
+        q[..., self._turn_q] = links.rotation[..., self._turning, :]
+        u[..., self.turn_v] = links.angular_velocity[..., self._turning, :]
+        q[..., self._shift_q] = links.position[..., self._free, :]
+        u[..., self._shift_v] = links.velocity[..., self._free, :]
+        q[..., self._scalar_q] = links.coordinate[..., self._scalar]
+        u[..., self._scalar_v] = links.rate[..., self._scalar]
+        return q, u
+
+    def to_links(self, q: Array, u: Array, count: int) -> LinkStates:
+        """Give the states of so many links."""
+        lead = (*q.shape[:-1], count)
+        still = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*lead, 4)).copy()
+        links = LinkStates(
+            still, np.zeros((*lead, 3)), np.zeros(lead), np.zeros(lead), np.zeros((*lead, 3)),
+            np.zeros((*lead, 3)),
+        )  # fmt: skip
+        links.rotation[..., self._turning, :] = q[..., self._turn_q]
+        links.angular_velocity[..., self._turning, :] = u[..., self.turn_v]
+        links.position[..., self._free, :] = q[..., self._shift_q]
+        links.velocity[..., self._free, :] = u[..., self._shift_v]
+        links.coordinate[..., self._scalar] = q[..., self._scalar_q]
+        links.rate[..., self._scalar] = u[..., self._scalar_v]
+        return links
+
+
+_TURNING = (("ball", "free"), ("free",))
