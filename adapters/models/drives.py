@@ -46,12 +46,15 @@ def _drive(mujoco: Any, model: Any, k: int) -> Drive | str:
         return _IDLE
     if model.actuator_trntype[k] > int(mujoco.mjtTrn.mjTRN_JOINTINPARENT):
         return "it does not act on a joint"
-    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
-        return "the scene description has servos of hinges alone"
+    slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+    if not slides and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        return "the scene description has servos of hinges and sliders alone"
     if not still:
         return "its activation changes by itself"
     if stiffness < 0 or damping < 0 or not (stiffness or damping):
         return "it has a negative gain, or none"
+    if slides and push and not stiffness:
+        return "the scene description has no servo of a slider's speed alone"
     push *= gear[0]
     start = float(model.qpos0[model.jnt_qposadr[joint]])
     return Drive(

@@ -110,14 +110,14 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Drive:
-    """A motor that leads a hinge to a target."""
+    """A motor that leads a hinge or slider to a target."""
 
     name: str
     joint: str
     stiffness: float
     damping: float
     position: float
-    """[rad], counted from the reference pose."""
+    """[rad or m], counted from the reference pose."""
     velocity: float
     limited: bool = False
     """Whether the file limits its torque."""

@@ -23,7 +23,7 @@ from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
-from mbds_xsim.scene.servo import gains
+from mbds_xsim.scene.servo import law_of
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
@@ -315,7 +315,7 @@ def _native(point: tuple[float, float, float], body: int, com: Array) -> Array:
 
 def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoint:
     joint = scene.joints[k]
-    stiffness, damping = gains(scene.servos, joint.name)
+    stiffness, damping, rest = law_of(joint, scene.servos)
     # hypot neither under- nor overflows, whatever the axis is measured in.
     axis = np.zeros(3) if joint.axis is None else np.array(joint.axis) / math.hypot(*joint.axis)
     parent, child = index[joint.parent], index[joint.child]
@@ -329,9 +329,9 @@ def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         in_parent=_native(joint.anchor, parent, com),
         in_child=_native(joint.anchor, child, com),
         index=k,
-        stiffness=joint.stiffness + stiffness,
-        damping=joint.damping + damping,
-        rest=joint.rest,
+        stiffness=stiffness,
+        damping=damping,
+        rest=rest,
         armature=joint.armature,
         friction=joint.friction,
         coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),

@@ -123,7 +123,7 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for item in scene.forces:
         force[:, bodies[item.body]] += _held(np.array(item.series), item.hold, scene.clock.steps)
-    for servo in scene.servos:
+    for servo in (servo for servo in scene.servos if servo.joint in hinges):
         column, steps = hinges[servo.joint], scene.clock.steps
         off = _held(np.array(servo.position), servo.hold, steps) - mechanism.hinges[column].rest
         rate = _held(np.array(servo.velocity), servo.hold, steps)

@@ -315,9 +315,12 @@ class Scene(Neutral):
                     _known(f"{table}[{k}].bodies[{end}]", item.bodies[end], held)
         for k, force in enumerate(self.forces):
             _known(f"forces[{k}].body", force.body, bodies)
-        for table in ("torques", "servos"):
-            for k, load in enumerate(getattr(self, table)):
-                _known(f"{table}[{k}].joint", load.joint, hinges, what="hinge")
+        for k, torque in enumerate(self.torques):
+            _known(f"torques[{k}].joint", torque.joint, hinges, what="hinge")
+        for k, servo in enumerate(self.servos):
+            _known(f"servos[{k}].joint", servo.joint, coordinates, what="hinge or slider")
+            if servo.joint not in hinges:
+                servo.check_one_target(f"servos[{k}]")
         for k, coupling in enumerate(self.couplings):
             for key in ("joint", "follows"):
                 got = getattr(coupling, key)

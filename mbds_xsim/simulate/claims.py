@@ -78,6 +78,8 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
     kinds |= {Feature[f"LOOP_{joint.kind.upper()}"] for joint in mechanism.loops}
     diagonal = np.einsum("kii->ki", mechanism.inertia)[:, :, None] * np.eye(3)
     draws = {draw.__struct_config__.tag for draw in scene.sampling}
+    driven = {joint.name for joint in mechanism.hinges}
+    loads = [load for table in (scene.torques, scene.servos) for load in table]
     asked = {
         Feature.FREE_BODY: None in tree,
         Feature.DISTANCE_LINK: bool(scene.distance_links),
@@ -89,7 +91,8 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.JOINT_FRICTION: bool(mechanism.frictional),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
-        Feature.HINGE_TORQUE: bool(scene.torques or scene.servos) or "hinge_torque" in draws,
+        Feature.HINGE_TORQUE: any(load.joint in driven for load in loads)
+        or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),
         Feature.CONTACT: bool(scene.contacts),
         Feature.LINKED_CONTACT: bool(scene.contacts) and not mechanism.has_only_balls,

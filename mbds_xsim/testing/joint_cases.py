@@ -61,8 +61,10 @@ def _sprung_hinge() -> Case:
 
 
 def _sprung_slider() -> Case:
-    """A body on a sloping rail, sprung and damped."""
+    """A body on a sloping rail, sprung and damped, in part by a servo."""
     stiffness, damping, rest, rate, mass = 40.0, 1.5, 0.2, 0.5, 2.0
+    # Springs of 10 and 30 N/m to these places are one of 40 N/m to 0.2 m.
+    own, servo = 0.5, Servo("rail", (0.1,), stiffness=30.0, damping=1.0)
     along = np.array([0.6, 0.0, -0.8])
     slack = rest + mass * G * 0.8 / stiffness
 
@@ -72,13 +74,14 @@ def _sprung_slider() -> Case:
 
     return case_of(
         "sprung slider",
-        "spring and damper of a slider",
+        "spring and damper of a slider, and a servo's",
         [even("block", mass, 0.1)],
         exact,
         Joint(
             "rail", "slider", "world", "block", NONE, (0.6, 0.0, -0.8), rate=rate,
-            stiffness=stiffness, damping=damping, rest=rest,
+            stiffness=10.0, damping=0.5, rest=own,
         ),
+        servos=(servo,),
     )  # fmt: skip
 
 

@@ -90,7 +90,8 @@ def test_any_tree_comes_back_from_mjcf(
         else joint
         for joint in scene.joints
     )
-    servos = tuple(Servo(j.name, (0.4,), (0.0,), 9.0, 0.7) for j in joints if j.kind == "hinge")
+    led = [joint.name for joint in joints if joint.kind in ("hinge", "slider")]
+    servos = tuple(Servo(name, (0.4,), (0.0,), 9.0, 0.7) for name in led)
     gravity = (1.0, 2.0, -3.0)
     scene = msgspec.structs.replace(
         scene, springs=(spring,), gravity=gravity, joints=joints, servos=servos

@@ -274,6 +274,33 @@ _MISTAKES: dict[str, tuple[Edit, str]] = {
         _set("sampling", 0, to={"kind": "swing", "bodies": [], "polar": [0, 1], "speed": [0, 1]}),
         "sampling[0].bodies: got [], allowed is one name or more, each once",
     ),
+    "gear of no ratio": (
+        _set("couplings", to=[{"joint": "spindle", "follows": "frame", "ratio": 0.0}]),
+        "coupling of 'spindle': got the ratio 0, allowed is any other number",
+    ),
+    "gear of a joint on itself": (
+        _set("couplings", to=[{"joint": "spindle", "follows": "spindle"}]),
+        "couplings[0].follows: got 'spindle', by which 'spindle' follows itself",
+    ),
+    "gears in a ring": (
+        _set(
+            "couplings",
+            to=[{"joint": "spindle", "follows": "frame"}, {"joint": "frame", "follows": "spindle"}],
+        ),
+        "couplings[1].follows: got 'spindle', by which 'frame' follows itself",
+    ),
+    "two gears of a joint": (
+        _set("couplings", to=[{"joint": "spindle", "follows": "frame"}] * 2),
+        "couplings[1].joint: got 'spindle' again, allowed is that a joint follows one other",
+    ),
+    "gear that a draw breaks": (
+        _set("couplings", to=[{"joint": "spindle", "follows": "frame"}]),
+        "sampling: the drawn velocities break couplings['spindle follows frame'] at ",
+    ),
+    "friction below nothing": (
+        _set("joints", 0, "friction", to=-1.0),
+        "joints[0].friction (in 'frame'): got -1.0",
+    ),
     "draw of one thing twice": (
         _set("sampling", 0, to={"kind": "hinge_rate", "joints": ["frame"] * 2, "rate": [0, 1]}),
         "sampling[0].joints: got ['frame', 'frame'], allowed is one name or more, each once",
