@@ -28,8 +28,9 @@ from mbds_xsim.scene.scene import (
 )
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
-from mbds_xsim.simulate.adapter import Settings
+from mbds_xsim.simulate.adapter import Profile, Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
+from mbds_xsim.testing.case import NONE, case_of, even
 from tests.adapters.exact import worst_gap
 from tests.random_scenes import Kind, random_links, random_tree
 
@@ -147,6 +148,24 @@ def test_springs_and_dampers_converge_in_fourth_order() -> None:
     errors = position_errors(scene, (2, 4, 8))
     assert np.log2(errors[0] / errors[2]) / 2 == pytest.approx(4.0, abs=0.2)
     assert errors[2] < 1e-7
+
+
+@pytest.mark.parametrize(("profile", "speed"), [("matched", 3.7e-6), ("native", 5.2e-3)])
+def test_a_joint_that_friction_holds_creeps(profile: Profile, speed: float) -> None:
+    rail = (0.75**0.5, 0.0, -0.5)
+    case = case_of(
+        "held block",
+        "",
+        [even("block", 1.0, 0.1)],
+        lambda time: np.zeros((len(time), 1, 3)),
+        Joint("rail", "slider", "world", "block", NONE, rail, friction=8.0),
+    )
+    with ENGINE.open(case.scene, ENGINE.settings(case.scene, profile)) as run:
+        motion = run.rollout(draw_batch(case.scene, [0]))
+
+    assert np.linalg.norm(motion.velocity[0, -1]) == pytest.approx(speed, rel=0.02)
+    exact = reference.solve(case.scene, draw_batch(case.scene, [0]), cache=False)
+    assert np.abs(exact.position).max() == 0.0
 
 
 def test_a_loop_hinge_tells_its_axis() -> None:

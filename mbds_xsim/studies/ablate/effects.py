@@ -97,6 +97,10 @@ def _loops(scene: Scene, _: float) -> Scene | None:
     return _replace(scene, joints=kept, distance_links=())
 
 
+def _gears(scene: Scene, _: float) -> Scene | None:
+    return _replace(scene, couplings=()) if scene.couplings else None
+
+
 def _loop_axes(scene: Scene, _: float) -> Scene | None:
     """Close loops by points alone."""
     closing = {joint.name for joint in Mechanism.of(scene).loops if joint.kind in _TURNED}
@@ -236,6 +240,8 @@ EFFECTS = (
     Effect("springs of joints", "joints without springs", _part("joints.stiffness")),
     Effect("damping of joints", "joints without dampers", _part("joints.damping")),
     Effect("armature", "joints without rotors", _part("joints.armature")),
+    Effect("dry friction", "joints without dry friction", _part("joints.friction")),
+    Effect("gears", "joints that follow none", _gears, (DROP,)),
     Effect("closed loops", "joints and links that close loops are left out", _loops, (DROP,)),
     Effect("axes in loops", "loops closed by ball joints", _loop_axes, (DROP,)),
     Effect("third dimension", "hinges about y for ball joints", _third_dimension, (DROP,)),
