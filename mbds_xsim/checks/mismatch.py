@@ -143,7 +143,6 @@ def mismatch_of(
     points = _points_at(flow, ends, free, force, torque, lag)
     halves = slice(0, count), slice(count, None)
     begin, end = (_Points(*(each[:, half] for each in points)) for half in halves)
-    moved = (end.position - begin.position) / frame
     # Hermite's formulas with no, one and two derivatives at each end.
     trapezoid = (begin.velocity + end.velocity) / 2
     bend = (begin.acceleration - end.acceleration) * frame
@@ -152,7 +151,7 @@ def mismatch_of(
     found = Mismatch(
         mechanism=mechanism,
         frame=first + 1,
-        left=moved - quintic,
+        left=(end.position - begin.position) / frame - quintic,
         velocity=begin.velocity,
         acceleration=(begin.acceleration + end.acceleration) / 2,
         rate_acceleration=(begin.rate_acceleration + end.rate_acceleration) / 2,

@@ -6,8 +6,8 @@ outside of a link, G, is the sum of w · z over the speeds there. The least cons
 hangs on a link with acceleration a is then ½ a·H a + h·a + λ·(K a + k) − ½ λ·G λ, and a row whose λ
 acts nowhere else is eliminated: H grows by K K/G, h by K k/G (Vereshchagin 1989; Brandl, Johanni &
 Otter 1987), and so do the other rows' K, k and G by what they are coupled. Where all rows are kept
-to the world, G is A = J M⁻¹ Jᵀ. Which row goes where is a matter of `elimination.Plan`. The load of
-a coupling acts on two coordinates alone.
+to the world, G is A = J M⁻¹ Jᵀ. Which row goes where says `elimination`. A coupling's load acts on
+two coordinates alone.
 """
 
 from __future__ import annotations

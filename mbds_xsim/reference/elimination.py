@@ -26,7 +26,7 @@ _DISTANCE = 1  # the same of a distance link
 _PASSING = 8  # times a coupling: work that a row makes at a link by itself
 
 
-class Plan(NamedTuple):
+class Elimination(NamedTuple):
     """What is done link by link; behind the links stands the world."""
 
     on_start: Index
@@ -60,7 +60,7 @@ class Plan(NamedTuple):
 
 def plan_of(
     parent: Index, speeds: Index, ends: Index, coupled: Mask, *, kept: bool = False
-) -> Plan:
+) -> Elimination:
     """Plan the elimination of rows.
 
     Args:
@@ -91,7 +91,7 @@ def plan_of(
             pairs[link] = couplings.join([row for row, _ in on[link]])
     ways = [way for link in range(world) for way in on[link]]
     width = [int(speeds[link]) for link in range(world) for _ in on[link]]
-    return Plan(
+    return Elimination(
         on_start=_starts(on[:world]),
         on_row=_column(ways, 0),
         on_end=_column(ways, 1),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
-from mbds_xsim.reference.elimination import Plan, plan_of
+from mbds_xsim.reference.elimination import Elimination, plan_of
 from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.scene.constraints import layout_of
 from mbds_xsim.scene.joint_space import BodyStates, joint_coordinate, to_links
@@ -95,7 +95,7 @@ class Tree(NamedTuple):
     """Where the coordinates of a coupling stand in a state, shape (2, row); 0 of others."""
     loaded: int
     """Rows that carry loads; those behind them follow from them."""
-    plan: Plan
+    plan: Elimination
     """How these are eliminated."""
 
 
@@ -115,15 +115,13 @@ def tree_of(mechanism: Mechanism) -> Tree:
     fixed, odd, even = (
         (left @ np.array([m[k] for m in matrices]) @ right).reshape(-1, 9) for k in range(3)
     )
-    still = rotation.multiply(inwards[parent_body], top.principal[body])
 
     def joint_vectors(key: str, frame: Array) -> Array:
         vectors = [np.zeros(3) if x.joint is None else getattr(x.joint, key) for x in links]
         return rotation.rotate(frame, np.array(vectors))
 
     yielding = np.mean(1.0 / top.inertia_root[body] ** 2, axis=1)
-    turning = sum(joint.kind == "hinge" for joint in mechanism.counted)
-    place_count = int(places.sum()) + turning
+    place_count = int(places.sum()) + sum(j.kind == "hinge" for j in mechanism.counted)
     at = np.cumsum(places) - places
     acting = _acting(mechanism, inwards, link_of, int(places.sum()))
     rows, more = _rows(mechanism, inwards, link_of), _coupled(mechanism, at, acting["angle_at"])
@@ -145,7 +143,7 @@ def tree_of(mechanism: Mechanism) -> Tree:
         fixed=fixed,
         odd=odd,
         even=even,
-        still=still,
+        still=rotation.multiply(inwards[parent_body], top.principal[body]),
         mass=mechanism.mass[body],
         armature=np.array([0.0 if x.joint is None else x.joint.armature for x in links]),
         moment=top.inertia_root[body] ** 2,

@@ -88,7 +88,7 @@ class Workspace(NamedTuple):
     brought: Array
     """What each row does to the speeds of the links that its load comes through."""
     couplings: Array
-    """Of rows, by the numbers of `Plan`; those of a row with itself become inverse."""
+    """Of rows, by the numbers of `Elimination`; those of a row with itself become inverse."""
     multipliers: Array
     share: Array
     """Least independent part of a row, and largest contradiction of rows that follow (2)."""
