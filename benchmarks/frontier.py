@@ -95,10 +95,12 @@ def _markers(scene: Scene, motion: Trajectory) -> Array:
 
 
 def _rate_at(points: Points, error: float) -> str:
-    """Interpolate the rate at an error, both as logarithms."""
+    """Interpolate the rate at an error, both as logarithms; where all are nearer, the highest."""
     points = sorted(point for point in points if np.isfinite(point[0]))
-    if not points or not points[0][0] <= error <= points[-1][0]:
+    if not points or error < points[0][0]:
         return "–"
+    if error > points[-1][0]:
+        return f"≥ {max(rate for _, rate in points):.3g}"
     errors, rates = np.log(np.array(points)).T
     return f"{np.exp(np.interp(np.log(error), errors, rates)):.3g}"
 
