@@ -22,12 +22,13 @@ _UNUSED = 30 * 86400.0  # after which machine code of another version is removed
 
 @functools.cache
 def kernel_folder() -> Path:
-    """Where machine code is kept: numba looks at one file's time, and not at what it calls.
+    """Where machine code is kept: numba looks at one file's path and time, and not at what it calls.
 
     The folder's own time is that of its last use.
     """
     base = os.environ.get("XDG_CACHE_HOME")
     text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+    text += str(Path(__file__).parent).encode()
     root = (Path(base) if base else Path.home() / ".cache") / "mbds-xsim" / "kernels"
     folder = root / hashlib.sha256(text).hexdigest()[:16]
     with suppress(OSError):  # it is not there yet, or is another's
