@@ -22,7 +22,7 @@ _UNUSED = 30 * 86400.0  # after which machine code of another version is removed
 
 @functools.cache
 def kernel_folder() -> Path:
-    """Where machine code is kept: numba looks at one file's path and time, and not at what it calls.
+    """Where machine code is kept: numba looks at a file's path and time, and not at what it calls.
 
     The folder's own time is that of its last use.
     """
