@@ -12,14 +12,14 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError
-from mbds_xsim.scene.coupling import Coupling as SceneCoupling
+from mbds_xsim.scene.coupling import Coupling
 from mbds_xsim.scene.imported import Fate, Imported, Outcome, gathered
 from mbds_xsim.scene.scene import WORLD, Body, DistanceLink, Inertia, Joint, Scene, SpringDamper
 from mbds_xsim.scene.servo import Servo
 
 from .facts import facts_of
 from .masses import SHARE, physical, small
-from .parts import Closing, Coupling, Drive, Freedom, Line, Mass, Part, Parts
+from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts
 from .starts import starts
 
 _NOT_YET = "not yet in the scene description"
@@ -110,7 +110,7 @@ class _Builder:
         self.servos: list[Servo] = []
         for drive in model.drives:
             self._drive(drive)
-        self.couplings: list[SceneCoupling] = []
+        self.couplings: list[Coupling] = []
         for coupling in model.couplings:
             self._couple(coupling)
 
@@ -283,7 +283,7 @@ class _Builder:
         else:
             self._tell("kept", "actuator", "a servo at its command of 0", drive.name)
 
-    def _couple(self, coupling: Coupling) -> None:
+    def _couple(self, coupling: ModelCoupling) -> None:
         element, attribute = self._model.labels["coupling"]
         place = f"{coupling.joint} follows {coupling.follows}"
         joints = [self._joint_names.get(each) for each in (coupling.joint, coupling.follows)]
@@ -294,7 +294,7 @@ class _Builder:
         elif any(higher) or not ratio:
             reason = "not in proportion to the other's coordinate"
         else:
-            self.couplings.append(SceneCoupling(follower, leader, ratio, offset))
+            self.couplings.append(Coupling(follower, leader, ratio, offset))
             reason = ""
         how = reason or "a rigid coupling"
         outcome: Outcome = "dropped" if reason else "kept"

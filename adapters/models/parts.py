@@ -99,7 +99,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Coupling:
+class ModelCoupling:
     """A joint whose coordinate follows another's."""
 
     joint: str
@@ -132,7 +132,7 @@ class Parts:
     gravity: Array
     """[m/s²], shape (3,)."""
     closings: tuple[Closing, ...] = ()
-    couplings: tuple[Coupling, ...] = ()
+    couplings: tuple[ModelCoupling, ...] = ()
     lines: tuple[Line, ...] = ()
     labels: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Element and attribute that the format has for each property of a freedom."""

@@ -12,7 +12,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.imported import Fate
 
-from .parts import Closing, Coupling, Line
+from .parts import Closing, Line, ModelCoupling
 
 _APART = 1e-9  # [m] or turn: ends of an equality that is not met at the reference pose
 _NOT_YET = "not yet in the scene description"
@@ -62,13 +62,13 @@ class Ties:
             middle, axis = (first_point + second_point) / 2, second_point - first_point
             yield Closing(balls[0].name, "hinge", balls[0].parts, middle, axis)
 
-    def couplings(self) -> Iterator[Coupling]:
+    def couplings(self) -> Iterator[ModelCoupling]:
         """Give joints that follow another."""
         model = self._model
         for e in self._active:
             followed = int(model.eq_obj2id[e])
             if model.eq_type[e] == self._mujoco.mjtEq.mjEQ_JOINT and followed >= 0:
-                yield Coupling(
+                yield ModelCoupling(
                     joint=self._name("JOINT", int(model.eq_obj1id[e])),
                     follows=self._name("JOINT", followed),
                     polynomial=tuple(model.eq_data[e, :5].tolist()),

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Exit, Option
 
-from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
 from mbds_xsim.base.text import counted
 from mbds_xsim.commands import shared
@@ -142,8 +141,7 @@ def generate(
         mbds-xsim generate 6pendulum --engines mujoco --trajectories 1000 --out data
         run it again after any interruption, and it goes on
     """
-    from mbds_xsim.base.isolate import Carrier, run_tasks
-    from mbds_xsim.dataset.cluster import Cluster
+    from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.dataset.generate import Request
     from mbds_xsim.dataset.generate import generate as run
     from mbds_xsim.report.terminal import GeneratingBar
@@ -159,16 +157,10 @@ def generate(
         seed=seed,
         noise=noise,
     )
-    if scheduler is not None and workers is not None:
-        msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"
-        raise InputError(msg)
     with ExitStack() as stack:
-        carry_out: Carrier = run_tasks
-        if scheduler is not None:
-            carry_out = cluster = stack.enter_context(Cluster(scheduler, out))
-            workers = cluster.workers
+        carry_out, at_once = carrier_of(stack, scheduler, workers, out)
         progress = stack.enter_context(GeneratingBar(console))
-        generated = run(request, workers=workers, progress=progress, carry_out=carry_out)
+        generated = run(request, workers=at_once, progress=progress, carry_out=carry_out)
     shared.answer(_outcome(generated), generated, json, "generate")
     whole = not generated.failed and all(count.published for count in generated.variants)
     raise Exit(0 if whole else 1)

@@ -58,7 +58,6 @@ _Scheduler = Annotated[
     ),
 ]
 _Events = Annotated[Path | None, typer.Option(metavar="DIR", help="Write what TensorBoard reads.")]
-_Curves = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the learning curves.")]
 _ModelFolder = Annotated[
     Path, typer.Argument(metavar="MODELS", help="Folder that train has written.")
 ]
@@ -93,8 +92,9 @@ _Rollouts = Annotated[
 ]
 
 
-@shared.command("learn")
+@shared.command("learn", writes="json png")
 def train(
+    to: shared.Outputs,
     data: _Data,
     out: _Out = Path("models"),
     models: _Models = None,
@@ -110,8 +110,6 @@ def train(
     workers: shared.DeviceWorkers = None,
     scheduler: _Scheduler = None,
     tensorboard: _Events = None,
-    png: _Curves = None,
-    json: shared.JsonFile = None,
 ) -> None:
     """Train learned models on engines' data, all on equally much of it; see docs/train.md.
 
@@ -122,18 +120,15 @@ def train(
     """
     shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
-    from mbds_xsim.learn.model import trainable
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
 
-    console = shared.console_for(json)
-    shared.check_targets(json=json, png=png, out=None if plan else out / "model.pt")
+    to.check(out=None if plan else out / "model.pt")
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
-    named = [word.strip() for word in dict.fromkeys((models or "").split(","))]
     request = TrainingRequest(
         groups=groups(data),
-        models=trainable() if models is None else named,
+        models=_models(models),
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -145,19 +140,26 @@ def train(
     )
     trainings = planned(request, only=plan)
     left_out = ((f"{name} left out", reason) for name, reason in trainings.left_out.items())
-    print_blocks([Remarks.of(left_out)], console)
+    print_blocks([Remarks.of(left_out)], to.console)
     with ExitStack() as stack:
         carrier = _carrier(stack, scheduler, workers, device, out)
         if plan:
-            measured = _costs(trainings, *carrier, console)
-            shared.write_json(
-                shared.encoded({"cost": measured, "left_out": trainings.left_out}, "train"), json
-            )
-            return
-        told = _trained(trainings, request, *carrier, console)
-    shared.write_json(shared.encoded(told, "train"), json)
-    _draw([out / f"{name}.curve.json" for name in told["runs"]], png, console)
+            costs = _costs(trainings, *carrier, to.console)
+            told: dict[str, Any] = {"cost": costs, "left_out": trainings.left_out}
+        else:
+            told = _trained(trainings, request, *carrier, to.console)
+    shared.write_json(shared.encoded(told, "train"), to.json)
+    if plan:
+        return
+    _draw([out / f"{name}.curve.json" for name in told["runs"]], to.png, to.console)
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
+
+
+def _models(names: str | None) -> list[str]:
+    """Read the models from a user's words; all that learn when left out."""
+    from mbds_xsim.learn.model import trainable
+
+    return trainable() if names is None else [w.strip() for w in dict.fromkeys(names.split(","))]
 
 
 def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:
@@ -233,18 +235,12 @@ def _profile(name: str, steps: int | None, *, bf16: bool, compiled: bool) -> Pro
 def _carrier(
     stack: ExitStack, scheduler: str | None, workers: int | None, device: str, out: Path
 ) -> tuple[Carrier, int]:
-    """Give what carries runs out, and how many at a time."""
-    from mbds_xsim.base.isolate import run_tasks
-    from mbds_xsim.dataset.cluster import Cluster
+    """Give what carries runs out, and how many at a time; on a GPU here one."""
+    from mbds_xsim.dataset.cluster import carrier_of
     from mbds_xsim.learn.recipe import process_count
 
-    if scheduler is not None and workers is not None:
-        msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"
-        raise InputError(msg)
-    if scheduler is not None:
-        cluster = stack.enter_context(Cluster(scheduler, out))
-        return cluster, cluster.workers
-    return run_tasks, process_count(workers, device)
+    carrier, at_once = carrier_of(stack, scheduler, workers, out)
+    return carrier, process_count(at_once, device)
 
 
 def _draw(curves: Sequence[Path], png: Path | None, console: Console) -> None:
@@ -326,10 +322,10 @@ def shift(
     shared.check_torch("shift")
     from mbds_xsim.dataset.variant import folder_name
     from mbds_xsim.learn.recipe import check_device
-    from mbds_xsim.learn.shift.domains import Selection
     from mbds_xsim.learn.shift.evaluation import to_csv
     from mbds_xsim.learn.shift.result import to_json
     from mbds_xsim.learn.shift.study import question_of, samples_of, study
+    from mbds_xsim.learn.trained import Selection
     from mbds_xsim.report.files import link, write_if
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.studies.shift.figures import to_png

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbds_xsim.simulate.adapter import Profile
     from mbds_xsim.simulate.simulator import Simulator
     from mbds_xsim.studies.stability.study import Study, Survey, Value
-    from mbds_xsim.studies.stability.survey import Plan
+    from mbds_xsim.studies.stability.survey import SurveyPlan
     from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
 
 
@@ -187,7 +187,7 @@ def stability(
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.stability.present import listing
     from mbds_xsim.studies.stability.studies import STUDIES, study_named
-    from mbds_xsim.studies.stability.survey import Plan
+    from mbds_xsim.studies.stability.survey import SurveyPlan
 
     if listed:
         print_blocks([listing(STUDIES.values())], to.console)
@@ -197,7 +197,7 @@ def stability(
     single = value is not None and step is not None
     how: dict[str, Any] = {"limit": limit, "workers": workers, "cache": cache}
     plans = [
-        Plan(
+        SurveyPlan(
             study=study,
             engines=choice.engines,
             faulty=choice.faulty,
@@ -215,7 +215,7 @@ def stability(
     _write([_mapped(plan, to.console, out, single=single) for plan in plans], to)
 
 
-def _mapped(plan: Plan, console: Console, out: Path | None, *, single: bool) -> Survey:
+def _mapped(plan: SurveyPlan, console: Console, out: Path | None, *, single: bool) -> Survey:
     """Survey and say one study, and write its files before the next one begins."""
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_blocks, print_report

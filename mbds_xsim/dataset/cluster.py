@@ -11,14 +11,14 @@ import platform
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.frame import optional
-from mbds_xsim.base.isolate import Task, run_tasks
+from mbds_xsim.base.isolate import Carrier, Task, run_tasks
 from mbds_xsim.simulate.registry import package_version
 
 _PATIENCE = 10.0  # for the scheduler's first answer [s]
@@ -27,6 +27,29 @@ _FETCH = 10.0  # for an answer that is there [s]
 _GRACE = 30.0  # for another worker, where the last one is gone [s]
 _AWAITED = ("pending", "lost")
 _PACKAGES = ("mbds-xsim", "mujoco", "pybullet", "dartpy", "exudyn", "numpy", "h5py")
+
+
+def carrier_of(
+    stack: ExitStack, address: str | None, workers: int | None, out: Path
+) -> tuple[Carrier, int | None]:
+    """Give what carries tasks out, processes here or a cluster, and how many at a time.
+
+    Args:
+        stack: Lets go of the cluster at its end.
+        address: Of a cluster's scheduler.
+        workers: Processes here.
+        out: Folder that the cluster's workers must see.
+
+    Raises:
+        InputError: Both are given, or the cluster is not one that could.
+    """
+    if address is None:
+        return run_tasks, workers
+    if workers is not None:
+        msg = "--workers and --scheduler: got both, allowed is one; a cluster has its own workers"
+        raise InputError(msg)
+    cluster = stack.enter_context(Cluster(address, out))
+    return cluster, cluster.workers
 
 
 class Cluster(AbstractContextManager["Cluster"]):

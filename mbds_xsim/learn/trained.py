@@ -1,4 +1,4 @@
-"""Trained models as simulators: what their files say, and motions that they predict.
+"""Trained models: what their files say, which of them are compared, and what they predict.
 
 A model needs the first frames of a motion. Beside engines they are the reference's, so that it
 starts where every engine starts, and knows what no engine is told: how the motion begins.
@@ -27,11 +27,15 @@ from mbds_xsim.learn.window import HISTORY, KnownInputs, Start
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.choice import words_of
 
 _FACTS = ("train_engines", "variant", "training", "seed")
 _ALIKE = ("profile", "track", "settings", "drawn", "starts", "device")
 """Facts that trainings must share to differ in their engines alone."""
 _STATES = ("position", "orientation", "velocity", "angular_velocity")
+TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
+"""What every model must beat."""
+_WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,96 @@ def trained_in(places: Sequence[Path]) -> list[TrainedModel]:
             raise InputError(msg)
         models += map(trained_model, paths)
     return models
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which of the models and domains that there are take part; left out, all."""
+
+    variants: tuple[str, ...] = ()
+    ways: tuple[str, ...] = ()
+    seeds: int | None = None
+    """How many, from 0 on."""
+
+    @staticmethod
+    def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
+        """Read it from a user's words; InputError says which ways there are."""
+        return Selection(words_of(settings or ()), _words("--on", on, _WAYS), seeds)
+
+    def has(self, model: TrainedModel) -> bool:
+        """Whether a trained model takes part."""
+        return (
+            (not self.variants or model.variant in self.variants)
+            and (not self.ways or model.way in self.ways)
+            and (self.seeds is None or model.seed < self.seeds)
+        )
+
+
+WHOLE = Selection()
+
+
+def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[TrainedModel]:
+    """Find the files `<scene>/<variant>/<model>/<training>-s<seed>.pt` below a folder.
+
+    InputError where there is none, one does not say what it was trained on, or two say the same.
+    """
+    paths = sorted((folder / scene).glob("*/*/*-s*.pt"))
+    if not paths:
+        msg = (
+            f"{folder / scene}: no trained models (<variant>/<model>/<training>-s<seed>.pt); make "
+            "some with mbds-xsim train"
+        )
+        raise InputError(msg)
+    models = sorted(map(trained_model, paths), key=_order)
+    known: dict[tuple[str, str, int], Path | None] = {}
+    for model in models:
+        key = (model.model, model.training, model.seed)
+        if key in known:
+            msg = f"{model.path} and {known[key]} are both {' '.join(map(str, key))}; remove one"
+            raise InputError(msg)
+        known[key] = model.path
+    chosen = [model for model in models if selection.has(model)]
+    if not chosen:
+        msg = f"{folder / scene}: none of the {len(models)} models there was asked for"
+        raise InputError(msg)
+    return chosen
+
+
+def trivial_models() -> list[TrainedModel]:
+    """Give the models that learn nothing."""
+    profile = "mbds_xsim.learn.model"
+    return [TrainedModel(name, "nothing", (), "", 0, None, name, profile) for name in TRIVIAL]
+
+
+def check_budget(models: Sequence[TrainedModel]) -> None:
+    """Refuse models of one kind that do not differ in their engines and variant alone."""
+    firsts: dict[tuple[str, ...], tuple[str, TrainedModel]] = {}
+    for model in models:
+        for key, value in model.budget:
+            # One trains on what all engines of a variant have.
+            of = (model.variant, model.interval) if key == "starts" else ()
+            usual, first = firsts.setdefault((model.model, key, *of), (value, model))
+            if value != usual:
+                msg = (
+                    f"{model.path}: has another {key} than {first.path}; to compare them would "
+                    "tell of that, not of engines: train both alike, or remove one"
+                )
+                raise InputError(msg)
+
+
+def _words(option: str, given: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
+    words = [word.strip() for word in given.split(",")] if given else []
+    for word in words:
+        if word not in known:
+            msg = f"{option}: got {word!r}, allowed is {', '.join(known)}, comma-separated"
+            raise InputError(msg)
+    return tuple(dict.fromkeys(words))
+
+
+def _order(model: TrainedModel) -> tuple[str, str, int, int, str, int]:
+    """Single engines, leave-one-out, all, single intervals; variant by variant."""
+    part = ("", *INTERVALS).index(model.interval)
+    return model.model, model.variant, part, len(model.engines), model.training, model.seed
 
 
 @dataclass(frozen=True, eq=False)

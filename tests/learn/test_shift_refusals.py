@@ -15,8 +15,8 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
-from mbds_xsim.learn.shift.domains import check_budget, check_data, find_models, load_paired
-from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.learn.shift.domains import check_data, load_paired
+from mbds_xsim.learn.trained import TrainedModel, check_budget, find_models
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene

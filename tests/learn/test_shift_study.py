@@ -26,8 +26,9 @@ from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.model import LearnedModel, refusal
 from mbds_xsim.learn.particles import RolloutFigures, figures_on
 from mbds_xsim.learn.shift import rollouts, study
-from mbds_xsim.learn.shift.domains import Selection, find_models, load_paired, trivial_models
+from mbds_xsim.learn.shift.domains import load_paired
 from mbds_xsim.learn.shift.result import Shift
+from mbds_xsim.learn.trained import Selection, find_models, trivial_models
 from mbds_xsim.learn.window import HISTORY, Motions
 from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch

@@ -34,7 +34,7 @@ from mbds_xsim.studies.stability import words
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.study import Outcome, Study, Survey
-from mbds_xsim.studies.stability.survey import Plan, simulators_of, survey
+from mbds_xsim.studies.stability.survey import SurveyPlan, simulators_of, survey
 from mbds_xsim.studies.stability.verdict import judge, run_cell
 from tests.command_line import CommandLine
 from tests.learn.models import untrained
@@ -213,7 +213,7 @@ def test_a_model_that_knows_the_motion_is_stable_from_the_frames_it_is_given(
 @pytest.fixture(scope="module")
 def sweep(folder: Path) -> Survey:
     """A model beside an engine's method."""
-    plan = Plan(
+    plan = SurveyPlan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0, 5.0), counts=(5, 10),
         workers=0, others=simulators_in([folder]),
     )  # fmt: skip
@@ -240,7 +240,9 @@ def test_a_model_has_a_panel_of_its_frame_beside_the_engine(sweep: Survey, folde
 def test_what_was_predicted_is_kept_until_the_model_is_another(
     sweep: Survey, folder: Path, tmp_path: Path
 ) -> None:
-    plan = Plan(STUDIES["swing"], values=(0.0, 5.0), workers=0, others=simulators_in([folder]))
+    plan = SurveyPlan(
+        STUDIES["swing"], values=(0.0, 5.0), workers=0, others=simulators_in([folder])
+    )
     again = survey(plan)
     path = untrained(tmp_path, "1pendulum")
     other = survey(dataclasses.replace(plan, others=simulators_in([path])))
@@ -290,7 +292,7 @@ def test_values_that_hold_are_told_as_ranges(sweep: Survey) -> None:
 
 
 def test_without_models_nothing_is_said_of_them() -> None:
-    plan = Plan(
+    plan = SurveyPlan(
         STUDIES["swing"], ("mujoco",), ("RK4",), ("matched",), values=(0.0,), counts=(5,), workers=0
     )
     assert "first six" not in to_markdown([present(survey(plan))])
@@ -302,7 +304,7 @@ def test_a_scene_that_the_parameters_do_not_fit_is_left_out(folder: Path) -> Non
 
     assert "its parameters do not fit ballscroll" in model.refusal(ball.scene(5.0))
     with pytest.raises(InputError, match="nothing to run in throw"):
-        survey(Plan(ball, values=(5.0,), workers=0, others=(model,)))
+        survey(SurveyPlan(ball, values=(5.0,), workers=0, others=(model,)))
 
 
 def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> None:
@@ -310,7 +312,7 @@ def test_without_a_reference_nothing_can_be_given_to_a_model(folder: Path) -> No
     scene, batch, _ = _solved(STUDIES["swing"], 0.0)
 
     with pytest.raises(InputError, match=r"nothing to run in wheels: .* no reference"):
-        simulators_of(Plan(STUDIES["wheels"], values=(10.0,), others=(model,)))
+        simulators_of(SurveyPlan(STUDIES["wheels"], values=(10.0,), others=(model,)))
     with pytest.raises(InputError, match="no reference"):
         run_cell(model, scene, batch, 1, None)
 

@@ -21,7 +21,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
 from mbds_xsim.studies.stability.study import FRAME, MapCell, Study, Survey
-from mbds_xsim.studies.stability.survey import Plan, survey
+from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
 from tests.plugins import faulty
 
@@ -37,7 +37,7 @@ _BLIND = dataclasses.replace(STUDIES["stiffness"], known=False)
 
 
 def _sweep(study: Study, engine: str, method: str, **how: Any) -> Survey:
-    plan = Plan(study, (engine,), (method,), profiles=("matched",), workers=0)
+    plan = SurveyPlan(study, (engine,), (method,), profiles=("matched",), workers=0)
     return survey(dataclasses.replace(plan, **how))
 
 
@@ -284,7 +284,7 @@ def test_limits_are_the_longest_step_with_all_shorter_ones_stable() -> None:
 
 
 def test_methods_that_cannot_do_a_scene_are_left_out_with_the_reason() -> None:
-    plan = Plan(STUDIES["redundancy"], ("exudyn", "dart"), profiles=("matched",), workers=0)
+    plan = SurveyPlan(STUDIES["redundancy"], ("exudyn", "dart"), profiles=("matched",), workers=0)
 
     sweep = survey(dataclasses.replace(plan, values=(2.0,), counts=(20,)))
 

@@ -10,7 +10,7 @@ import pytest
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.studies.stability.studies import study_named
-from mbds_xsim.studies.stability.survey import Plan, survey
+from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 
 _PAGE = Path(__file__).parents[2] / "docs" / "failure-modes.md"
 _TOLD = re.compile(
@@ -25,10 +25,10 @@ def _options(words: str) -> dict[str, str]:
     return {"study": parts[0]} | dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
-def _plan(words: str) -> Plan:
+def _plan(words: str) -> SurveyPlan:
     asked = _options(words)
     study = study_named(asked["study"])
-    return Plan(
+    return SurveyPlan(
         study,
         (asked["--engines"],),
         tuple(filter(None, asked.get("--methods", "").split(","))),

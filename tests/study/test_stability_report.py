@@ -19,7 +19,7 @@ from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
 from mbds_xsim.studies.stability.study import FAILED, Survey
-from mbds_xsim.studies.stability.survey import Plan, survey
+from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 from mbds_xsim.studies.stability.words import LOOKS, breaking, command_of, conclusion, limit, told
 from tests.command_line import CommandLine
 
@@ -31,7 +31,7 @@ _VALUES = (1e2, 1e4)
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Survey:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MBDS_XSIM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        plan = Plan(
+        plan = SurveyPlan(
             STUDIES["stiffness"],
             ("mujoco", "pybullet"),
             values=_VALUES,
@@ -197,7 +197,9 @@ def test_a_value_without_a_reference_is_told(
         return run_tasks(tasks, **options)
 
     monkeypatch.setattr(surveys, "run_tasks", failing)
-    plan = Plan(STUDIES["stiffness"], ("mujoco",), ("RK4",), values=(1e2,), counts=(10,), workers=0)
+    plan = SurveyPlan(
+        STUDIES["stiffness"], ("mujoco",), ("RK4",), values=(1e2,), counts=(10,), workers=0
+    )
 
     blind = survey(plan)
 

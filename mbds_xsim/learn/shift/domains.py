@@ -1,6 +1,6 @@
-"""What is compared: test domains of a scene, and models, trained ones from files and trivial ones.
+"""Test domains of a scene: the same motions in every engine and variant, paired by their number.
 
-A domain has the same motions in an engine and variant, paired by number; one is the reference.
+The reference is one more of them.
 """
 
 from __future__ import annotations
@@ -27,13 +27,11 @@ from mbds_xsim.dataset.points import Points
 from mbds_xsim.dataset.read import Dataset, load_dataset
 from mbds_xsim.dataset.shard import spent
 from mbds_xsim.learn.graph import Graph
-from mbds_xsim.learn.shift.result import INTERVALS
-from mbds_xsim.learn.trained import TrainedModel, trained_model
+from mbds_xsim.learn.trained import TrainedModel
 from mbds_xsim.learn.window import HISTORY, KnownInputs, Motions, names_read
 from mbds_xsim.reference.cache import directory, key_of, read_sealed, sealed
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import STATES, Batch, Trajectory
-from mbds_xsim.simulate.choice import words_of
 
 REFERENCE = "reference"
 """Name of the domain that no engine made."""
@@ -41,10 +39,6 @@ REFERENCE = "reference"
 _TEST = "test"
 _PAIRED = (*STARTS, "input/force", "input/torque")
 _TOGETHER = 8  # reference solutions a process
-TRIVIAL = ("hold", "constant_velocity", "constant_acceleration")
-"""What every model must beat."""
-
-_WAYS = ("each", "leave-one-out", "all", "by-interval")
 
 
 @dataclass(frozen=True)
@@ -294,81 +288,6 @@ def _key(test: Paired, batch: Batch) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Which of the models and domains that there are take part; left out, all."""
-
-    variants: tuple[str, ...] = ()
-    ways: tuple[str, ...] = ()
-    seeds: int | None = None
-    """How many, from 0 on."""
-
-    @staticmethod
-    def parse(settings: str | None, on: str | None, seeds: int | None) -> Selection:
-        """Read it from a user's words; InputError says which ways there are."""
-        return Selection(words_of(settings or ()), _words("--on", on, _WAYS), seeds)
-
-    def has(self, model: TrainedModel) -> bool:
-        """Whether a trained model takes part."""
-        return (
-            (not self.variants or model.variant in self.variants)
-            and (not self.ways or model.way in self.ways)
-            and (self.seeds is None or model.seed < self.seeds)
-        )
-
-
-WHOLE = Selection()
-
-
-def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[TrainedModel]:
-    """Find the files `<scene>/<variant>/<model>/<training>-s<seed>.pt` below a folder.
-
-    InputError where there is none, one does not say what it was trained on, or two say the same.
-    """
-    paths = sorted((folder / scene).glob("*/*/*-s*.pt"))
-    if not paths:
-        msg = (
-            f"{folder / scene}: no trained models (<variant>/<model>/<training>-s<seed>.pt); make "
-            "some with mbds-xsim train"
-        )
-        raise InputError(msg)
-    models = sorted(map(trained_model, paths), key=_order)
-    known: dict[tuple[str, str, int], Path | None] = {}
-    for model in models:
-        key = (model.model, model.training, model.seed)
-        if key in known:
-            msg = f"{model.path} and {known[key]} are both {' '.join(map(str, key))}; remove one"
-            raise InputError(msg)
-        known[key] = model.path
-    chosen = [model for model in models if selection.has(model)]
-    if not chosen:
-        msg = f"{folder / scene}: none of the {len(models)} models there was asked for"
-        raise InputError(msg)
-    return chosen
-
-
-def trivial_models() -> list[TrainedModel]:
-    """Give the models that learn nothing."""
-    profile = "mbds_xsim.learn.model"
-    return [TrainedModel(name, "nothing", (), "", 0, None, name, profile) for name in TRIVIAL]
-
-
-def check_budget(models: Sequence[TrainedModel]) -> None:
-    """Refuse models of one kind that do not differ in their engines and variant alone."""
-    firsts: dict[tuple[str, ...], tuple[str, TrainedModel]] = {}
-    for model in models:
-        for key, value in model.budget:
-            # One trains on what all engines of a variant have.
-            of = (model.variant, model.interval) if key == "starts" else ()
-            usual, first = firsts.setdefault((model.model, key, *of), (value, model))
-            if value != usual:
-                msg = (
-                    f"{model.path}: has another {key} than {first.path}; to compare them would "
-                    "tell of that, not of engines: train both alike, or remove one"
-                )
-                raise InputError(msg)
-
-
 def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
     """Refuse a model that was trained on other data of a domain, or on what it is tested on."""
     contents = {domain.name: domain.content for domain in test.domains}
@@ -390,18 +309,3 @@ def check_data(models: Sequence[TrainedModel], test: Paired) -> None:
                     "train it on this one, or test it on its own"
                 )
                 raise InputError(msg)
-
-
-def _words(option: str, given: str | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    words = [word.strip() for word in given.split(",")] if given else []
-    for word in words:
-        if word not in known:
-            msg = f"{option}: got {word!r}, allowed is {', '.join(known)}, comma-separated"
-            raise InputError(msg)
-    return tuple(dict.fromkeys(words))
-
-
-def _order(model: TrainedModel) -> tuple[str, str, int, int, str, int]:
-    """Single engines, leave-one-out, all, single intervals; variant by variant."""
-    part = INTERVALS.index(model.interval or INTERVALS[0])
-    return model.model, model.variant, part, len(model.engines), model.training, model.seed

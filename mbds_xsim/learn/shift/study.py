@@ -19,19 +19,14 @@ from mbds_xsim.learn.particles import EXPLODED, LOST
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
 from mbds_xsim.learn.shift.domains import (
     REFERENCE,
-    WHOLE,
     Domain,
     Paired,
     Recorded,
-    Selection,
-    check_budget,
     check_data,
     cost_of,
-    find_models,
     load_paired,
     read_reference,
     solve_domain,
-    trivial_models,
 )
 from mbds_xsim.learn.shift.evaluation import (
     RESTART,
@@ -46,7 +41,14 @@ from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
 from mbds_xsim.learn.shift.interaction import answers_of_interactions, interactions_of
 from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, Shift, TrainedFacts
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
-from mbds_xsim.learn.trained import TrainedModel
+from mbds_xsim.learn.trained import (
+    WHOLE,
+    Selection,
+    TrainedModel,
+    check_budget,
+    find_models,
+    trivial_models,
+)
 from mbds_xsim.learn.window import HISTORY
 from mbds_xsim.measure.runner import machine
 from mbds_xsim.simulate.registry import package_version

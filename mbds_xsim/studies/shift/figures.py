@@ -11,9 +11,10 @@ from typing import Any
 
 from mbds_xsim.base.text import in_figure
 from mbds_xsim.learn.curves import looks
-from mbds_xsim.learn.shift.domains import REFERENCE, TRIVIAL
+from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import RESTART
 from mbds_xsim.learn.shift.result import INTERVALS, ErrorCell, Shift
+from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report import themed
 from mbds_xsim.report.quantity import number
 

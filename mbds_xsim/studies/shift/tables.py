@@ -7,11 +7,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
-from mbds_xsim.learn.shift.domains import REFERENCE, TRIVIAL
+from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.interaction import FALSE
 from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
+from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number, with_unit
 from mbds_xsim.studies.shift.figures import (

@@ -53,7 +53,7 @@ _REFERENCE_LIMIT = 120.0  # [s]
 
 
 @dataclass(frozen=True)
-class Plan:
+class SurveyPlan:
     """What of a study is carried out, and how."""
 
     study: Study
@@ -90,7 +90,7 @@ class Instance:
     truth: Trajectory | None
 
 
-def survey(plan: Plan, meter: Meter | None = None) -> Survey:
+def survey(plan: SurveyPlan, meter: Meter | None = None) -> Survey:
     """Carry out a study; what was measured earlier is taken from the store.
 
     Raises:
@@ -133,7 +133,7 @@ def survey(plan: Plan, meter: Meter | None = None) -> Survey:
     )
 
 
-def simulators_of(plan: Plan) -> tuple[list[Simulator], dict[str, str]]:
+def simulators_of(plan: SurveyPlan) -> tuple[list[Simulator], dict[str, str]]:
     """List who takes part, and who can do none of the scenes, with the reason.
 
     `matched` takes every method, `native` the one that a user of the engine gets.
@@ -184,7 +184,7 @@ def _refusal(study: Study, simulator: Simulator, scene: Scene) -> str:
 
 
 def _instances(
-    plan: Plan, simulators: Sequence[Simulator]
+    plan: SurveyPlan, simulators: Sequence[Simulator]
 ) -> tuple[dict[Clock, list[Instance]], dict[str, str]]:
     """Make the scenes at the frames that each simulator records, with what is true there."""
     instances: dict[Clock, list[Instance]] = {}
@@ -201,7 +201,7 @@ def _instances(
 
 
 def _truths(
-    plan: Plan, scenes: dict[Value, Scene]
+    plan: SurveyPlan, scenes: dict[Value, Scene]
 ) -> tuple[dict[Value, Trajectory], dict[str, str]]:
     """Solve what has a reference; a value that has none is told, and goes without."""
     if not plan.study.known:
@@ -230,7 +230,7 @@ def _truth(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
 
 
 def _panels(
-    plan: Plan,
+    plan: SurveyPlan,
     simulators: Sequence[Simulator],
     instances: Mapping[Clock, Sequence[Instance]],
     runner: Runner[MapCell],
@@ -259,7 +259,9 @@ def _panels(
     )
 
 
-def _case(plan: Plan, simulator: Simulator, instance: Instance, count: int) -> StudyCase[MapCell]:
+def _case(
+    plan: SurveyPlan, simulator: Simulator, instance: Instance, count: int
+) -> StudyCase[MapCell]:
     scene, batch, truth = instance.scene, instance.batch, instance.truth
     what = (CHECKS, row_key(scene, batch, simulator, count), truth is None, batch.steps)
     return StudyCase(
