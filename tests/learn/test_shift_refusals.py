@@ -15,8 +15,9 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.commands import app
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import Dataset, load_dataset
+from mbds_xsim.learn.shift import study
 from mbds_xsim.learn.shift.domains import check_data, load_paired
-from mbds_xsim.learn.trained import TrainedModel, check_budget, find_models
+from mbds_xsim.learn.trained import Selection, TrainedModel, check_budget, find_models
 from mbds_xsim.scene.scene import Clock
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
@@ -180,3 +181,28 @@ def test_fewer_test_trajectories_than_intervals_do(
 
     assert '<script type="application/json" id="data">' in (tmp_path / "html").read_text()
     assert (tmp_path / "rollouts").read_bytes().startswith(b"\x89PNG")
+
+
+def test_all_scenes_are_checked_before_the_first_is_studied(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
+    words = ["shift", str(folder / "models"), str(folder / "data")]
+    with pytest.raises(InputError, match="balldrop"):
+        app([*words, "--scene", SCENE, "--scene", "balldrop"], standalone_mode=False)
+
+
+def test_a_part_of_the_models_and_domains(folder: Path) -> None:
+    models, data = folder / "models", folder / "data"
+    part = Selection.parse("native", "each", 1)
+    shift = study.study(
+        study.question_of(models, data, SCENE, trajectories=2, part=part), workers=0
+    ).shift
+    trained = [model for model in shift.models if model.engines]
+    assert trained
+    assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
+    assert {domain.variant for domain in shift.domains} == {"native", ""}
+    with pytest.raises(InputError, match="no data of matched settings"):
+        study.question_of(models, data, SCENE, part=Selection.parse("matched", None, None))
+    with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
+        find_models(models, SCENE, Selection.parse(None, "leave-one-out", None))

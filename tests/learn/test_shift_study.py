@@ -164,15 +164,6 @@ def test_without_the_cache_all_is_done_anew(
     assert again.gaps == shift.gaps
 
 
-def test_all_scenes_are_checked_before_the_first_is_studied(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mbds_xsim.learn.shift.study.study", pytest.fail)
-    words = ["shift", str(folder / "models"), str(folder / "data")]
-    with pytest.raises(InputError, match="balldrop"):
-        app([*words, "--scene", SCENE, "--scene", "balldrop"], standalone_mode=False)
-
-
 def test_restarts_that_were_interrupted_go_on(
     folder: Path, shift: Shift, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -316,22 +307,6 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     for picture in (Path(names["png"]), folder / "rollouts.png"):
         assert picture.read_bytes().startswith(b"\x89PNG")
     assert "NaN" not in json.dumps(json.loads(Path(names["json"]).read_text()))
-
-
-def test_a_part_of_the_models_and_domains(folder: Path) -> None:
-    models, data = folder / "models", folder / "data"
-    part = Selection.parse("native", "each", 1)
-    shift = study.study(
-        study.question_of(models, data, SCENE, trajectories=2, part=part), workers=0
-    ).shift
-    trained = [model for model in shift.models if model.engines]
-    assert trained
-    assert all(model.seed == 0 and len(model.engines) == 1 for model in trained)
-    assert {domain.variant for domain in shift.domains} == {"native", ""}
-    with pytest.raises(InputError, match="no data of matched settings"):
-        study.question_of(models, data, SCENE, part=Selection.parse("matched", None, None))
-    with pytest.raises(InputError, match=r"none of the \d models there was asked for"):
-        find_models(models, SCENE, Selection.parse(None, "leave-one-out", None))
 
 
 def test_models_of_intervals_tell_what_speed_costs(folder: Path, tmp_path: Path) -> None:
