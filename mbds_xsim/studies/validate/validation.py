@@ -6,7 +6,7 @@ import operator
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.base.text import counted
 from mbds_xsim.checks import agreement
-from mbds_xsim.measure.campaign import ReferenceOutcome, refine, run_campaign
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, refine, run_campaign
 from mbds_xsim.measure.judge import Judged, judge, reference_result
 from mbds_xsim.measure.quick import searched
 from mbds_xsim.measure.result import (
@@ -62,22 +62,18 @@ def validate_with_evidence(
 
     Without `readback` the verdict is on the motion alone, whatever the native model is.
     """
-    begin, progress = time.perf_counter(), progress or Silent()
-    spent = Account(float)
+    begin, progress, spent = time.perf_counter(), progress or Silent(), Account(float)
     how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
-    given = choice
-    choice = searched(scene, given, cache=cache, workers=workers, progress=progress)
-    if choice.given != given.given:
+    chosen = searched(scene, choice, cache=cache, workers=workers, progress=progress)
+    if chosen.given != choice.given:
         spent["search of settings"] = time.perf_counter() - begin
-    contenders, left_out = choice.contenders(scene)
+    contenders, left_out = chosen.contenders(scene)
     count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
     batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
     outcomes, reference = run_campaign(scene, batch, contenders, cache=cache, **how)
     refine(scene, batch, outcomes, reference, **how)
-    rows, checking = [], time.perf_counter()
-    for outcome in outcomes:
-        progress.doing(f"{outcome.contender.name}: checks")
-        rows.append(judge(scene, batch, outcome, reference, native=readback))
+    checking, named = time.perf_counter(), _named(outcomes, progress)
+    rows = [judge(scene, batch, each, reference, native=readback) for each in named]
     results = [row.result for row in rows]
     names, matrix, odd = _vote(scene, rows, reference)
     ensembles = _ensembles(scene, batch, rows, reference)
@@ -107,6 +103,13 @@ def validate_with_evidence(
         fingerprint=fingerprint(scene),
     )
     return validation, _evidence(scene, batch, rows, reference)
+
+
+def _named(outcomes: Iterable[Outcome], progress: Watch) -> Iterator[Outcome]:
+    """Give outcomes, and tell of each that it is being checked."""
+    for outcome in outcomes:
+        progress.doing(f"{outcome.contender.name}: checks")
+        yield outcome
 
 
 def _worst(results: Sequence[EngineResult]) -> Verdict:
