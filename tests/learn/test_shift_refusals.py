@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--settings", "natural"], "--settings: got 'natural', allowed is native, matched"),
+        (["--settings", "natural"], "no data of natural settings; generate some"),
         (["--on", "mujoco"], "--on: got 'mujoco', allowed is each, leave-one-out, all"),
     ],
 )
