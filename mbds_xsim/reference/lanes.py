@@ -23,6 +23,9 @@ from mbds_xsim.reference.kernels import kernel_folder
 
 LANES = 8
 
+# Nothing is left to be found here by what looks for vectors in loops and expressions.
+config.LOOP_VECTORIZE = config.SLP_VECTORIZE = 0
+
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 
 
