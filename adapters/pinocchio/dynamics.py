@@ -19,7 +19,7 @@ End = tuple[int, Array]
 _ACCURACY, _ROUNDS = 1e-12, 10
 
 
-class Dynamics:
+class PinocchioDynamics:
     """What accelerates the model.
 
     Args:

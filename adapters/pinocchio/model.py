@@ -44,7 +44,7 @@ bodies, constraints = {}, []"""
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class PinocchioLayout:
     """Where bodies and links stand in the native model."""
 
     joint: Index
@@ -65,7 +65,7 @@ class Layout:
         return int(self.joint[body]), (self.place[body] + point).tolist()
 
     @staticmethod
-    def of(mechanism: Mechanism) -> Layout:
+    def of(mechanism: Mechanism) -> PinocchioLayout:
         """Number the joints as they are added: each branch to its end before the next."""
         joint = np.zeros(mechanism.body_count, dtype=int)
         place = np.zeros((mechanism.body_count, 3))
@@ -85,7 +85,7 @@ class Layout:
             if link.joint is not None:
                 place[link.body] = -link.joint.in_child
                 native[link.joint.index] = count - 1
-        return Layout(joint, place, carrier, native)
+        return PinocchioLayout(joint, place, carrier, native)
 
 
 def depth_first(mechanism: Mechanism) -> Iterator[Link]:
@@ -100,7 +100,7 @@ def depth_first(mechanism: Mechanism) -> Iterator[Link]:
         waiting += below.get(link.body, [])
 
 
-def listing(mechanism: Mechanism, layout: Layout, drift_time: float) -> str:
+def listing(mechanism: Mechanism, layout: PinocchioLayout, drift_time: float) -> str:
     """Write the program that leaves `model`, `bodies` and `constraints` behind.
 
     Args:
@@ -120,7 +120,7 @@ def listing(mechanism: Mechanism, layout: Layout, drift_time: float) -> str:
     return "\n".join([*lines, ""])
 
 
-def _link(mechanism: Mechanism, layout: Layout, link: Link) -> Iterator[str]:
+def _link(mechanism: Mechanism, layout: PinocchioLayout, link: Link) -> Iterator[str]:
     name, joint = mechanism.scene.bodies[link.body].name, link.joint
     if joint is None:
         shift = f"model.addJoint(0, pin.JointModelTranslation(), at(0, 0, 0), {name + ' at'!r})"
@@ -135,7 +135,7 @@ def _link(mechanism: Mechanism, layout: Layout, link: Link) -> Iterator[str]:
     yield f"bodies[{link.body}] = add_body({name!r}, {where}, {held})"
 
 
-def _closure(mechanism: Mechanism, layout: Layout, joint: PlacedJoint) -> Iterator[str]:
+def _closure(mechanism: Mechanism, layout: PinocchioLayout, joint: PlacedJoint) -> Iterator[str]:
     """Tie one point, two on a hinge's axis, or a whole frame. Bodies that are one need no tie."""
     arm = mechanism.scene.length * joint.axis
     for off in (arm, -arm) if joint.kind == "hinge" else (np.zeros(3),):
@@ -146,13 +146,15 @@ def _closure(mechanism: Mechanism, layout: Layout, joint: PlacedJoint) -> Iterat
             yield f"constraints.append(close({6 if joint.kind == 'fixed' else 3}, {ends}))"
 
 
-class Coordinates:
+class PinocchioCoordinates:
     """The way between a model's coordinates and those of links.
 
     Pinocchio's quaternions are xyzw; angular velocities are in a body's own axes.
     """
 
-    def __init__(self, mechanism: Mechanism, layout: Layout, idx_q: list[int], idx_v: list[int]):
+    def __init__(
+        self, mechanism: Mechanism, layout: PinocchioLayout, idx_q: list[int], idx_v: list[int]
+    ):
         kinds = [link.joint.kind if link.joint else "free" for link in mechanism.links]
         carriers = [layout.carrier.get(link.body, 0) for link in mechanism.links]
         q, v = np.array(idx_q)[carriers], np.array(idx_v)[carriers]

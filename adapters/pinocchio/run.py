@@ -30,8 +30,8 @@ from mbds_xsim.simulate.adapter import (
 from mbds_xsim.simulate.readback import joint_anchors, joint_axes, joint_laws
 
 from . import dynamics
-from .dynamics import Dynamics
-from .model import Coordinates, Layout, listing
+from .dynamics import PinocchioDynamics
+from .model import PinocchioCoordinates, PinocchioLayout, listing
 
 
 class PinocchioRun(Run):
@@ -50,7 +50,7 @@ class PinocchioRun(Run):
         self._mechanism = mechanism = Mechanism.of(scene)
         self._count = settings.substeps(scene.clock.frame)
         self._step = scene.clock.frame / self._count
-        self._layout = layout = Layout.of(mechanism)
+        self._layout = layout = PinocchioLayout.of(mechanism)
         self._listing = listing(mechanism, layout, drift_time)
         names: dict[str, Any] = {}
         # The listing that users are shown is the program that builds the model.
@@ -58,7 +58,7 @@ class PinocchioRun(Run):
         self._model = model = names["model"]
         self._frames = [names["bodies"][k] for k in range(mechanism.body_count)]
         places, speeds = list(model.idx_qs), list(model.idx_vs)
-        self._coordinates = Coordinates(mechanism, layout, places, speeds)
+        self._coordinates = PinocchioCoordinates(mechanism, layout, places, speeds)
         native = layout.native
         self._laws = np.array(
             [
@@ -69,7 +69,7 @@ class PinocchioRun(Run):
         self._ends = [tuple(zip(s.bodies, s.in_body, strict=True)) for s in mechanism.springs]
         self._softness = softness
         more = mechanism.springs, self._ends, self._laws, softness
-        self._dynamics = Dynamics(model, self._frames, names["constraints"], *more)
+        self._dynamics = PinocchioDynamics(model, self._frames, names["constraints"], *more)
         turns = self._coordinates.turn_v
         self._rk4 = turning_rk4.TurningRK4(model.nv, turns, np.ones(len(turns)))
         hinges = list(enumerate(mechanism.hinges))
@@ -235,7 +235,7 @@ Array = Index = np.ndarray
 springs, laws = [{springs}], np.array({laws}).reshape(-1, 5)
 ends = [[(body, np.array(point)) for body, point in pair] for pair in {ends}]
 frames = [bodies[k] for k in sorted(bodies)]
-held = Dynamics(model, frames, constraints, springs, ends, laws, {softness})
+held = PinocchioDynamics(model, frames, constraints, springs, ends, laws, {softness})
 turns = np.array({turns}, dtype=int).reshape(-1, 3)
 rk4 = TurningRK4(model.nv, turns, np.ones(len(turns)))
 q, u = np.array({q}), np.array({u})
