@@ -274,8 +274,11 @@ def test_settings_of_another_packages_engine_stand_in_its_own_package(
 
 @pytest.mark.parametrize("name", registry.scene_names())
 def test_matched_settings_are_of_the_engines_own_stepping(name: str) -> None:
-    """What the toolkit steps on an engine's dynamics says nothing about the engine."""
-    for engine in registry.installed_engines():
+    """What the toolkit steps on an engine's dynamics says nothing about the engine.
+
+    Pinocchio steps nothing itself.
+    """
+    for engine in set(registry.installed_engines()) - {"pinocchio"}:
         adapter = registry.load_adapter(engine)
         method = settings_for(registry.load_scene(name), adapter, "matched").method
         assert adapter.methods[method].own, f"{engine} on {name}"
