@@ -125,7 +125,9 @@ def _link(mechanism: Mechanism, layout: PinocchioLayout, link: Link) -> Iterator
     if joint is None:
         shift = f"model.addJoint(0, pin.JointModelTranslation(), at(0, 0, 0), {name + ' at'!r})"
         yield f"model.addJoint({shift}, pin.JointModelSpherical(), at(0, 0, 0), {name!r})"
-    elif joint.kind != "fixed":
+    elif joint.kind == "fixed":
+        yield f"# {joint.name!r} makes two bodies one."
+    else:
         above, point = layout.end(link.parent, joint.in_parent)
         axis = f"np.array({joint.axis.tolist()})" if joint.kind != "ball" else ""
         kind = f"pin.{_KINDS[joint.kind]}({axis})"
@@ -138,6 +140,7 @@ def _link(mechanism: Mechanism, layout: PinocchioLayout, link: Link) -> Iterator
 def _closure(mechanism: Mechanism, layout: PinocchioLayout, joint: PlacedJoint) -> Iterator[str]:
     """Tie one point, two on a hinge's axis, or a whole frame. Bodies that are one need no tie."""
     arm = mechanism.scene.length * joint.axis
+    yield f"# {joint.name!r} closes a loop."
     for off in (arm, -arm) if joint.kind == "hinge" else (np.zeros(3),):
         first = layout.end(joint.parent, joint.in_parent + off)
         second = layout.end(joint.child, joint.in_child + off)
