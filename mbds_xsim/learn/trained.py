@@ -245,8 +245,7 @@ def find_models(folder: Path, scene: str, selection: Selection = WHOLE) -> list[
 
 def trivial_models() -> list[TrainedModel]:
     """Give the models that learn nothing."""
-    profile = "mbds_xsim.learn.model"
-    return [TrainedModel(name, "nothing", (), "", 0, None, name, profile) for name in TRIVIAL]
+    return [TrainedModel(name, "nothing", (), "", 0, None, name) for name in TRIVIAL]
 
 
 def check_budget(models: Sequence[TrainedModel]) -> None:

@@ -34,7 +34,7 @@ from mbds_xsim.scene.scene import Body, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.shift.figures import costs_of
-from mbds_xsim.studies.shift.present import present
+from mbds_xsim.studies.shift.present import present, protocol
 from mbds_xsim.studies.shift.tables import tables
 from tests.learn.shifts import ENGINES, SCENE, SEEDS, STEPS, TRAININGS, make, train
 
@@ -74,6 +74,13 @@ def test_every_model_is_tested_on_every_domain(shift: Shift) -> None:
         ("all", "all-native", "exudyn-native"),
         ("all", "all-native", "mujoco-native"),
     ]
+
+
+def test_the_protocol_names_what_the_models_were_trained_by_alone(shift: Shift) -> None:
+    """Models that learn nothing have no profile."""
+    (words,) = [part for part in protocol(shift).split("; ") if part.startswith("profile ")]
+    (profile,) = {facts.profile for facts in shift.models if facts.engines}
+    assert words == f"profile {profile}"
 
 
 def test_what_data_cost_stands_beside_what_is_learned_from_them(folder: Path, shift: Shift) -> None:
@@ -269,7 +276,9 @@ def test_answers_and_tables_are_given_at_the_frame_asked_for(folder: Path, shift
     assert "At t = 1 on native data" in early.answers[0].answer
     assert early.gaps == shift.gaps
     titles = [next(tables(found)).title for found in (shift, early)]
-    assert titles == [f"What a change of engine costs at t = {frame}" for frame in (10, 1)]
+    assert titles == [
+        f"What a change of engine or settings costs at t = {frame}" for frame in (10, 1)
+    ]
     with pytest.raises(InputError, match=r"--at: got 15, allowed is 1, 10$"):
         studied(15)
 

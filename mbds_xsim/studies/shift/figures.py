@@ -138,7 +138,8 @@ def _interactions_png(studies: Sequence[Shift], stored: bytes) -> bytes:
         for block, shift in zip(blocks[:, 0], studies, strict=True):
             draw_interactions(block.subplots(), shift, shift.at)
             block.suptitle(
-                f"{in_figure(shift.scene)}: what a change of engine costs at t = {shift.at}",
+                f"{in_figure(shift.scene)}: what a change of engine or settings costs at t = "
+                f"{shift.at}",
                 fontsize=11, x=0.01, ha="left",
             )  # fmt: skip
 

@@ -127,11 +127,11 @@ def _change(shift: Shift) -> Section:
         draw_interactions(figure.subplots(), shift, shift.at)
 
     told = (
-        "How many times the squared error grows where a model was trained on one engine and is "
-        "tested on the other, both ways together; the luck of single trainings and how hard an "
-        "engine's data are cancel. Framed: told from chance."
+        "How many times the squared error grows where a model was trained on one's data and is "
+        "tested on the other's, both ways together; the luck of single trainings and how hard data "
+        "are cancel. Framed: told from chance."
     )
-    title = f"What a change of engine costs, t = {shift.at}"
+    title = f"What a change of engine, or of its settings, costs, t = {shift.at}"
     return Section(
         title, (Text(told), FigureGroup((Figure(title, draw, interactions_size(shift)),))), on=_PAGE
     )

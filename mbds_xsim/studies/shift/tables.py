@@ -67,7 +67,7 @@ def _interactions(shift: Shift, place: int) -> Table:
         for each in shift.interactions
     )
     return _table(
-        f"What a change of engine costs at t = {shift.frames[place]}",
+        f"What a change of engine or settings costs at t = {shift.frames[place]}",
         "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
         "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
         "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
