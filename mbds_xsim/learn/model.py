@@ -130,8 +130,8 @@ class FlowModel(LearnedModel):
 
 def model_names() -> list[str]:
     """Names of all models that packages register, the trivial ones last."""
-    trivial = [name for name in registered(_GROUP) if name in _TRIVIAL]
-    return [*(name for name in registered(_GROUP) if name not in _TRIVIAL), *trivial]
+    names = sorted(registered(_GROUP))
+    return sorted(names, key=lambda name: name in _TRIVIAL)
 
 
 def trainable() -> list[str]:

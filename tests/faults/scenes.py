@@ -27,7 +27,7 @@ SCENES = {
     "particlecar for 0.8 s": 40,
     "particlecar at 100 rad/s": 12,
     "simplecubli": 50,
-    "simplecubli for 2 s": 100,
+    "simplecubli for 3 s": 150,
     "simplecubli in flight": 18,
     "simplecubli set down": 15,
 }

@@ -118,7 +118,7 @@ def test_a_folder_above_is_named_to_be_read(run: CommandLine, here: Path) -> Non
 
 
 def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) -> None:
-    joint = '<joint name="hip" frictionloss="0.5"/>'
+    joint = '<joint name="hip" limited="true" range="-20 30"/>'
     (here / "leg.xml").write_text(_MJCF.format(_BODY.replace("<joint/>", joint), ""))
 
     ended = run(
@@ -129,8 +129,8 @@ def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) ->
     assert "hip:" in ended.out
     told = json.loads((here / "leg.json").read_text())
     assert (told["schema"], told["bodies"]) == ("mbds-xsim/import/1", 1)
-    (friction,) = (fate for fate in told["fates"] if fate["properties"] == ["frictionloss"])
-    assert friction["outcome"] == "dropped"
+    (limits,) = (fate for fate in told["fates"] if "range" in fate["properties"])
+    assert limits["outcome"] == "dropped"
     assert "as the compiler resolves it" in (here / "leg.md").read_text()
     shown = run("show", "leg.xml", "--toml")
     assert shown.out == (here / "leg.toml").read_text()
