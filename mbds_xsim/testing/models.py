@@ -48,7 +48,7 @@ _AHEAD = 4
 _FRAMES = 30
 _TURN = 0.7  # rad, about the vertical
 _SHIFT = (0.3, -0.2, 0.0)  # lengths of the scene
-_SAME = {torch.float32: 2e-4, torch.float64: 1e-9}  # of what moved
+_SAME = {torch.float32: 5e-5, torch.float64: 1e-9}  # of what moved
 _LESSONS = 30  # steps
 _HUGE = 1e30
 
