@@ -1,0 +1,122 @@
+"""How the program is laid out: imports go downward, and a name of the package stands once."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+_ROOT = Path(__file__).parents[1]
+_FLOORS = (
+    ("base",),
+    ("scene",),
+    ("simulate", "scenes"),
+    ("adapters", "reference", "report"),
+    ("checks",),
+    ("measure",),
+    ("dataset",),
+    ("learn",),
+    ("studies", "testing"),
+    ("api", "__init__", "commands", "__main__"),
+)
+"""Packages, and modules beside them, from the bottom; one imports those of its own and below."""
+_FLOOR = {name: floor for floor, names in enumerate(_FLOORS) for name in names}
+
+
+def _sources() -> Iterator[Path]:
+    for folder in ("mbds_xsim", "adapters", "scenes"):
+        yield from sorted((_ROOT / folder).rglob("*.py"))
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(_ROOT).with_suffix("").parts
+    name = ".".join(parts if parts[0] == "mbds_xsim" else (f"mbds_xsim_{parts[0]}", *parts[1:]))
+    return name.removesuffix(".__init__")
+
+
+_MODULES = {_module(path): path for path in _sources()}
+
+
+def _imported(tree: ast.AST, *, types: bool) -> Iterator[str]:
+    """Give the modules of the program that a module imports, in functions too."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types:
+            continue
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in _MODULES else node.module
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        else:
+            yield from _imported(node, types=types)
+
+
+def _package(module: str) -> str:
+    first, *rest = module.split(".")
+    return first.removeprefix("mbds_xsim_") if first != "mbds_xsim" else [*rest, "__init__"][0]
+
+
+def _graph(*, types: bool) -> dict[str, set[str]]:
+    trees = {name: ast.parse(path.read_text("utf-8")) for name, path in _MODULES.items()}
+    return {
+        name: {other for other in _imported(tree, types=types) if other in _MODULES} - {name}
+        for name, tree in trees.items()
+    }
+
+
+def test_imports_go_downward() -> None:
+    upward = [
+        f"{name} imports {other}"
+        for name, others in _graph(types=True).items()
+        for other in others
+        if _FLOOR[_package(other)] > _FLOOR[_package(name)]
+    ]
+
+    assert not upward
+
+
+def test_packages_of_a_floor_do_not_import_each_other() -> None:
+    beside = [
+        f"{name} imports {other}"
+        for name, others in _graph(types=True).items()
+        for other in others
+        if _package(other) != _package(name)
+        and _FLOOR[_package(other)] == _FLOOR[_package(name)] < len(_FLOORS) - 1
+    ]
+
+    assert not beside
+
+
+def test_no_class_name_stands_twice() -> None:
+    names = Counter(
+        node.name
+        for path in _MODULES.values()
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ClassDef)
+    )
+
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_module_imports_private_names() -> None:
+    found = [
+        f"{name} imports {alias.name} of {node.module}"
+        for name, path in _MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.name.startswith("_")
+    ]
+
+    assert not found
+
+
+@pytest.mark.parametrize("most", [420])
+def test_modules_are_short(most: int) -> None:
+    lines = {name: path.read_text("utf-8").count("\n") for name, path in _MODULES.items()}
+
+    assert {name: count for name, count in lines.items() if count > most} == {}
