@@ -18,7 +18,7 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.files import table_lines
 from mbds_xsim.simulate.registry import REFERENCE
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Point, Tradeoff
+from mbds_xsim.studies.tradeoff import CurveResult, Point, Tradeoff
 from mbds_xsim.studies.tradeoff.words import BUSY
 
 BEGIN, END = "<!-- choose-table: begin -->\n", "<!-- choose-table: end -->"

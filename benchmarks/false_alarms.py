@@ -15,7 +15,7 @@ from benchmarks.harness import print_table
 from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 SCENES = (
     *("ballscroll", "balldrop", "5pendulum", "6pendulum"),

@@ -19,12 +19,12 @@ from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.studies.shift import figures as shift_figures
+from mbds_xsim.studies.stability import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability import present as stability
 from mbds_xsim.studies.stability.studies import study_named
-from mbds_xsim.studies.stability.study import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability.verdict import CRITERIA
+from mbds_xsim.studies.tradeoff import Tradeoff
 from mbds_xsim.studies.tradeoff import present as tradeoff
-from mbds_xsim.studies.tradeoff.rows import Tradeoff
 
 TEXTS = {"study", "engine", "version", "method", "family", "profile", "machine"} | {
     "outcome", "told", "reason", "source",

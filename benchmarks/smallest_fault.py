@@ -22,7 +22,7 @@ from mbds_xsim.measure.result import EngineResult
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 SCENES = ("5pendulum", "2ladder")
 

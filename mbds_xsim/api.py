@@ -78,7 +78,7 @@ def validate(
     Raises:
         InputError: Something that was given cannot be used.
     """
-    from mbds_xsim.studies.validate.validation import validate_with_evidence
+    from mbds_xsim.studies.validate import validate_with_evidence
 
     trajectories = _whole("trajectories", trajectories, 1, _MOST_STARTS)
     seed = _whole("seed", seed, 0)

@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 
-from mbds_xsim.studies.match.result import SCHEMA as MATCH
-from mbds_xsim.studies.match.result import Found, Match
-from mbds_xsim.studies.stability.study import SCHEMA as STABILITY
-from mbds_xsim.studies.stability.study import MapCell, Panel, Survey
-from mbds_xsim.studies.tradeoff.rows import SCHEMA, CurveResult, Point, Tradeoff
+from mbds_xsim.studies.match import SCHEMA as MATCH
+from mbds_xsim.studies.match import Found, Match
+from mbds_xsim.studies.stability import SCHEMA as STABILITY
+from mbds_xsim.studies.stability import MapCell, Panel, Survey
+from mbds_xsim.studies.tradeoff import SCHEMA, CurveResult, Point, Tradeoff
 
 _RUN: dict[str, Any] = {
     "versions": {"mujoco": "4.0.0"},

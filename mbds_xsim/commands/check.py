@@ -58,8 +58,9 @@ def validate(
     """
     from mbds_xsim.measure.result import to_json
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.studies.validate import validate_with_evidence
     from mbds_xsim.studies.validate.present import present
-    from mbds_xsim.studies.validate.validation import Choice, validate_with_evidence
 
     choice = Choice.parse(engines=engines, profiles=settings, method=method, step=step, limit=limit)
     with shared.progress_on(to.console) as progress:

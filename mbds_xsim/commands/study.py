@@ -47,8 +47,8 @@ def match(
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_report
     from mbds_xsim.simulate.choice import Choice
+    from mbds_xsim.studies.match import matched_toml, present
     from mbds_xsim.studies.match import search as study
-    from mbds_xsim.studies.match.result import matched_toml, present
 
     choice, console = Choice.parse(engines=engines), to.console
     targets = _targets(scenes, choice.engines, out)
@@ -85,7 +85,7 @@ def match(
 def _targets(scenes: list[str], engines: tuple[str, ...], out: Path | None) -> list[Path]:
     """Say where each scene's settings go."""
     from mbds_xsim.simulate.registry import REFERENCE, is_foreign, scene_names
-    from mbds_xsim.studies.match.result import stored_path
+    from mbds_xsim.studies.match import stored_path
 
     if out is not None and len(scenes) > 1:
         msg = f"--out: got {len(scenes)} scenes for one file {out}; match one at a time"
@@ -126,8 +126,8 @@ def ablate(
     """
     from mbds_xsim.report.terminal import print_report
     from mbds_xsim.simulate.choice import Choice
-    from mbds_xsim.studies.ablate.study import ablate as study
-    from mbds_xsim.studies.ablate.study import present
+    from mbds_xsim.studies.ablate import ablate as study
+    from mbds_xsim.studies.ablate import present
 
     choice = Choice.parse(engines=engines, profiles=settings, limit=limit)
     if len(choice.profiles) > 1:

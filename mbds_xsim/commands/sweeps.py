@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from mbds_xsim.scene.scene import Scene
     from mbds_xsim.simulate.adapter import Profile
     from mbds_xsim.simulate.simulator import Simulator
-    from mbds_xsim.studies.stability.study import Study, Survey, Value
+    from mbds_xsim.studies.stability import Study, Survey, Value
     from mbds_xsim.studies.stability.survey import SurveyPlan
-    from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff
+    from mbds_xsim.studies.tradeoff import Measurement, Tradeoff
 
 
 _Onto = Annotated[
@@ -93,7 +93,7 @@ def _chart(
     **how: Any,
 ) -> tuple[Tradeoff, list[Measurement]]:
     """Measure the engines of a scene, or take them from where they are stored, then the models."""
-    from mbds_xsim.studies.tradeoff.rows import read_tradeoff
+    from mbds_xsim.studies.tradeoff import read_tradeoff
     from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 
     command = shared.command_line()
@@ -282,7 +282,7 @@ def _values(study: Study, value: str | None, *, quick: bool) -> tuple[Value, ...
 def _counts(step: float | None, *, quick: bool) -> tuple[int, ...]:
     """Steps a frame."""
     from mbds_xsim.simulate.adapter import Settings
-    from mbds_xsim.studies.stability.study import COUNTS, FRAME
+    from mbds_xsim.studies.stability import COUNTS, FRAME
 
     if step is not None:
         return (Settings("", step).substeps(FRAME),)

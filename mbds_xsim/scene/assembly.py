@@ -11,11 +11,12 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene.constraints import ConstraintRows, constraint_rows, sparse_jacobian
-from mbds_xsim.scene.coordinate_rows import coupling_rows, rate_row
 from mbds_xsim.scene.joint_space import (
     BodyStates,
     coupling_gaps,
+    coupling_rows,
     joint_coordinate,
+    rate_row,
     to_bodies,
     to_links,
 )

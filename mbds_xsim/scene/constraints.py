@@ -29,7 +29,7 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Indices
-from mbds_xsim.scene.coordinate_rows import coupling_rows
+from mbds_xsim.scene.joint_space import coupling_rows
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble, inverse_mass_root
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
-from mbds_xsim.scene.coordinate_rows import rate_row
-from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates, rate_row
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
 from mbds_xsim.scene.scene import Scene
 

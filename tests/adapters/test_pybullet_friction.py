@@ -19,7 +19,7 @@ from mbds_xsim.scene.scene import Clock, Ground, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.studies.contact.bench import wheel
+from mbds_xsim.studies.contact import wheel
 from mbds_xsim.studies.contact.friction import sliding
 
 pytest.importorskip("pybullet")

@@ -13,7 +13,7 @@ import pytest
 
 from mbds_xsim.report.files import results_json
 from mbds_xsim.studies.diff.read import READERS
-from mbds_xsim.studies.tradeoff import rows
+from mbds_xsim.studies.tradeoff import Point, Ratio
 from tests.results import curve, found, matched, survey, tradeoff
 
 CommandLine = Callable[..., Any]
@@ -36,12 +36,12 @@ def _finding(told: Json, engine: str, check: str) -> Json:
 
 
 def _tradeoff() -> Json:
-    plain = rows.Point(steps_per_frame=2, step_s=0.01, kind="done", error_m=1e-4, wall_s=0.01)
+    plain = Point(steps_per_frame=2, step_s=0.01, kind="done", error_m=1e-4, wall_s=0.01)
     far = {"steps_per_frame": 1, "step_s": 0.02, "error_m": 1e-2, "broken": ("gap",)}
     points = (msgspec.structs.replace(plain, **far), plain)
     study = tradeoff(
         *(curve("mujoco", method, *points, measured_order=4.0) for method in ("RK4", "Euler")),
-        ratios=(rows.Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 0.1), best=0),),
+        ratios=(Ratio(error_m=1e-3, budget=True, wall_s=(0.01, 0.1), best=0),),
         measured=2,
     )
     return json.loads(results_json([study]))

@@ -21,7 +21,7 @@ from mbds_xsim.scene.file import save_scene
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.studies.shift import present as shifts
 from mbds_xsim.studies.tradeoff import present as tradeoff
-from mbds_xsim.studies.tradeoff.rows import read_tradeoff
+from mbds_xsim.studies.tradeoff import read_tradeoff
 from tests.command_line import CommandLine
 
 _REPORTS = Path(__file__).parents[2] / "reports"

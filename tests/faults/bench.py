@@ -7,7 +7,7 @@ from typing import Any
 from mbds_xsim.measure.result import Validation
 from mbds_xsim.simulate.choice import Choice, Matched, settings_for
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 from .planting import Fault, planted
 from .scenes import scene_of

@@ -97,8 +97,8 @@ def planted(change: Change | None, engine: str) -> Iterator[None]:
     with (
         mock.patch("mbds_xsim.measure.campaign.simulate", run),
         mock.patch("mbds_xsim.measure.campaign.reference_of", _solved),
-        mock.patch("mbds_xsim.studies.validate.validation.judge", _judged),
-        mock.patch("mbds_xsim.studies.validate.validation.reference_result", _audited),
+        mock.patch("mbds_xsim.studies.validate.judge", _judged),
+        mock.patch("mbds_xsim.studies.validate.reference_result", _audited),
     ):
         yield
 

@@ -28,8 +28,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Readback, Run
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.studies.tradeoff.rows import curves_of
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.tradeoff import curves_of
+from mbds_xsim.studies.validate import validate_with_evidence
 from tests.fuzz.campaign import fuzz
 
 Call = Callable[..., None]

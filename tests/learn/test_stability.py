@@ -30,10 +30,9 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.stability import words
+from mbds_xsim.studies.stability import Outcome, Study, Survey, words
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
-from mbds_xsim.studies.stability.study import Outcome, Study, Survey
 from mbds_xsim.studies.stability.survey import SurveyPlan, simulators_of, survey
 from mbds_xsim.studies.stability.verdict import judge, run_cell
 from tests.command_line import CommandLine

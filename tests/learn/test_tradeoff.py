@@ -23,12 +23,11 @@ from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.studies.tradeoff import AT_ONCE, Measurement, Tradeoff, learned, read_tradeoff
 from mbds_xsim.studies.tradeoff import bench as measuring
-from mbds_xsim.studies.tradeoff import learned
 from mbds_xsim.studies.tradeoff.bench import measure, references
 from mbds_xsim.studies.tradeoff.learned import with_models
 from mbds_xsim.studies.tradeoff.present import present, to_png
-from mbds_xsim.studies.tradeoff.rows import AT_ONCE, Measurement, Tradeoff, read_tradeoff
 from mbds_xsim.studies.tradeoff.study import tradeoff_with_rows
 from tests.command_line import CommandLine
 from tests.learn.models import untrained

@@ -20,7 +20,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.simulator import EngineMethod
 from mbds_xsim.studies.diff.read import read_views
-from mbds_xsim.studies.tradeoff.rows import curves_of
+from mbds_xsim.studies.tradeoff import curves_of
 from mbds_xsim.studies.tradeoff.study import tradeoff
 from mbds_xsim.studies.tradeoff.words import main_curves
 from tests.command_line import CommandLine

@@ -10,7 +10,7 @@ import msgspec
 
 from benchmarks.choose_table import choose_table
 from mbds_xsim.report.files import results_json
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Kind, Point, Tradeoff
+from mbds_xsim.studies.tradeoff import CurveResult, Kind, Point, Tradeoff
 from tests.results import curve, tradeoff
 
 _ROOT = Path(__file__).parents[2]

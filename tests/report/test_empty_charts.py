@@ -12,8 +12,8 @@ import pytest
 
 from mbds_xsim.learn.curves import LearningCurve, to_png
 from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.studies.tradeoff import Point
 from mbds_xsim.studies.tradeoff.figures import charts_of
-from mbds_xsim.studies.tradeoff.rows import Point
 from mbds_xsim.studies.validate.figures import consistency, plotted_checks, restitution
 from tests.results import curve, tradeoff
 

@@ -16,9 +16,8 @@ from mbds_xsim.commands.shared import Outputs, command_line
 from mbds_xsim.dataset.audit import Audited
 from mbds_xsim.measure.result import FindingResult
 from mbds_xsim.report.files import to_html
-from mbds_xsim.studies import audit
-from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.match.result import Found, Match
+from mbds_xsim.studies import audit, match
+from mbds_xsim.studies.match import Found, Match
 from tests.results import found, matched
 
 _LEAD = re.compile(r'<p class="lead">(.*?)</p>')

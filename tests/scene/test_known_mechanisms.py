@@ -17,7 +17,7 @@ from mbds_xsim.scene.file import read_scene
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, Matched
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 _FOLDER = Path(__file__).parent / "mechanisms"
 _FRAMES = {"bennett": 50, "fourbar-load": 50, "slider-crank": 100, "slider-crank-3d": 50}

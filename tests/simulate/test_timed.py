@@ -22,7 +22,7 @@ from mbds_xsim.simulate.adapter import Adapter, Settings
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_adapter, load_scene
 from mbds_xsim.simulate.timed import Work, checked, forewarnings, simulate
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 _SCENE = load_scene("1pendulum")
 _START = draw_batch(_SCENE, [0])

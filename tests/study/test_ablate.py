@@ -18,6 +18,7 @@ from mbds_xsim.scene.sampling_terms import Turn
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.studies.ablate import ablate
 from mbds_xsim.studies.ablate.analyse import (
     Ablation,
     Floor,
@@ -27,7 +28,6 @@ from mbds_xsim.studies.ablate.analyse import (
     row_of,
 )
 from mbds_xsim.studies.ablate.effects import EFFECTS, Effect, variants_of
-from mbds_xsim.studies.ablate.study import ablate
 from tests.command_line import CommandLine
 
 _SECOND = Clock(0.02, 50)

@@ -12,8 +12,7 @@ import pytest
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
-from mbds_xsim.studies.contact import present
-from mbds_xsim.studies.contact.bench import FRICTION, PULL, ContactBench, ContactFigure
+from mbds_xsim.studies.contact import FRICTION, PULL, ContactBench, ContactFigure, present
 from mbds_xsim.studies.contact.friction import friction, sliding
 from mbds_xsim.studies.contact.impacts import limits, per_bounce
 from mbds_xsim.studies.contact.page import contact_page, words_of

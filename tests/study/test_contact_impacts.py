@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.simulate.adapter import Adapter
-from mbds_xsim.studies.contact.bench import PULL, ContactBench
+from mbds_xsim.studies.contact import PULL, ContactBench
 from mbds_xsim.studies.contact.impacts import rebounds
 
 

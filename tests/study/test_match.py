@@ -22,8 +22,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import EngineMethod
+from mbds_xsim.studies.match import Found, Match, matched_toml
 from mbds_xsim.studies.match import search as study
-from mbds_xsim.studies.match.result import Found, Match, matched_toml
 from mbds_xsim.studies.match.search import match
 from tests import plugins
 from tests.command_line import CommandLine

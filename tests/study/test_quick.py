@@ -19,7 +19,7 @@ from mbds_xsim.measure.trial import Trial
 from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, Matched, is_stored, settings_for
-from mbds_xsim.studies.validate.validation import validate_with_evidence
+from mbds_xsim.studies.validate import validate_with_evidence
 
 MUJOCO = registry.load_adapter("mujoco")
 DART = registry.load_adapter("dart")

@@ -18,9 +18,9 @@ from mbds_xsim.checks.finding import Record
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
+from mbds_xsim.studies.stability import FRAME, MapCell, Study, Survey
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.studies import STUDIES, study_named
-from mbds_xsim.studies.stability.study import FRAME, MapCell, Study, Survey
 from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 from mbds_xsim.studies.stability.verdict import judge, meaning, run_cell, signs_of, who_told
 from tests.plugins import faulty

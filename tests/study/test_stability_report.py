@@ -15,10 +15,10 @@ import pytest
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
 from mbds_xsim.report.files import rows_csv, to_html, to_markdown
+from mbds_xsim.studies.stability import FAILED, Survey
 from mbds_xsim.studies.stability import survey as surveys
 from mbds_xsim.studies.stability.present import present, to_png
 from mbds_xsim.studies.stability.studies import STUDIES
-from mbds_xsim.studies.stability.study import FAILED, Survey
 from mbds_xsim.studies.stability.survey import SurveyPlan, survey
 from mbds_xsim.studies.stability.words import LOOKS, breaking, command_of, conclusion, limit, told
 from tests.command_line import CommandLine

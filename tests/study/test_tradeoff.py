@@ -22,10 +22,9 @@ from mbds_xsim.simulate.adapter import Adapter
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.claims import features_of
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
-from mbds_xsim.studies.tradeoff import bench, rows
+from mbds_xsim.studies.tradeoff import Measurement, Tradeoff, bench, curves_of
 from mbds_xsim.studies.tradeoff.bench import LIMIT_COUNT, measure
 from mbds_xsim.studies.tradeoff.curves import OWN_LIMIT, curve_results
-from mbds_xsim.studies.tradeoff.rows import Measurement, Tradeoff, curves_of
 from mbds_xsim.studies.tradeoff.study import tradeoff, tradeoff_with_rows
 from tests.plugins import faulty
 
@@ -36,8 +35,8 @@ _HANG = 2.0  # [s] until a hanging task is ended
 def _small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep rows and references apart, and try few steps."""
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(rows, "COUNTS", (1, 2, 5, 10, 20))
-    monkeypatch.setattr(rows, "_THIN", (5,))
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.COUNTS", (1, 2, 5, 10, 20))
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff._THIN", (5,))
     monkeypatch.setattr(timed, "_ENOUGH", 0.01)
 
 
@@ -154,7 +153,7 @@ def test_what_would_take_too_long_is_listed(scene: Scene) -> None:
 def test_steps_go_on_until_the_budget_is_kept_tenfold(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rows, "COUNTS", (1, 2, 4, 8, 16, 32))
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.COUNTS", (1, 2, 4, 8, 16, 32))
     monkeypatch.setattr("mbds_xsim.studies.tradeoff.study.SPAN", 4)
     budget = scene.budget.error_1s * scene.length
 
@@ -292,7 +291,7 @@ def _impatient(function: Callable[..., Any], arguments: tuple[Any, ...], timeout
 def test_crash_time_out_and_nan_are_listed_results(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rows, "COUNTS", (4,))
+    monkeypatch.setattr("mbds_xsim.studies.tradeoff.COUNTS", (4,))
     monkeypatch.setattr(runner, "Task", _impatient)
     engines = "mujoco,aborting,hanging,blowing"
 

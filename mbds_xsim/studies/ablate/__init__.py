@@ -1,1 +1,364 @@
-"""No more than a scene needs."""
+"""No more than a scene needs: what each modelled effect is worth beside engines' disagreement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim import reference
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
+from mbds_xsim.base.text import counted
+from mbds_xsim.checks import agreement
+from mbds_xsim.measure.quick import searched
+from mbds_xsim.measure.result import EngineResult, Evidence, Validation
+from mbds_xsim.measure.runner import ProgressSink, Watch
+from mbds_xsim.reference import FirstImpact
+from mbds_xsim.report import quantity
+from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, Trajectory
+from mbds_xsim.simulate.adapter import ModelSize
+from mbds_xsim.simulate.choice import Choice, Contender
+from mbds_xsim.simulate.timed import simulate
+from mbds_xsim.studies.ablate.analyse import (
+    Ablation,
+    Floor,
+    Least,
+    Size,
+    WeakenedEffect,
+    Window,
+    compared,
+    disagreement,
+    floor_of,
+    impossible,
+    least_size,
+    native_size,
+    row_of,
+    window_of,
+)
+from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
+from mbds_xsim.studies.validate import validate_with_evidence
+
+
+def ablate(
+    scene: Scene,
+    *,
+    choice: Choice | None = None,
+    effects: Sequence[Effect] = EFFECTS,
+    starts: int = 2,
+    seed: int = 0,
+    cache: bool = True,
+    workers: int | None = None,
+    progress: Watch | None = None,
+    command: str = "mbds_xsim.studies.ablate.ablate",
+) -> Ablation:
+    """Drop and halve each effect of a scene and hold the change of motion to the floor.
+
+    Args:
+        scene: What to take apart.
+        choice: Engines and settings that give the floor; all at matched settings when left out.
+        effects: What may be dropped; those that the scene does not have are passed over.
+        starts: Starts of each of the intervals low, medium and high.
+        seed: Seed of starts and inputs.
+        cache: Whether stored reference solutions may be used.
+        workers: Processes at a time; all cores when left out, none but this one for 0.
+        progress: Where progress is told.
+        command: What is told to make the study again.
+
+    Raises:
+        InputError: Something that was given cannot be used, or no engine delivered anything.
+    """
+    begin, meter = time.perf_counter(), _Phases(progress)
+    chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
+    how: dict[str, Any] = {"seed": seed, "cache": cache, "workers": workers, "progress": meter}
+    validation, evidence = validate_with_evidence(scene, choice=chosen, trajectories=starts, **how)
+    contenders, _ = chosen.contenders(scene)
+    bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
+    rows = bench.rows(variants_of(scene, effects, evidence.batch, seed), workers, cache, meter)
+    return Ablation(
+        scene=scene.name,
+        description=scene.description,
+        judge=bench.judge_name,
+        judged_s=(float(bench.window.spans.min()), float(bench.window.spans.max())),
+        ends=bench.window.ends,
+        duration_s=scene.clock.duration,
+        length_m=scene.length,
+        floor=bench.floor,
+        floor_engines=bench.floor_engines,
+        failed={r.engine: r.reasons[0] for r in validation.engines if r.verdict == "fail"},
+        left_out=validation.left_out,
+        rows=tuple(rows),
+        degrees_of_freedom=least.degrees_of_freedom,
+        joint_coordinates=least.coordinates,
+        loop_conditions=least.conditions,
+        contact_spheres=least.spheres,
+        sizes=tuple(_sizes(scene, contenders, least, workers)),
+        trajectories=validation.trajectories,
+        seed=seed,
+        versions=validation.versions,
+        machine=validation.machine,
+        command=command,
+        wall_s=time.perf_counter() - begin,
+    )
+
+
+def _sizes(
+    scene: Scene, contenders: Sequence[Contender], least: Least, workers: int | None
+) -> Iterator[Size]:
+    """Compare the engines' own models with the smallest one; those that tell none are left out."""
+    tasks = [Task(native_size, (scene, c.engine, c.settings)) for c in contenders]
+    for contender, size in zip(contenders, run_tasks(tasks, workers=workers), strict=True):
+        if isinstance(size, ModelSize):
+            yield compared(contender.engine, size, least)
+
+
+class _Phases:
+    """Tells the progress of one piece of work after another as one."""
+
+    def __init__(self, progress: Watch | None) -> None:
+        watch: Watch = progress or Silent()
+        self._begin, self._before = watch.begin, 0
+        self.advance, self.doing, self.notice = watch.advance, watch.doing, watch.notice
+
+    def begin(self, total: int) -> None:
+        self._before += total
+        self._begin(self._before)
+
+
+_TIMEOUT = 600.0  # of one ablated scene, all its starts [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What simulates ablated scenes, the full scene's motion in it, and the floor."""
+
+    scene: Scene
+    judge: Contender | None
+    """None: the reference."""
+    judge_name: str
+    full: Trajectory
+    window: Window
+    floor: Floor
+    floor_engines: tuple[str, ...]
+
+    @staticmethod
+    def of(validation: Validation, evidence: Evidence, contenders: Sequence[Contender]) -> Bench:
+        """Choose the judge by what engines delivered on the full scene."""
+        runs = {
+            result.engine: run
+            for result, run in zip(validation.engines, evidence.trajectories, strict=True)
+            if run is not None
+        }
+        passed = [r for r in validation.engines if r.verdict != "fail" and r.engine in runs]
+        voters = [r for r in validation.engines if r.engine in runs] if len(passed) < 2 else passed
+        if not voters:
+            msg = f"{evidence.scene.name}: no engine delivered a motion; nothing can be compared"
+            raise InputError(msg)
+        apart = disagreement(evidence.scene, [runs[r.engine] for r in voters])
+        window = window_of(evidence, apart)
+        judge, full, name = None, evidence.reference, "the reference"
+        if not np.isfinite(evidence.reference.position).all():
+            best = min(voters, key=_inaccuracy)
+            full = runs[best.engine]
+            judge = next(c for c in contenders if c.engine == best.engine)
+            name = f"{best.engine}, {best.method}, step {best.step_s:g} s"
+        return Bench(
+            scene=evidence.scene,
+            judge=judge,
+            judge_name=name,
+            full=full,
+            window=window,
+            floor=floor_of(evidence.scene, window, apart),
+            floor_engines=tuple(r.engine for r in voters),
+        )
+
+    def rows(
+        self, variants: list[AblatedScene], workers: int | None, cache: bool, meter: ProgressSink
+    ) -> list[WeakenedEffect]:
+        """Simulate all variants and judge them."""
+        able = [variant for variant in variants if not variant.reason]
+        meter.begin(len(able))
+        answers = run_tasks(
+            [self._task(variant, cache) for variant in able],
+            workers=workers,
+            finished=lambda place, _: meter.advance(f"without {able[place].effect.name}"),
+        )
+        told = dict(zip(map(id, able), answers, strict=True))
+        return [self._row(variant, told.get(id(variant))) for variant in variants]
+
+    def _task(self, variant: AblatedScene, cache: bool) -> Task:
+        if self.judge is None:
+            return Task(_solved, (variant.scene, variant.batch, cache), _TIMEOUT)
+        batch = variant.batch.truncated(max(self.window.frames - 1, 1))
+        return Task(_simulated, (variant.scene, batch, self.judge), self.judge.limit)
+
+    def _row(self, variant: AblatedScene, answer: Trajectory | Crash | None) -> WeakenedEffect:
+        effect, factor = variant.effect, variant.factor
+        if answer is None or isinstance(answer, Crash):
+            reason = variant.reason if answer is None else answer.reason
+            return impossible(effect, factor, reason)
+        change = agreement.particle_error(Mechanism.of(self.scene), answer, self.full)
+        whole = np.full(self.window.judged.shape, np.nan)
+        whole[:, : change.shape[1]] = change
+        return row_of(effect, factor, whole, self.window, self.floor, _lost(answer))
+
+
+def _inaccuracy(result: EngineResult) -> tuple[bool, float]:
+    """Rank engines: by their error where there is a reference, else by their worst check."""
+    if result.error_weighted_m is not None and result.error_weighted_m > 0:
+        return False, result.error_weighted_m
+    judged = [finding for finding in result.findings if finding.budget]
+    return True, max((f.figure / (f.budget or 1.0) for f in judged), default=np.inf)
+
+
+def _solved(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
+    return reference.solve(scene, batch, cache=cache)
+
+
+def _simulated(scene: Scene, batch: Batch, judge: Contender) -> Trajectory:
+    return simulate(scene, batch, judge.engine, judge.settings).trajectory
+
+
+def _lost(run: Trajectory) -> str:
+    """Say which ablated runs ended early."""
+    ends = [failure for failure in run.failures if failure is not None]
+    if not ends:
+        return ""
+    impacts = all(isinstance(end, FirstImpact) for end in ends)
+    what = "known up to the first impact only" if impacts else ends[0].reason
+    return f"{len(ends)} of {len(run.failures)} starts: {what}"
+
+
+_MARKS: dict[str, Mark] = {"needed": "strong", "not possible": "muted"}
+_COLUMNS = (
+    Column("effect", "what the scene models", words=True),
+    Column("made", "dropped, or how much of it is left", words=True),
+    Column("at 1 s", "RMS change of the particles at 1 s, worst of the low and medium starts"),
+    Column("median", "the same, median of these starts", narrow=False),
+    Column(
+        "overall",
+        "largest change over the whole comparison, divided by the growth of a disturbance, "
+        "worst of all starts",
+    ),
+    Column("median ", "the same, median of all starts", narrow=False),
+    Column("× floor", "the larger of the two changes over its floor"),
+    Column(
+        "× engines",
+        "the larger of the two changes over the disagreement between engines alone",
+        narrow=False,
+    ),
+    Column("verdict", "needed where a change is above its floor", words=True),
+)
+
+
+def present(ablation: Ablation) -> Report:
+    """Say what the scene could do without, and what it is held against."""
+    versions = ", ".join(f"{name} {version}" for name, version in ablation.versions.items())
+    return Report(
+        title=ablation.scene,
+        what="what it needs",
+        description=ablation.description,
+        conclusion=_conclusion(ablation),
+        blocks=tuple(_blocks(ablation)),
+        command=ablation.command,
+        made=f"{ablation.machine}, in {quantity.span(ablation.wall_s)}, with {versions}",
+    )
+
+
+def _blocks(ablation: Ablation) -> Iterator[Block]:
+    yield Table(_COLUMNS, tuple(map(_row, ablation.rows)), grouped=True)
+    yield Remarks.of(
+        [
+            ("judge", _judge(ablation)),
+            ("floor", _floors(ablation)),
+            *((f"{engine} failed", reason) for engine, reason in ablation.failed.items()),
+            *((f"{engine} left out", reason) for engine, reason in ablation.left_out.items()),
+        ]
+    )
+    yield _size_lines(ablation)
+    yield Remarks.of([("scene", _smallest(ablation))])
+
+
+def _row(row: WeakenedEffect) -> Row:
+    changes = (row.change_1s_m, row.change_1s_median_m, row.change_m, row.change_median_m)
+    texts = (
+        row.effect,
+        "dropped" if row.factor == 0.0 else f"× {row.factor:g}",
+        *map(quantity.length, changes),
+        *map(quantity.number, (row.over_floor, row.over_disagreement)),
+    )
+    above = row.over_floor is not None and row.over_floor > 1.0
+    # Figures often say all that led to a verdict.
+    plain = row.verdict == ("needed" if above else "not needed") or not row.sentence
+    verdict = Cell(row.verdict, _MARKS.get(row.verdict, ""))
+    return Row((*map(Cell, texts), verdict), reasons=() if plain else (row.sentence,))
+
+
+def _size_lines(ablation: Ablation) -> Table:
+    headings = ("engine", ">coordinates", ">constraints", ">contact pairs", "")
+    rows = [
+        [s.engine, *map(str, (s.coordinates, s.constraints, s.contact_pairs)), _more(s)]
+        for s in ablation.sizes
+    ]
+    return table_of(headings, rows)
+
+
+def _conclusion(ablation: Ablation) -> str:
+    dropped = [row for row in ablation.rows if row.factor == 0.0]
+    names = [row.effect for row in dropped if row.verdict == "not needed"]
+    needed = sum(row.verdict == "needed" for row in dropped)
+    count = f"{needed} of {len(dropped)} effects are needed"
+    return f"{count}; not needed: {', '.join(names)}" if names else count
+
+
+def _judge(ablation: Ablation) -> str:
+    """Say what simulated the scene with and without each effect, and for how long."""
+    low, high = (quantity.span(value) for value in ablation.judged_s)
+    span = high if low == high else f"{low} to {high}"
+    text = f"{ablation.judge}, {counted(len(ablation.trajectories), 'start')} compared over {span}"
+    return f"{text}; then {ablation.ends}" if ablation.ends else text
+
+
+def _floors(ablation: Ablation) -> str:
+    """Say what a change must exceed, and where that comes from."""
+    floor = ablation.floor
+    at_one = "none"
+    if floor.disagreement_1s_m is not None:
+        at_one = _floor(floor.at_1s, floor.disagreement_1s_m, floor.budget_1s_m)
+    overall = _floor(floor.overall, floor.disagreement_m, floor.budget_m)
+    return f"{at_one} at 1 s, {overall} overall; engines: {', '.join(ablation.floor_engines)}"
+
+
+def _floor(floor: float, disagreement: float | None, budget: float) -> str:
+    return (
+        f"{quantity.length(floor)} (engines {quantity.length(disagreement)}, budget "
+        f"{quantity.length(budget)})"
+    )
+
+
+def _smallest(ablation: Ablation) -> str:
+    return (
+        f"{ablation.degrees_of_freedom} degrees of freedom; smallest model "
+        f"{ablation.joint_coordinates} coordinates, {ablation.loop_conditions} conditions of "
+        f"closed loops, {ablation.contact_spheres} contact pairs"
+    )
+
+
+def _more(size: Size) -> str:
+    """Say what an engine's model has more than the scene needs."""
+    more = [
+        f"{count} {what}"
+        for count, what in (
+            (size.more_coordinates, "coordinates"),
+            (size.more_constraints, "constraints"),
+            (size.more_pairs, "contact pairs"),
+        )
+        if count > 0
+    ]
+    return f"models {' and '.join(more)} more than needed" if more else "no more than needed"

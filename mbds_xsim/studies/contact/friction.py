@@ -15,7 +15,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
-from mbds_xsim.studies.contact.bench import (
+from mbds_xsim.studies.contact import (
     CRATE_MASS,
     FRICTION,
     PULL,

@@ -24,7 +24,7 @@ from mbds_xsim.scene.scene import Body, Ground, Inertia, Joint, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.registry import load_adapter, load_scene
-from mbds_xsim.studies.contact.bench import (
+from mbds_xsim.studies.contact import (
     FRICTION,
     PULL,
     RADIUS,

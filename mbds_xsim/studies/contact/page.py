@@ -13,7 +13,7 @@ from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Cell
 from mbds_xsim.report.files import table_text
 from mbds_xsim.simulate.claims import ContactLaw
-from mbds_xsim.studies.contact.bench import FRICTION, RADIUS, RESTITUTION
+from mbds_xsim.studies.contact import FRICTION, RADIUS, RESTITUTION
 from mbds_xsim.studies.contact.friction import PUSHES
 from mbds_xsim.studies.contact.impacts import DEPTH_SPEEDS, RESTITUTIONS, SPEEDS
 from mbds_xsim.studies.contact.present import (

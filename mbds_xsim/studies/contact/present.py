@@ -30,7 +30,7 @@ from mbds_xsim.simulate.choice import Choice, as_profile
 from mbds_xsim.simulate.claims import ContactLaw
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.simulate.timed import simulate
-from mbds_xsim.studies.contact.bench import (
+from mbds_xsim.studies.contact import (
     FRICTION,
     RADIUS,
     RESTITUTION,

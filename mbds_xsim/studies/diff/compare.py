@@ -11,8 +11,8 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
 from mbds_xsim.studies.diff.read import read_views
-from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
 
 SCHEMA = "mbds-xsim/diff/1"
 RTOL = 1e-6

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mbds_xsim.report import blocks, quantity
+from mbds_xsim.studies.diff import Value
 from mbds_xsim.studies.diff.compare import Change, Comparison, Diff, EntryDiff, FigureChange
-from mbds_xsim.studies.diff.view import Value
 
 _HEADINGS = ("entry", "what", "before", "now", "change")
 _COLUMNS = tuple(blocks.Column(heading, words=heading != "change") for heading in _HEADINGS)

@@ -17,10 +17,8 @@ import msgspec
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import read_file
 from mbds_xsim.measure import result
-from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure, Value, View
-from mbds_xsim.studies.match import result as match
-from mbds_xsim.studies.stability import study as stability_rows
-from mbds_xsim.studies.tradeoff import rows
+from mbds_xsim.studies import match, stability, tradeoff
+from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure, Value, View
 
 T = TypeVar("T")
 
@@ -122,7 +120,7 @@ def _engine_entry(engine: result.EngineResult, stored: result.Validation) -> Ent
 
 
 def _tradeoff(part: object) -> View:
-    study = msgspec.convert(part, rows.Tradeoff)
+    study = msgspec.convert(part, tradeoff.Tradeoff)
     budgets = {f"budget {key}": value for key, value in study.budget.items()}
     limits = _fields(study, "horizon_s", "limit_s")
     return _view(
@@ -133,7 +131,7 @@ def _tradeoff(part: object) -> View:
     )
 
 
-def _curve_entries(study: rows.Tradeoff) -> Iterator[tuple[str, Entry]]:
+def _curve_entries(study: tradeoff.Tradeoff) -> Iterator[tuple[str, Entry]]:
     scales = {
         "error_m": study.budget.get("error_1s", 0.0) * study.length_m,
         "error_weighted_m": study.budget.get("error", 0.0) * study.length_m,
@@ -149,7 +147,7 @@ def _curve_entries(study: rows.Tradeoff) -> Iterator[tuple[str, Entry]]:
             yield name, _point_entry(point, curve.name, scales)
 
 
-def _curve_entry(curve: rows.CurveResult, cost: float | None, budget: float) -> Entry:
+def _curve_entry(curve: tradeoff.CurveResult, cost: float | None, budget: float) -> Entry:
     done = [point for point in curve.points if point.kind == "done"]
     kept = [point.step_s for point in done if not point.broken]
     errors = [point.error_m for point in done if point.error_m is not None]
@@ -166,7 +164,7 @@ def _curve_entry(curve: rows.CurveResult, cost: float | None, budget: float) -> 
     )
 
 
-def _point_entry(point: rows.Point, curve: str, scales: Mapping[str, float]) -> Entry:
+def _point_entry(point: tradeoff.Point, curve: str, scales: Mapping[str, float]) -> Entry:
     done = point.kind == "done"
     kept = "over budget" if point.broken else "all budgets kept"
     return Entry(
@@ -209,7 +207,7 @@ def _found_entry(found: match.Found) -> Entry:
 
 
 def _stability(part: object) -> View:
-    sweep = msgspec.convert(part, stability_rows.Survey)
+    sweep = msgspec.convert(part, stability.Survey)
     return _view(
         sweep,
         _panel_entries(sweep),
@@ -218,7 +216,7 @@ def _stability(part: object) -> View:
     )
 
 
-def _panel_entries(sweep: stability_rows.Survey) -> Iterator[tuple[str, Entry]]:
+def _panel_entries(sweep: stability.Survey) -> Iterator[tuple[str, Entry]]:
     for panel in sweep.panels:
         cells = [cell for row in panel.cells for cell in row]
         stable = sum(cell.outcome == "stable" for cell in cells)
@@ -230,7 +228,7 @@ def _panel_entries(sweep: stability_rows.Survey) -> Iterator[tuple[str, Entry]]:
             yield name, _cell_entry(cell, panel.name)
 
 
-def _cell_entry(cell: stability_rows.MapCell, panel: str) -> Entry:
+def _cell_entry(cell: stability.MapCell, panel: str) -> Entry:
     return Entry(
         verdict=cell.outcome,
         rank=_OUTCOMES.get(cell.outcome, FAILING + 1),
@@ -307,9 +305,9 @@ def _finite(figure: float) -> float | None:
 
 READERS: dict[str, Callable[[Any], View]] = {
     result.SCHEMA: _validation,
-    rows.SCHEMA: _tradeoff,
+    tradeoff.SCHEMA: _tradeoff,
     match.SCHEMA: _match,
-    stability_rows.SCHEMA: _stability,
+    stability.SCHEMA: _stability,
 }
 """Readers that know what is better and what is a budget, by `schema`; `plain_view` has the rest."""
 

@@ -24,8 +24,8 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
 from mbds_xsim.simulate.choice import Choice, settings_for
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
-from mbds_xsim.studies.match.result import SCHEMA, Found, Match
-from mbds_xsim.studies.tradeoff.rows import curves_of
+from mbds_xsim.studies.match import SCHEMA, Found, Match
+from mbds_xsim.studies.tradeoff import curves_of
 
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0

@@ -9,8 +9,7 @@ from typing import Any
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK
-from mbds_xsim.studies.stability import words
-from mbds_xsim.studies.stability.study import Study, Survey, text_of
+from mbds_xsim.studies.stability import Study, Survey, text_of, words
 from mbds_xsim.studies.stability.words import (
     LIGHT_LOOKS,
     LOOKS,

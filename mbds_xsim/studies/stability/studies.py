@@ -24,7 +24,7 @@ from mbds_xsim.scene.scene import (
     SpringDamper,
 )
 from mbds_xsim.simulate.registry import load_scene
-from mbds_xsim.studies.stability.study import Study
+from mbds_xsim.studies.stability import Study
 
 SCENES = Study(
     "scenes", "the paper's scenes and an overconstrained mechanism, at steps up to 50 ms", "scene",

@@ -34,7 +34,7 @@ from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Profile
 from mbds_xsim.simulate.simulator import NATIVE, EngineMethod, Simulator
-from mbds_xsim.studies.stability.study import (
+from mbds_xsim.studies.stability import (
     COUNTS,
     FRAME,
     SCHEMA,

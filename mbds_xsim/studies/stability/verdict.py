@@ -31,7 +31,7 @@ from mbds_xsim.checks.passivity import passivity, penetration
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate.simulator import Signs, Simulator, part_of_way
-from mbds_xsim.studies.stability.study import Outcome, Told
+from mbds_xsim.studies.stability import Outcome, Told
 
 _ENERGY = 0.1  # of the energy scale
 _OPEN = 0.01  # of the scene's length, and [rad]

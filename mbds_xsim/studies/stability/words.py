@@ -14,7 +14,7 @@ from typing import Any
 
 from mbds_xsim.report import quantity
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.stability.study import MapCell, Outcome, Panel, Survey, text_of
+from mbds_xsim.studies.stability import MapCell, Outcome, Panel, Survey, text_of
 
 _WHO = {
     "engine": "the engine",

@@ -12,7 +12,7 @@ import numpy as np
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.simulator import EngineMethod
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Found, Measurement, Point, Ratio
+from mbds_xsim.studies.tradeoff import CurveResult, Found, Measurement, Point, Ratio
 
 FLOOR = 1e-11
 """Errors up to this are the reference's, over the scene's length."""

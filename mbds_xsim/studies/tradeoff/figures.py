@@ -9,9 +9,8 @@ from typing import Any
 from mbds_xsim.report import themed
 from mbds_xsim.report.themed import DOTTED, GREY, INK, PAPER, level, note
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff import words
+from mbds_xsim.studies.tradeoff import BATCH, CurveResult, Learned, Point, Tradeoff, words
 from mbds_xsim.studies.tradeoff.curves import FLOOR
-from mbds_xsim.studies.tradeoff.rows import BATCH, CurveResult, Learned, Point, Tradeoff
 
 _NATIVE_MARKER = "*"
 _MODEL_MARKER = "H"

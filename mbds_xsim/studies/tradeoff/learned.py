@@ -23,9 +23,9 @@ from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import fingerprint
 from mbds_xsim.simulate import registry
+from mbds_xsim.studies.tradeoff import AT_ONCE, BATCH, Learned, Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.bench import StartBench, Truths, references
 from mbds_xsim.studies.tradeoff.curves import point_of
-from mbds_xsim.studies.tradeoff.rows import AT_ONCE, BATCH, Learned, Measurement, Tradeoff
 from mbds_xsim.studies.tradeoff.study import explore
 
 _LIMIT = 600.0  # of one start [s]

@@ -9,7 +9,7 @@ from typing import Any
 from mbds_xsim.base.text import counted, in_figure, sentence
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import INK, PAPER
-from mbds_xsim.studies.tradeoff import words
+from mbds_xsim.studies.tradeoff import BATCH, Point, Tradeoff, words
 from mbds_xsim.studies.tradeoff.figures import (
     Chart,
     charts_of,
@@ -18,7 +18,6 @@ from mbds_xsim.studies.tradeoff.figures import (
     legend_entries,
     tips,
 )
-from mbds_xsim.studies.tradeoff.rows import BATCH, Point, Tradeoff
 
 _USUAL = ("", BATCH)
 _MAIN, _SMALL = (7.6, 4.6), (5.4, 3.7)

@@ -21,6 +21,7 @@ from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
 from mbds_xsim.simulate.claims import TRUTH
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
+from mbds_xsim.studies.tradeoff import SCHEMA, SPAN, Found, Measurement, Tradeoff, curves_of
 from mbds_xsim.studies.tradeoff.bench import (
     LIMIT_COUNT,
     Job,
@@ -31,7 +32,6 @@ from mbds_xsim.studies.tradeoff.bench import (
     references,
 )
 from mbds_xsim.studies.tradeoff.curves import curve_results, ratios_of
-from mbds_xsim.studies.tradeoff.rows import SCHEMA, SPAN, Found, Measurement, Tradeoff, curves_of
 
 STARTS = 3
 LIMIT = 30.0

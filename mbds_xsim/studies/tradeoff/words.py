@@ -11,7 +11,7 @@ from mbds_xsim.base.text import counted
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.simulate.simulator import NATIVE
-from mbds_xsim.studies.tradeoff.rows import CurveResult, Learned, Point, Ratio, Tradeoff
+from mbds_xsim.studies.tradeoff import CurveResult, Learned, Point, Ratio, Tradeoff
 
 _WORTH_TELLING = 0.85
 """Part of the usual options' cost below which another option is worth a line."""

@@ -1,1 +1,188 @@
-"""Which engines to trust with a scene."""
+"""The main job: run a scene in all engines, check every trajectory, give a verdict."""
+
+from __future__ import annotations
+
+import operator
+import os
+import platform
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base.isolate import Silent
+from mbds_xsim.base.text import counted
+from mbds_xsim.checks import agreement
+from mbds_xsim.measure.campaign import Outcome, ReferenceOutcome, refine, run_campaign
+from mbds_xsim.measure.judge import Judged, judge, reference_result
+from mbds_xsim.measure.quick import searched
+from mbds_xsim.measure.result import (
+    SCHEMA,
+    EngineResult,
+    EnsembleResult,
+    Evidence,
+    Validation,
+    Verdict,
+)
+from mbds_xsim.measure.runner import Account, Watch
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch, fingerprint
+from mbds_xsim.simulate import registry
+from mbds_xsim.simulate.choice import Choice
+from mbds_xsim.simulate.claims import TRUTH
+
+_ONE_SECOND = 1.0
+_SEEN = 0.01  # shorter work is no part of the account [s]
+_HIGH = INTERVALS.index("high")
+_VERDICTS = ("pass", "warn", "fail")
+
+
+def validate_with_evidence(
+    scene: Scene,
+    *,
+    choice: Choice,
+    trajectories: int = 1,
+    seed: int = 0,
+    noise: bool = True,
+    inputs: bool = True,
+    cache: bool = True,
+    workers: int | None = None,
+    readback: bool = True,
+    progress: Watch | None = None,
+    command: str = "",
+) -> tuple[Validation, Evidence]:
+    """Validate a scene, and keep the arrays for a page. See `mbds_xsim.validate`.
+
+    Without `readback` the verdict is on the motion alone, whatever the native model is.
+    """
+    begin, progress, spent = time.perf_counter(), progress or Silent(), Account(float)
+    how: dict[str, Any] = {"workers": workers, "progress": progress, "spent": spent}
+    chosen = searched(scene, choice, cache=cache, workers=workers, progress=progress)
+    if chosen.given != choice.given:
+        spent["search of settings"] = time.perf_counter() - begin
+    contenders, left_out = chosen.contenders(scene)
+    count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
+    batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
+    outcomes, reference = run_campaign(scene, batch, contenders, cache=cache, **how)
+    refine(scene, batch, outcomes, reference, **how)
+    checking, named = time.perf_counter(), _named(outcomes, progress)
+    rows = [judge(scene, batch, each, reference, native=readback) for each in named]
+    results = [row.result for row in rows]
+    names, matrix, odd = _vote(scene, rows, reference)
+    ensembles = _ensembles(scene, batch, rows, reference)
+    judged = reference_result(scene, batch, reference)
+    spent["checks"] = time.perf_counter() - checking
+    validation = Validation(
+        schema=SCHEMA,
+        scene=scene.name,
+        description=scene.description,
+        verdict=_worst(results),
+        wall_s=time.perf_counter() - begin,
+        command=command,
+        seed=seed,
+        trajectories=tuple(int(index) for index in batch.index),
+        length_m=scene.length,
+        budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
+        engines=tuple(results),
+        left_out=left_out,
+        reference=judged,
+        names=names,
+        matrix_m=matrix,
+        odd_one_out=odd,
+        versions=_versions(results),
+        machine=f"{platform.machine()}, {counted(os.cpu_count(), 'core')}, {platform.system()}",
+        ensembles=ensembles,
+        spent_s=_account(spent),
+        fingerprint=fingerprint(scene),
+    )
+    return validation, _evidence(scene, batch, rows, reference)
+
+
+def _named(outcomes: Iterable[Outcome], progress: Watch) -> Iterator[Outcome]:
+    """Give outcomes, and tell of each that it is being checked."""
+    for outcome in outcomes:
+        progress.doing(f"{outcome.contender.name}: checks")
+        yield outcome
+
+
+def _worst(results: Sequence[EngineResult]) -> Verdict:
+    return max((result.verdict for result in results), key=_VERDICTS.index, default="pass")
+
+
+def _account(spent: Account) -> dict[str, float]:
+    """List what took its time, the longest first [s]."""
+    longest = sorted(spent.items(), key=operator.itemgetter(1), reverse=True)
+    return {what: seconds for what, seconds in longest if seconds >= _SEEN}
+
+
+def _evidence(
+    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
+) -> Evidence:
+    return Evidence(
+        scene=scene,
+        batch=batch,
+        trajectories=tuple(row.trajectory for row in rows),
+        reference=reference.trajectory,
+        growth=reference.growth,
+        errors=tuple(row.error for row in rows),
+        series=tuple(row.series for row in rows),
+    )
+
+
+def _vote(
+    scene: Scene, rows: list[Judged], reference: ReferenceOutcome
+) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...], str | None]:
+    """Hold every engine against every other and the reference, at 1 s on predictable starts.
+
+    The reference has one vote, however often it takes part.
+    """
+    present = [row for row in _others(rows) if row.trajectory is not None]
+    names = (*(f"{r.result.engine} {r.result.profile}" for r in present), "reference")
+    families = (*(row.result.family for row in present), "reference")
+    regular = [k for k in range(len(reference.growth)) if k % len(INTERVALS) != _HIGH]
+    runs = [row.trajectory[regular] for row in present if row.trajectory is not None]
+    runs.append(reference.trajectory[regular])
+    instant = min(_ONE_SECOND, scene.clock.duration)
+    matrix = agreement.pairwise(Mechanism.of(scene), runs, instant)
+    allowed = scene.budget.error_1s * scene.length
+    # Past a first impact no solution is unique, and sound engines may stand apart.
+    unique = np.isfinite(matrix[-1, :-1]).any()
+    odd = agreement.odd_one_out(matrix, families, tolerance=allowed) if unique else ()
+    told = ", ".join(names[k] for k in odd) or None
+    return names, tuple(tuple(float(x) for x in line) for line in matrix), told
+
+
+def _others(rows: list[Judged]) -> list[Judged]:
+    """Leave the reference out, which is held against the others as what is true."""
+    return [row for row in rows if row.result.family != TRUTH]
+
+
+def _ensembles(
+    scene: Scene, batch: Batch, rows: list[Judged], reference: ReferenceOutcome
+) -> tuple[EnsembleResult, ...]:
+    """Compare distributions at the end, where motions no longer agree one by one."""
+    named = [(f"{r.result.engine} {r.result.profile}", r.trajectory) for r in _others(rows)]
+    named.append(("reference", reference.trajectory))
+    names, runs = zip(*((name, run) for name, run in named if run is not None), strict=True)
+    return tuple(
+        EnsembleResult(
+            one=names[one],
+            other=names[other],
+            time_s=scene.clock.duration,
+            distance=found.distance,
+            p_value=found.p_value,
+            count=found.count,
+        )
+        for (one, other), found in agreement.compare_runs(scene, batch, runs).items()
+    )
+
+
+def _versions(results: list[EngineResult]) -> dict[str, str]:
+    packages = ("mbds-xsim", "numpy", "scipy")
+    versions = {name: registry.package_version(name) for name in packages}
+    versions["python"] = platform.python_version()
+    return versions | {result.engine: result.version for result in results}
