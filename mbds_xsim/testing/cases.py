@@ -32,7 +32,7 @@ from mbds_xsim.testing.case import (
     solve,
     swing,
 )
-from mbds_xsim.testing.joint_cases import JOINT_CASES
+from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
 from mbds_xsim.testing.loop_cases import LOOPS
 
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
@@ -198,28 +198,13 @@ def _spring() -> Case:
 
 
 def _flywheel() -> Case:
-    """A hinge torque spins a wheel up and its carrier back; a tip on an arm shows the carrier."""
-    torque, carrier, wheel, arm = 0.3, 0.4, 0.1, 0.5
-    moment = carrier + 0.01 + 0.5 * arm**2
-
-    def exact(time: Array) -> Array:
-        theta = -0.5 * torque / moment * time**2
-        tip = arm * np.stack([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)
-        return np.stack([0 * tip, 0 * tip, tip], axis=1)
-
-    return case_of(
+    """A hinge torque spins a wheel up and its carrier back."""
+    torque = 0.3
+    return on_a_carrier(
         "flywheel",
         "hinge torque and its reaction, fixed joint",
-        [
-            even("carrier", 2.0, carrier),
-            even("wheel", 1.0, wheel),
-            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
-        ],
-        exact,
-        Joint("mount", "hinge", "world", "carrier", NONE, (0.0, 0.0, 1.0)),
-        Joint("axle", "hinge", "carrier", "wheel", NONE, (0.0, 0.0, 1.0)),
-        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
-        gravity=NONE,
+        lambda time: -0.5 * torque / CARRIER * time**2,
+        Joint("axle", "hinge", "carrier", "wheel", NONE, UP),
         torques=(Torque("axle", (torque,)),),
     )
 

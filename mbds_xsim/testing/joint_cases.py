@@ -2,16 +2,55 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.coupling import Coupling
-from mbds_xsim.scene.scene import Clock, Joint, Torque
+from mbds_xsim.scene.scene import Clock, Joint, Torque, Vector
 from mbds_xsim.scene.servo import Servo
-from mbds_xsim.testing.case import NONE, Case, G, case_of, direction, even, solve
+from mbds_xsim.testing.case import NONE, Case, Exact, G, case_of, direction, even, solve
 
-_UP = (0.0, 0.0, 1.0)
+UP: Vector = (0.0, 0.0, 1.0)
+WHEEL, _ARM = 0.1, 0.5
+CARRIER = 0.4 + 0.01 + 0.5 * _ARM**2
+"""Moments of inertia about the mount of `on_a_carrier`, the tip's among the carrier's [kg·m²]."""
+_REDUCED = CARRIER * WHEEL / (CARRIER + WHEEL)
+
+
+def on_a_carrier(name: str, verifies: str, turned: Exact, axle: Joint, **more: Any) -> Case:
+    """Make a case of a wheel on a carrier that turns about a mount; a tip on an arm shows it.
+
+    Args:
+        name: Of the case.
+        verifies: What it is for.
+        turned: Times [s] to the angles by which the carrier has turned [rad].
+        axle: Joins the carrier and the wheel.
+        more: Other fields of the scene.
+    """
+
+    def exact(time: Array) -> Array:
+        angle = turned(time)
+        tip = _ARM * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
+        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+
+    return case_of(
+        name,
+        verifies,
+        [
+            even("carrier", 2.0, 0.4),
+            even("wheel", 1.0, WHEEL),
+            even("tip", 0.5, 0.01, (_ARM, 0.0, 0.0)),
+        ],
+        exact,
+        Joint("mount", "hinge", "world", "carrier", NONE, UP, rate=0.0),
+        axle,
+        Joint("weld", "fixed", "carrier", "tip", (_ARM, 0.0, 0.0)),
+        gravity=NONE,
+        **more,
+    )
 
 
 def settling(
@@ -27,36 +66,23 @@ def settling(
 def _sprung_hinge() -> Case:
     """A wheel winds a spring up by more than half a turn, whose other end is on its free carrier.
 
-    The axle's parent is the wheel; the tip on an arm shows the carrier.
+    The axle's parent is the wheel.
     """
     stiffness, damping, rest, rate = 3.0, 0.05, 0.7, 20.0
-    wheel, arm = 0.1, 0.5
-    carrier = 0.4 + 0.01 + 0.5 * arm**2
-    reduced = carrier * wheel / (carrier + wheel)
 
-    def exact(time: Array) -> Array:
-        angle = rest + settling(stiffness, damping, reduced, -rest, rate, time)
+    def turned(time: Array) -> Array:
+        angle = rest + settling(stiffness, damping, _REDUCED, -rest, rate, time)
         # No momentum but what the start has, which is the wheel's alone.
-        turned = wheel * (rate * time - angle) / (carrier + wheel)
-        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
-        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+        return WHEEL * (rate * time - angle) / (CARRIER + WHEEL)
 
-    return case_of(
+    return on_a_carrier(
         "sprung hinge",
         "spring and damper of a hinge, their sign and reaction, whole turns",
-        [
-            even("carrier", 2.0, 0.4),
-            even("wheel", 1.0, wheel),
-            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
-        ],
-        exact,
-        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
+        turned,
         Joint(
             "axle", "hinge", "wheel", "carrier", NONE, (0.0, 0.0, -1.0), rate=rate,
             stiffness=stiffness, damping=damping, rest=rest,
         ),
-        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
-        gravity=NONE,
     )  # fmt: skip
 
 
@@ -88,30 +114,18 @@ def _sprung_slider() -> Case:
 def _geared_axle() -> Case:
     """A motor with a rotor drives a wheel against a damper, and its free carrier back."""
     torque, damping, armature = 0.6, 0.2, 0.15
-    wheel, arm = 0.1, 0.5
-    carrier = 0.4 + 0.01 + 0.5 * arm**2
-    inertia = carrier * wheel / (carrier + wheel) + armature
+    inertia = _REDUCED + armature
 
-    def exact(time: Array) -> Array:
+    def turned(time: Array) -> Array:
         late = inertia / damping * (1.0 - np.exp(-damping / inertia * time))
         # The rotor has no momentum of its own, so the wheel's and the carrier's cancel.
-        turned = -wheel / (carrier + wheel) * torque / damping * (time - late)
-        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
-        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+        return -WHEEL / (CARRIER + WHEEL) * torque / damping * (time - late)
 
-    return case_of(
+    return on_a_carrier(
         "geared axle",
         "armature of a hinge, its reaction",
-        [
-            even("carrier", 2.0, 0.4),
-            even("wheel", 1.0, wheel),
-            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
-        ],
-        exact,
-        Joint("mount", "hinge", "world", "carrier", NONE, _UP),
-        Joint("axle", "hinge", "carrier", "wheel", NONE, _UP, damping=damping, armature=armature),
-        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
-        gravity=NONE,
+        turned,
+        Joint("axle", "hinge", "carrier", "wheel", NONE, UP, damping=damping, armature=armature),
         torques=(Torque("axle", (torque,)),),
     )
 
@@ -188,7 +202,7 @@ def _servo() -> Case:
         [even("arm", mass, 0.05, (arm, 0.0, 0.0))],
         exact,
         Joint(
-            "hub", "hinge", "world", "arm", NONE, _UP, stiffness=stiffness, damping=damping,
+            "hub", "hinge", "world", "arm", NONE, UP, stiffness=stiffness, damping=damping,
             rest=rest,
         ),
         servos=(Servo("hub", targets, rates, gain, loss, hold),),
@@ -219,7 +233,7 @@ def _planetary() -> Case:
         return np.stack([0.0 * tip, tip, -tip], axis=1)
 
     def orientation(time: Array) -> Array:
-        return rotation.from_vector(angles(time)[..., None] * np.array(_UP))
+        return rotation.from_vector(angles(time)[..., None] * np.array(UP))
 
     return case_of(
         "planetary gear",
@@ -230,8 +244,8 @@ def _planetary() -> Case:
             even("pinion", mass, second, (-arm, 0.0, 0.0)),
         ],
         exact,
-        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
-        Joint("axle", "hinge", "carrier", "wheel", (arm, 0.0, 0.0), _UP),
+        Joint("mount", "hinge", "world", "carrier", NONE, UP, rate=0.0),
+        Joint("axle", "hinge", "carrier", "wheel", (arm, 0.0, 0.0), UP),
         # From the outside inwards, and about the opposite axis: the coordinate is the same.
         Joint("shaft", "hinge", "pinion", "carrier", (-arm, 0.0, 0.0), (0.0, 0.0, -1.0)),
         orientation=orientation,
@@ -272,30 +286,18 @@ def _braked() -> Case:
 
     Nothing else acts about the mount: the momentum is the wheel's at the start.
     """
-    friction, rate, wheel, arm = 0.4, 5.0, 0.1, 0.5
-    carrier = 0.4 + 0.01 + 0.5 * arm**2
-    reduced = carrier * wheel / (carrier + wheel)
+    friction, rate = 0.4, 5.0
 
-    def exact(time: Array) -> Array:
-        moving = np.minimum(time, rate * reduced / friction)
-        angle = rate * moving - 0.5 * friction / reduced * moving**2
-        turned = wheel * (rate * time - angle) / (carrier + wheel)
-        tip = arm * np.stack([np.cos(turned), np.sin(turned), 0.0 * turned], axis=-1)
-        return np.stack([0.0 * tip, 0.0 * tip, tip], axis=1)
+    def turned(time: Array) -> Array:
+        moving = np.minimum(time, rate * _REDUCED / friction)
+        angle = rate * moving - 0.5 * friction / _REDUCED * moving**2
+        return WHEEL * (rate * time - angle) / (CARRIER + WHEEL)
 
-    return case_of(
+    return on_a_carrier(
         "brake",
         "dry friction of a hinge, its reaction, the time at which it stops",
-        [
-            even("carrier", 2.0, 0.4),
-            even("wheel", 1.0, wheel),
-            even("tip", 0.5, 0.01, (arm, 0.0, 0.0)),
-        ],
-        exact,
-        Joint("mount", "hinge", "world", "carrier", NONE, _UP, rate=0.0),
-        Joint("axle", "hinge", "carrier", "wheel", NONE, _UP, rate=rate, friction=friction),
-        Joint("weld", "fixed", "carrier", "tip", (arm, 0.0, 0.0)),
-        gravity=NONE,
+        turned,
+        Joint("axle", "hinge", "carrier", "wheel", NONE, UP, rate=rate, friction=friction),
     )
 
 

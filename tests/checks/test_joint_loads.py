@@ -41,7 +41,9 @@ def test_the_exact_motion_balances_and_one_with_another_law_does_not(case: Case)
 
     finding = energy_balance.finding(record)
     assert finding.uncertainty is not None
-    assert finding.figure.max() < max(1e-5, finding.uncertainty.max())
+    # Dry friction may stop a joint inside a frame, and of its work there no more is known.
+    stops = finding.uncertainty.max() if record.mechanism.frictional else 0.0
+    assert finding.figure.max() < max(1e-5, stops)
     given = (key for joint in case.scene.joints for key in joint.added if getattr(joint, key))
     for key in {*given} - {"rest"}:
         joints = (
