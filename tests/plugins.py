@@ -41,12 +41,16 @@ class Hanging(MuJoCo):
     def load(self, scene, settings):
         time.sleep(600)
 
-class Misshapen(MuJoCo):
-    name = "misshapen"
+class Moving(MuJoCo):
     def load(self, scene, settings):
         run = super().load(scene, settings)
-        run.rollout = lambda batch: Trajectory.empty(np.arange(3.0), 1, 7)
+        run.rollout = lambda batch: self.motion(scene, batch)
         return run
+
+class Misshapen(Moving):
+    name = "misshapen"
+    def motion(self, scene, batch):
+        return Trajectory.empty(np.arange(3.0), 1, 7)
 
 class Ageless(MuJoCo):
     name = "ageless"
@@ -72,18 +76,13 @@ class Pondering(MuJoCo):
     def settings(self, scene, profile):
         time.sleep(600)
 
-class Blowing(MuJoCo):
+class Blowing(Moving):
     name = "blowing"
-    def load(self, scene, settings):
-        run = super().load(scene, settings)
-        run.rollout = lambda batch: _lost(scene, batch)
-        return run
-
-def _lost(scene, batch):
-    time = scene.clock.frame * np.arange(batch.steps + 1)
-    whole = Trajectory.empty(time, len(batch), len(scene.bodies))
-    fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
-    return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
+    def motion(self, scene, batch):
+        time = scene.clock.frame * np.arange(batch.steps + 1)
+        whole = Trajectory.empty(time, len(batch), len(scene.bodies))
+        fields = (whole.position, whole.orientation, whole.velocity, whole.angular_velocity)
+        return Trajectory(time, *fields, (Failure(1, "a number is not finite"),))
 """
 _MODULES = {
     "faulty_engines": _FAULTY,

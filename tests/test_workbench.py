@@ -12,7 +12,7 @@ import pytest
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.agreement import particle_error
 from mbds_xsim.reference import sensitivity, solve
-from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.solution import start_states
 from mbds_xsim.scene.constraints import degrees_of_freedom
 from mbds_xsim.scene.joint_space import joint_coordinate

@@ -1,4 +1,4 @@
-"""What acts on the bodies: inputs, springs, and torques about hinges that close loops."""
+"""What acts on bodies: inputs, springs, dry friction, torques about hinges that close loops."""
 
 from __future__ import annotations
 
@@ -95,6 +95,20 @@ class StepLoads:
         force = spring.pull(second - first, faster)
         self._push(spring.bodies[0], force, first)
         self._push(spring.bodies[1], -force, second)
+
+
+def set_friction(model: Multibodies, substeps: int) -> None:
+    """Let motors at rest brake joints with dry friction.
+
+    Bullet allows in each of the sub-steps of a call the impulse of the whole call.
+    """
+    mechanism = model.mechanism
+    bodies = {link.joint.index: link.body for link in mechanism.links if link.joint}
+    for joint in mechanism.frictional:
+        model.client.build(
+            "setJointMotorControl2", *model.address(bodies[joint.index]),
+            Constant("VELOCITY_CONTROL"), force=joint.friction / substeps,
+        )  # fmt: skip
 
 
 def sprung(model: Multibodies) -> list[tuple[int, int, float, float]]:

@@ -23,7 +23,7 @@ from mbds_xsim.simulate.readback import joint_anchors, joint_axes
 
 from .client import Client, Constant
 from .contact import BulletContact
-from .parts import FREEDOMS, Multibody, split
+from .parts import Multibody, split
 
 SPEED_CAP = 1e6
 """Bullet cuts every rate of a multibody to this [m/s or rad/s]."""
@@ -81,7 +81,7 @@ class Multibodies:
         for coupling in mechanism.couplings:
             self._gear(coupling)
         self.size = ModelSize(
-            sum(_coordinate_count(part) for part in self.parts), rows, len(mechanism.sphere_body)
+            sum(part.coordinate_count for part in self.parts), rows, len(mechanism.sphere_body)
         )
         self._base_pose = client.function("getBasePositionAndOrientation")
         self._base_rate = client.function("getBaseVelocity")
@@ -133,18 +133,6 @@ class Multibodies:
                     "resetJointStatesMultiDof",
                     number, moving, targetValues=values, targetVelocities=rates,
                 )  # fmt: skip
-
-    def set_friction(self, substeps: int) -> None:
-        """Let motors at rest brake joints with dry friction.
-
-        Bullet allows in each of the sub-steps of a call the impulse of the whole call.
-        """
-        bodies = {link.joint.index: link.body for link in self.mechanism.links if link.joint}
-        for joint in self.mechanism.frictional:
-            self.client.build(
-                "setJointMotorControl2", *self.address(bodies[joint.index]),
-                Constant("VELOCITY_CONTROL"), force=joint.friction / substeps,
-            )  # fmt: skip
 
     def read(self) -> Array:
         """What Bullet tells of every body, see `states`; shape (body, 13)."""
@@ -393,11 +381,6 @@ def _principal_axes(tensor: Array) -> tuple[Array, Array]:
     moments, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.linalg.det(axes)
     return moments, rotation.from_matrix(axes)
-
-
-def _coordinate_count(part: Multibody) -> int:
-    base = 0 if part.base == WORLD_INDEX else 6
-    return base + sum(FREEDOMS[link.joint.kind] for link in part.links if link.joint is not None)
 
 
 def _axis(joint: PlacedJoint) -> list[float]:

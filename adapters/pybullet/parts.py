@@ -27,6 +27,12 @@ class Multibody:
     links: tuple[Link, ...]
     """Parents before children; their order is Bullet's."""
 
+    @property
+    def coordinate_count(self) -> int:
+        """Rates of the base and of all joints."""
+        base = 0 if self.base == WORLD_INDEX else 6
+        return base + sum(FREEDOMS[link.joint.kind] for link in self.links if link.joint)
+
 
 def split(mechanism: Mechanism) -> tuple[tuple[Multibody, ...], tuple[PlacedJoint, ...]]:
     """Give the parts, and the tree joints that have to be closed as constraints instead.

@@ -19,7 +19,7 @@ from mbds_xsim.simulate.adapter import Readback, Run, Settings, first_failures, 
 
 from .client import Client
 from .contact import BulletContact
-from .loads import StepLoads, spring_calls
+from .loads import StepLoads, set_friction, spring_calls
 from .model import RATES, SPEED_CAP, Multibodies
 
 _BLOW_UP = 0.5 * SPEED_CAP
@@ -159,7 +159,7 @@ class PyBulletRun(Run):
         self._client.build(
             "setPhysicsEngineParameter", fixedTimeStep=self._step * substeps, numSubSteps=substeps
         )
-        self._model.set_friction(substeps)
+        set_friction(self._model, substeps)
 
     def readback(self, batch: Batch) -> Readback:
         inertia = self._model.inertia()  # puts the model at its reference pose

@@ -147,7 +147,7 @@ def pushed(mechanism: Mechanism, bodies: BodyStates, sphere: Index) -> BodyState
         States with these velocities, of impulses along x, y and z, shape (state, 3, body, …).
     """
     # The reference loads the compiled parts of scipy, which most uses do without.
-    from mbds_xsim.reference.dynamics import dynamics_of
+    from mbds_xsim.reference.equations import dynamics_of
 
     each, axis = (k.ravel() for k in np.indices((len(sphere), 3)))
     row, body, states = np.arange(len(each)), mechanism.sphere_body[sphere][each], bodies[each]
@@ -335,7 +335,7 @@ def followed(
 ) -> BodyStates:
     """Follow states without contact by Runge and Kutta's method, each over its own time [s]."""
     # The reference loads the compiled parts of scipy, which most uses do without.
-    from mbds_xsim.reference.dynamics import dynamics_of
+    from mbds_xsim.reference.equations import dynamics_of
 
     if not len(time):
         return bodies

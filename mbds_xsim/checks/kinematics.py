@@ -199,7 +199,7 @@ def _allowed(
     mechanism: Mechanism, start: BodyStates, change: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Part of velocities that a mechanism's joints allow."""
-    from mbds_xsim.reference.dynamics import dynamics_of
+    from mbds_xsim.reference.equations import dynamics_of
 
     dynamics = dynamics_of(mechanism)
     packed = dynamics.pack(BodyStates(start.position, start.native, *change))

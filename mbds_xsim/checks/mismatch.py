@@ -343,7 +343,7 @@ class Flow:
         mechanism = self.mechanism
         if not mechanism.loops or all(joint.kind == "ball" for joint in mechanism.joints):
             return states
-        from mbds_xsim.reference.dynamics import dynamics_of
+        from mbds_xsim.reference.equations import dynamics_of
 
         known, dynamics = known_states(states), dynamics_of(mechanism)
         tree = to_bodies(mechanism, to_links(mechanism, states[known]))

@@ -14,8 +14,9 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.versions import PHYSICS
-from mbds_xsim.reference.dynamics import dynamics_of, pose_of
-from mbds_xsim.reference.marching import Inputs
+from mbds_xsim.reference.dynamics import pose_of
+from mbds_xsim.reference.equations import dynamics_of
+from mbds_xsim.reference.marching import Problem
 from mbds_xsim.reference.solution import LOOSEST, TIGHTEST, solve, start_states
 from mbds_xsim.reference.tree import tree_of
 from mbds_xsim.scene.constraints import degrees_of_freedom
@@ -166,8 +167,8 @@ def _load_kernels(mechanism: Mechanism) -> None:
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
     still = np.zeros((1, 1, mechanism.body_count, 3)), np.zeros((1, 1, len(mechanism.hinges)))
-    start = dynamics_of(mechanism).pack(pose_of(mechanism))
-    march_compiled(mechanism, start, Inputs(*still), rtol=LOOSEST)
+    dynamics = dynamics_of(mechanism)
+    march_compiled(Problem(dynamics, dynamics.pack(pose_of(mechanism)), *still, rtol=LOOSEST))
 
 
 def _placed(state: Array, point: Array) -> Array:

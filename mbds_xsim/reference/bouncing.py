@@ -9,53 +9,45 @@ lasting 2 v / (|a| (1 − e)) from the rebound v under the downward acceleration
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.ball import Ball, BallContact, BallState, EvenBall, Load, time_to_ground
-from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING
-from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.marching import Marched, Problem
+from mbds_xsim.reference.topology import topology_of
 from mbds_xsim.reference.tumbling_ball import TumblingBall
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
-
-Progress = Callable[[int, int], None]
 
 _SHORTEST = 1e-8  # of what is left of the bounces [s]
 _MOST_EVENTS = 20_000  # in a frame
 _EVEN = 1e-12
 
 
-def march_balls(
-    mechanism: Mechanism, start: Array, inputs: Inputs, *, progress: Progress | None = None
-) -> Marched:
+def march_balls(problem: Problem) -> Marched:
     """Solve a scene of balls: exactly, but for what `tumbling_ball` integrates.
 
     Args:
-        mechanism: One of which `has_only_balls` is true.
-        start: States as of `Dynamics`, shape (batch, body + world, 13).
-        inputs: What acts.
-        progress: Called with the frames that are done and all.
+        problem: Of a mechanism of which `has_only_balls` is true; its tolerance is not needed.
     """
-    batch, frames = inputs.force.shape[:2]
-    marched = Marched.from_start(start, inputs)
+    mechanism, batch, frames = problem.mechanism, len(problem.start), problem.frames
+    marched = Marched.from_start(problem)
     states = marched.states
-    states[:, :, -1] = start[:, None, -1]
+    states[:, :, -1] = problem.start[:, None, -1]
     for row in range(batch):
         found = [
-            _march_one(mechanism, body, states[row, :, body], inputs.force[row, :, body])
+            _march_one(mechanism, body, states[row, :, body], problem.force[row, :, body])
             for body in range(mechanism.body_count)
         ]
         ended = [failure for failure in found if failure is not None]
         if ended:
             first = marched.failures[row] = min(ended, key=lambda failure: failure.frame)
             states[row, first.frame :] = np.nan
-        if progress is not None:
-            progress(frames * (row + 1), frames * batch)
+        if problem.progress is not None:
+            problem.progress(frames * (row + 1), frames * batch)
     return marched
 
 
@@ -109,7 +101,7 @@ def _ball_of(mechanism: Mechanism, body: int, state: Array, force: Array, radius
     assert ground is not None
     mass = float(mechanism.mass[body])
     contact = BallContact(mass, radius, ground.friction, ground.restitution)
-    moments = dynamics_of(mechanism).topology.inertia_root[body] ** 2
+    moments = topology_of(mechanism).inertia_root[body] ** 2
     if np.ptp(moments) <= _EVEN * moments.max():
         return EvenBall(contact, float(moments.mean()))
     turn = rotation.matrix(state[3:7])

@@ -8,11 +8,13 @@ changed or put under another name is computed again.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 import os
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,8 @@ _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
     "dimension",
 )  # fmt: skip
+_KERNELS = ("tree", "load", "row", "closure", "march")
+_SOURCES = ("lanes", "elimination", "tree", *(f"{n}_kernel" for n in _KERNELS))
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -83,10 +87,27 @@ def _shifted(progress: Progress | None, before: int, rows: int, batch: Batch) ->
 def directory() -> Path:
     """Where entries stand."""
     chosen = os.environ.get("MBDS_XSIM_CACHE")
-    if chosen:
-        return Path(chosen)
+    return Path(chosen) if chosen else _home()
+
+
+def _home() -> Path:
+    """The program's part of the user's cache directory."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "mbds-xsim"
+
+
+@functools.cache
+def kernel_folder() -> Path:
+    """Where machine code is kept: numba looks at a file's path and time, and not at what it calls.
+
+    The folder's own time is that of its last use.
+    """
+    text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+    text += str(Path(__file__).parent).encode()
+    folder = _home() / "kernels" / hashlib.sha256(text).hexdigest()[:16]
+    with suppress(OSError):  # it is not there yet, or is another's
+        os.utime(folder)
+    return folder
 
 
 def key_of(what: str, scene: Scene, batch: Batch, row: int, rtol: float) -> str:

@@ -7,7 +7,7 @@ marched again by `marching`, which knows a way on or says why there is none.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
 from mbds_xsim.reference.closure_kernel import accelerate_once, project_once, resist
-from mbds_xsim.reference.dynamics import dynamics_of, pose_of
+from mbds_xsim.reference.dynamics import maximal_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
-from mbds_xsim.reference.marching import Inputs, Marched, coefficients
+from mbds_xsim.reference.marching import Marched, Problem, coefficients
 from mbds_xsim.reference.multipliers import POOR
 from mbds_xsim.reference.row_kernel import ROW
 from mbds_xsim.reference.singular import typical_states
@@ -37,55 +37,42 @@ from mbds_xsim.reference.tree import (
 from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move_once
 from mbds_xsim.scene.mechanism import Mechanism
 
-Progress = Callable[[int, int], None]
-
 _FOLLOWS = 1e-4
 _FEWER = 0.1
 _DEPENDENT = 1e-9
 _TOGETHER = 64  # a multiple of the lanes
 
 
-def march_compiled(
-    mechanism: Mechanism,
-    start: Array,
-    inputs: Inputs,
-    *,
-    rtol: float,
-    companions: int = 1,
-    progress: Progress | None = None,
-) -> Marched:
-    """Integrate states frame by frame; arguments are those of `marching.march`."""
-    dynamics, frame = dynamics_of(mechanism), mechanism.scene.clock.frame
-    marched, frames = Marched.from_start(start, inputs), inputs.force.shape[1]
+def march_compiled(problem: Problem) -> Marched:
+    """Integrate states frame by frame."""
+    start, frames = problem.start, problem.frames
+    marched = Marched.from_start(problem)
     if not frames:
         return marched
-    tree, spanned, near = chosen(mechanism)
-    work, lane = workspace(tree), _lane(tree)
-    method = _method(rtol, frame, companions, near)
+    tree, spanned, near = chosen(problem.mechanism)
+    work, lane, method = workspace(tree), _lane(tree), _method(problem, near)
     for first in range(0, len(start), _TOGETHER):
-        part = slice(first, first + _TOGETHER)
-        states = marched.states[part]
+        rows = slice(first, first + _TOGETHER)
+        states, part = marched.states[rows], problem.part(rows)
         task = Problems(
-            to_tree(spanned, dynamics.unpack(start[part]), start[part]),
-            np.require(inputs.force[part], float, ["C", "W"]),
-            np.require(inputs.torque[part], float, ["C", "W"]),
-            frame,
+            to_tree(spanned, problem.dynamics.unpack(part.start), part.start),
+            np.require(part.force, float, ["C", "W"]),
+            np.require(part.torque, float, ["C", "W"]),
+            problem.frame,
             states,
             np.zeros(len(states), dtype=np.int64),
         )
         march_lanes(tree, work, method, lane, task)
-        _keep_signs(tree, states, start[part])
+        _keep_signs(tree, states, part.start)
         lost = first + np.flatnonzero(task.status != REACHED)
         if len(lost):
-            again = Inputs(inputs.force[lost], inputs.torque[lost])
-            slow = marching.march(
-                dynamics, start[lost], again, frame, rtol=rtol, companions=companions
-            ).within_half_turns(mechanism, dynamics)
+            slow = marching.march(problem.part(lost)).within_half_turns(problem.dynamics)
             marched.states[lost] = slow.states
             for row, failure in zip(lost.tolist(), slow.failures, strict=True):
                 marched.failures[row] = failure
-        if progress is not None:
-            progress(frames * min(first + _TOGETHER, len(start)), frames * len(start))
+        if problem.progress is not None:
+            done = min(first + _TOGETHER, len(start))
+            problem.progress(frames * done, frames * len(start))
     return marched
 
 
@@ -98,7 +85,7 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
     tree, spanned, _ = chosen(mechanism)
-    coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
+    coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     found, work = np.empty((len(states), mechanism.body_count, 6)), workspace(tree)
     rate, worlds = lines(tree.size), len(tree.kind) + 1
     joints = spanned.frictional
@@ -119,7 +106,7 @@ def projected(mechanism: Mechanism, states: Array) -> Array:
     """Put states of the reference onto the closures by least mass-weighted changes."""
     tree, spanned, _ = chosen(mechanism)
     work, found = workspace(tree), states.copy()
-    coordinates = to_tree(spanned, dynamics_of(mechanism).unpack(states), states)
+    coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
     for rows, y in _in_lanes(coordinates):
         for k, place in enumerate(tree.row_place[0]):
             if tree.row_kind[k] == COUPLED and place in tree.angle_at:
@@ -171,7 +158,7 @@ def chosen(mechanism: Mechanism) -> tuple[Tree, Mechanism, float]:
     Returns:
         The tree, the mechanism that has it, and the share of the least row that is usual, or less.
     """
-    spanned, dynamics = with_short_loops(mechanism), dynamics_of(mechanism)
+    spanned, dynamics = with_short_loops(mechanism), maximal_of(mechanism)
     tree = tree_of(spanned)
     if not tree.loaded:
         return tree, spanned, 0.0
@@ -259,7 +246,7 @@ def lines(count: int) -> Array:
     return raw[first : first + max(count, 1) * LANES].reshape(-1, LANES)
 
 
-def _method(rtol: float, frame: float, companions: int, near: float) -> Scheme:
+def _method(problem: Problem, near: float) -> Scheme:
     given = coefficients()
     rows = np.array([*given.A[:12, :12], given.B, given.E5[:12], given.E3[:12]])
     row, stage = np.nonzero(rows)
@@ -267,11 +254,11 @@ def _method(rtol: float, frame: float, companions: int, near: float) -> Scheme:
         begin=np.searchsorted(row, np.arange(len(rows) + 1)),
         stage=stage,
         weight=rows[row, stage],
-        rtol=rtol,
-        first=marching.FIRST_STEP * frame,
-        smallest=marching.SMALLEST_STEP * frame,
+        rtol=problem.rtol,
+        first=marching.FIRST_STEP * problem.frame,
+        smallest=marching.SMALLEST_STEP * problem.frame,
         most=marching.MOST_STEPS,
-        companions=companions,
+        companions=problem.companions,
         near=near,
         follows=_FOLLOWS,
     )

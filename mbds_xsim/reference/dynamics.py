@@ -10,6 +10,7 @@ orientation of the principal frame (wxyz), velocity, angular velocity in W.
 from __future__ import annotations
 
 import functools
+from typing import Protocol
 
 import numpy as np
 
@@ -28,7 +29,6 @@ from mbds_xsim.scene.mechanism import Mechanism
 _FOLLOWS = 1e-4
 # Of the usual share of independent rows: below it a pose may be singular.
 _FEWER = 0.1
-_AT_ONCE = 256  # states; more only cost memory
 
 _X, _Q, _V, _W = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 
@@ -47,20 +47,34 @@ def _turn_map() -> Array:
 _TURN = _turn_map()
 
 
+class TreeEquations(Protocol):
+    """What acts on coordinates, which only a tree has: rotors, dry friction and couplings."""
+
+    def accelerations(self, states: Array, force: Array, torque: Array) -> Array:
+        """Give those of the centres of mass and angular ones in W, shape (batch, body, 6)."""
+        ...
+
+    def projected(self, states: Array) -> Array:
+        """Put states onto the closures by least mass-weighted changes."""
+        ...
+
+
 @functools.lru_cache(maxsize=64)
-def dynamics_of(mechanism: Mechanism) -> Dynamics:
-    """Prepare a mechanism (once each)."""
+def maximal_of(mechanism: Mechanism) -> Dynamics:
+    """Prepare a mechanism (once each) without what acts on the coordinates of its tree."""
     return Dynamics(mechanism)
 
 
 class Dynamics:
     """Equations of motion of one mechanism, vectorised over a batch.
 
-    Those of a mechanism with rotors, dry friction or couplings are the compiled ones.
+    Args:
+        mechanism: Whose.
+        tree: Has its accelerations where something acts on coordinates, and closes its couplings.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism = mechanism
+    def __init__(self, mechanism: Mechanism, tree: TreeEquations | None = None) -> None:
+        self.mechanism, self._tree = mechanism, tree
         self.topology = topology_of(mechanism)
         self.length = mechanism.scene.length
         self._multipliers = Multipliers(self.topology)
@@ -113,13 +127,9 @@ class Dynamics:
         rate[..., _X] = state[..., _V]
         rate[..., 3] = -0.5 * np.einsum("bni,bni->bn", w, q[..., 1:])
         rate[..., 4:7] = 0.5 * (w * q[..., :1] + rotation.cross(w, q[..., 1:]))
-        mechanism = self._mechanism
-        if mechanism.rotors or mechanism.couplings or mechanism.frictional:
-            # They are of coordinates, which only a tree has.
-            from mbds_xsim.reference.compiled import body_accelerations  # imports a compiler
-
+        if self._tree is not None:
             rate[:, -1, 7:] = 0.0
-            rate[:, :-1, 7:] = body_accelerations(mechanism, state, force, torque)
+            rate[:, :-1, 7:] = self._tree.accelerations(state, force, torque)
             return rate, np.ones(len(state))
         motion = self._motion(state)
         applied = self._applied(motion, state, force, torque)
@@ -135,10 +145,8 @@ class Dynamics:
         """
         if not self._constrains:
             return _normalised(state)
-        if self._mechanism.couplings:
-            from mbds_xsim.reference.compiled import projected as closed  # imports a compiler
-
-            return closed(self._mechanism, state)
+        if self._tree is not None and self.mechanism.couplings:
+            return self._tree.projected(state)
         projected, share = self.closest(state)
         for k in np.flatnonzero(share < self.near):
             projected[k] = projected_onto_branch(self, state[k], projected[k], float(share[k]))
@@ -209,8 +217,8 @@ class Dynamics:
             )
         if len(top.stiffness):
             self._add_springs(motion, push, twist)
-        if self._mechanism.compliant:
-            loads = joint_loads(self._mechanism, self.unpack(state))
+        if self.mechanism.compliant:
+            loads = joint_loads(self.mechanism, self.unpack(state))
             push[:, :-1] += loads[0]
             twist[:, :-1] += loads[1]
         spin = _times(motion.turn.swapaxes(-1, -2), state[..., _W])
@@ -289,32 +297,6 @@ class Dynamics:
         scale = motion.turn * self._inverse_inertia_root[:, None]
         slots[..., 3:] = np.matmul(slots[..., 3:], scale)
         return residual, bias, slots
-
-
-def accelerations(
-    mechanism: Mechanism, bodies: BodyStates, force: Array, torque: Array
-) -> tuple[Array, Array]:
-    """Evaluate the equations of motion at any states, without contact.
-
-    Args:
-        mechanism: Whose motion.
-        bodies: States that keep the joints together, with any leading axes.
-        force: In W on the centres of mass [N], shape (…, body, 3).
-        torque: About the hinges of `Mechanism.hinges` [N·m], shape (…, hinge).
-
-    Returns:
-        Of the centres of mass in W [m/s²] and angular in W [rad/s²], shapes (…, body, 3).
-    """
-    dynamics, shape = dynamics_of(mechanism), bodies.position.shape
-    flat = (np.asarray(values, dtype=float) for values in vars(bodies).values())
-    state = dynamics.pack(BodyStates(*(values.reshape(-1, *values.shape[-2:]) for values in flat)))
-    force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
-    hinges = len(mechanism.hinges)
-    torque = np.broadcast_to(torque, (*shape[:-2], hinges)).reshape(len(state), hinges)
-    parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
-    rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
-    rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
-    return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
 
 
 def pose_of(mechanism: Mechanism) -> BodyStates:

@@ -8,21 +8,18 @@ what they take of these. Between such events a motion is smooth, and steps are t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.closure_kernel import accelerate_once, project_once
 from mbds_xsim.reference.compiled import body_states, chosen, lines, with_signs_of, workspace
-from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.marching import (
     FIRST_STEP,
     MOST_STEPS,
     SMALLEST_STEP,
-    Inputs,
     Marched,
+    Problem,
     error_ratio,
     next_step,
     try_step,
@@ -31,36 +28,27 @@ from mbds_xsim.reference.tree import link_number, to_tree
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
-Progress = Callable[[int, int], None]
-
 _HALVINGS = 50  # of a step, until an event in it is found
 _ALL = 1.0 - 1e-9  # share of its friction from which on a joint that stands still gives way
 _STILL = 1e-12  # of accelerations without friction: what keeps on standing still
 _LOST = 1e-12  # of H's largest eigenvalue: what moves nothing
 
 
-def march_gripping(
-    mechanism: Mechanism,
-    start: Array,
-    inputs: Inputs,
-    *,
-    rtol: float,
-    progress: Progress | None = None,
-) -> Marched:
-    """Integrate states frame by frame, one after the other; arguments are those of `march`."""
-    marched, frames = Marched.from_start(start, inputs), inputs.force.shape[1]
-    _, spanned, _ = chosen(mechanism)
-    places = to_tree(spanned, dynamics_of(mechanism).unpack(start), start)
+def march_gripping(problem: Problem) -> Marched:
+    """Integrate states frame by frame, one after the other."""
+    marched, frames = Marched.from_start(problem), problem.frames
+    _, spanned, _ = chosen(problem.mechanism)
+    places = to_tree(spanned, problem.dynamics.unpack(problem.start), problem.start)
     for row, place in enumerate(places):
-        motion = _Motion(mechanism, place, rtol)
+        motion = _Motion(problem.mechanism, place, problem.rtol)
         for k in range(frames):
-            if not motion.through_frame(inputs.force[row, k], inputs.torque[row, k]):
+            if not motion.through_frame(problem.force[row, k], problem.torque[row, k]):
                 why = "its steps become too short or too many: see friction, masses and springs"
                 marched.failures[row] = Failure(k + 1, f"the solution cannot be continued: {why}")
                 break
             marched.states[row, k + 1] = with_signs_of(motion.state(), marched.states[row, k])
-            if progress is not None:
-                progress(frames * row + k + 1, frames * len(start))
+            if problem.progress is not None:
+                problem.progress(frames * row + k + 1, frames * len(places))
     return marched
 
 

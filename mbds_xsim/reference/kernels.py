@@ -2,38 +2,19 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import os
 import shutil
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.reference import cache
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Scene
 
-_KERNELS = ("tree", "load", "row", "closure", "march")
-_SOURCES = ("lanes", "elimination", "tree", *(f"{n}_kernel" for n in _KERNELS))
 _READY = "ready"
 _UNUSED = 30 * 86400.0  # after which machine code of another version is removed [s]
-
-
-@functools.cache
-def kernel_folder() -> Path:
-    """Where machine code is kept: numba looks at a file's path and time, and not at what it calls.
-
-    The folder's own time is that of its last use.
-    """
-    base = os.environ.get("XDG_CACHE_HOME")
-    text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
-    text += str(Path(__file__).parent).encode()
-    root = (Path(base) if base else Path.home() / ".cache") / "mbds-xsim" / "kernels"
-    folder = root / hashlib.sha256(text).hexdigest()[:16]
-    with suppress(OSError):  # it is not there yet, or is another's
-        os.utime(folder)
-    return folder
 
 
 def compile_once(notice: Callable[[str], None], *, workers: int | None) -> None:
@@ -53,7 +34,7 @@ def compilation(
     notice: Callable[[str], None],
 ) -> tuple[Task, Callable[[object], None]] | None:
     """Give what compiles, and what hears of its answer; None where the machine code is there."""
-    if (kernel_folder() / _READY).exists():
+    if (cache.kernel_folder() / _READY).exists():
         return None
     notice("the reference is compiled for this machine, once: some 15 s of one core")
 
@@ -65,9 +46,6 @@ def compilation(
 
 
 def _compile() -> None:
-    from mbds_xsim.reference.solution import solve
-    from mbds_xsim.scene.sampling import draw_batch
-
     scene = Scene(
         name="bob",
         length=1.0,
@@ -76,7 +54,7 @@ def _compile() -> None:
         distance_links=(DistanceLink("rod", ("world", "bob"), ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0))),),
     )
     solve(scene, draw_batch(scene, range(1)), cache=False)
-    folder = kernel_folder()
+    folder = cache.kernel_folder()
     if folder.is_dir():
         (folder / _READY).touch()
         _remove_unused(folder)

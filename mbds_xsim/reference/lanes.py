@@ -19,7 +19,7 @@ from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
-from mbds_xsim.reference.kernels import kernel_folder
+from mbds_xsim.reference.cache import kernel_folder
 
 LANES = 8
 

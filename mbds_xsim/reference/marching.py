@@ -100,11 +100,43 @@ _USUAL_STEPS, _SINGULAR_STEPS = 50, 50
 
 
 @dataclass(frozen=True, eq=False)
-class Inputs:
-    """Held over each frame: forces (batch, frame, body, 3) and torques (batch, frame, hinge)."""
+class Problem:
+    """An initial value problem of one mechanism, and how exactly it is to be solved."""
 
+    dynamics: Dynamics
+    start: Array
+    """States, shape (batch, body + world, 13)."""
     force: Array
+    """Held over each frame [N], shape (batch, frame, body, 3)."""
     torque: Array
+    """Likewise [N·m], shape (batch, frame, hinge)."""
+    rtol: float
+    """Allowed error of a step, relative to the size of each component or to the scene's."""
+    companions: int = 1
+    """Consecutive states that share their steps, so that their numerical errors cancel in their
+    difference."""
+    progress: Progress | None = None
+    """Called with the frames that are done and all."""
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """Whose motion is sought."""
+        return self.dynamics.mechanism
+
+    @property
+    def frame(self) -> float:
+        """Length of a frame [s]."""
+        return self.mechanism.scene.clock.frame
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.force.shape[1]
+
+    def part(self, rows: slice | Indices) -> Problem:
+        """Take some states; nobody hears how that goes on."""
+        loads = self.force[rows], self.torque[rows]
+        return Problem(self.dynamics, self.start[rows], *loads, self.rtol, self.companions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,20 +148,20 @@ class Marched:
     failures: list[Failure | None]
 
     @staticmethod
-    def from_start(start: Array, inputs: Inputs) -> Marched:
+    def from_start(problem: Problem) -> Marched:
         """Make a march of which nothing but the start is known yet."""
-        batch, frames = inputs.force.shape[:2]
-        states = np.full((batch, frames + 1, *start.shape[1:]), np.nan)
-        states[:, 0] = start
+        batch, *shape = problem.start.shape
+        states = np.full((batch, problem.frames + 1, *shape), np.nan)
+        states[:, 0] = problem.start
         return Marched(states, [None] * batch)
 
-    def within_half_turns(self, mechanism: Mechanism, dynamics: Dynamics) -> Marched:
+    def within_half_turns(self, dynamics: Dynamics) -> Marched:
         """End trajectories where a sprung or coupled hinge passes a half turn, where it would jump.
 
         Maximal coordinates lose whole turns, which the compiled kernels count.
         """
         bodies = dynamics.unpack(self.states)
-        for joint in mechanism.counted:
+        for joint in dynamics.mechanism.counted:
             if joint.kind == "hinge" and (joint.stiffness or joint.coupled):
                 angle = joint_coordinate(joint, bodies.position, bodies.native)
                 passed = np.abs(np.diff(angle, axis=1)) > np.pi
@@ -140,37 +172,17 @@ class Marched:
         return self
 
 
-def march(
-    dynamics: Dynamics,
-    start: Array,
-    inputs: Inputs,
-    frame: float,
-    *,
-    rtol: float,
-    companions: int = 1,
-    progress: Progress | None = None,
-) -> Marched:
-    """Integrate states frame by frame.
-
-    Args:
-        dynamics: Equations of motion.
-        start: States, shape (batch, body + world, 13).
-        inputs: What acts.
-        frame: Length of a frame [s].
-        rtol: Allowed error of a step, relative to the size of each component or to the scene's.
-        companions: Consecutive states that share their steps, so that their numerical errors
-            cancel in their difference.
-        progress: Called with the frames that are done and all.
-    """
-    return _March(dynamics, start, inputs, frame, rtol, companions).run(progress)
+def march(problem: Problem) -> Marched:
+    """Integrate states frame by frame."""
+    return _March(problem).run()
 
 
-def branchless(dynamics: Dynamics, start: Array, inputs: Inputs) -> Mask:
+def branchless(problem: Problem) -> Mask:
     """Whether states start at a bifurcation without a way to go on, shape (batch,)."""
-    if not inputs.force.shape[1]:
-        return np.zeros(len(start), dtype=bool)
-    loads = zip(start, inputs.force[:, 0], inputs.torque[:, 0], strict=True)
-    return np.array([not has_branch(dynamics, *load) for load in loads], dtype=bool)
+    if not problem.frames:
+        return np.zeros(len(problem.start), dtype=bool)
+    loads = zip(problem.start, problem.force[:, 0], problem.torque[:, 0], strict=True)
+    return np.array([not has_branch(problem.dynamics, *load) for load in loads], dtype=bool)
 
 
 def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str) -> Failure:
@@ -184,36 +196,29 @@ def stopped(dynamics: Dynamics, state: Array, frame: int, time: float, why: str)
 
 
 class _March:
-    def __init__(
-        self,
-        dynamics: Dynamics,
-        start: Array,
-        inputs: Inputs,
-        frame: float,
-        rtol: float,
-        companions: int,
-    ) -> None:
-        self.dynamics, self.inputs, self.frame = dynamics, inputs, frame
-        self.rtol, self.companions = rtol, companions
-        batch, self.frames = inputs.force.shape[:2]
-        self.marched = Marched.from_start(start, inputs)
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.dynamics, self.frame = problem, problem.dynamics, problem.frame
+        self.rtol, self.companions, self.frames = problem.rtol, problem.companions, problem.frames
+        batch = len(problem.start)
+        self.marched = Marched.from_start(problem)
         # The states still under way, and their rows in the batch.
         self.row = np.arange(batch)
-        self.y = start
+        self.y = problem.start
         self.at = np.zeros(batch, dtype=np.intp)
-        self.left = np.full(batch, frame)
-        self.step = np.full(batch, FIRST_STEP * frame)
+        self.left = np.full(batch, self.frame)
+        self.step = np.full(batch, FIRST_STEP * self.frame)
         self.tries = np.zeros(batch, dtype=np.intp)
         self.singular = np.zeros(batch, dtype=np.intp)
-        self.rate = np.empty_like(start)
-        self._end_together(branchless(dynamics, start, inputs), lambda _: Failure(1, BIFURCATION))
+        self.rate = np.empty_like(self.y)
+        self._end_together(branchless(problem), lambda _: Failure(1, BIFURCATION))
         if not len(self.row):
             return
-        self.y = dynamics.project(self.y)
+        self.y = self.dynamics.project(self.y)
         self.rate = self._derivative(self.y, self._forces(slice(None)))
-        self._end_at_impact(np.where(resting(*dynamics.heights(self.y)), 0.0, np.nan))
+        self._end_at_impact(np.where(resting(*self.dynamics.heights(self.y)), 0.0, np.nan))
 
-    def run(self, progress: Progress | None) -> Marched:
+    def run(self) -> Marched:
+        progress = self.problem.progress
         while len(self.row):
             under_way = len(self.row)
             self._advance()
@@ -229,7 +234,7 @@ class _March:
 
     def _forces(self, pick: slice | Indices) -> tuple[Array, Array]:
         row, at = self.row[pick], self.at[pick]
-        return self.inputs.force[row, at], self.inputs.torque[row, at]
+        return self.problem.force[row, at], self.problem.torque[row, at]
 
     def _derivative(self, y: Array, forces: tuple[Array, Array]) -> Array:
         return self.dynamics.derivative(y, *forces)

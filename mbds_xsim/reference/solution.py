@@ -13,9 +13,10 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.reference import cache as entries
 from mbds_xsim.reference.bouncing import march_balls
-from mbds_xsim.reference.dynamics import Dynamics, dynamics_of
+from mbds_xsim.reference.dynamics import Dynamics
+from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.first_impact import TOUCHING, FirstImpact
-from mbds_xsim.reference.marching import Inputs, Marched, march
+from mbds_xsim.reference.marching import Marched, Problem, march
 from mbds_xsim.reference.stiff import is_stiff, march_stiff
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.markers import marker_positions, markers
@@ -74,7 +75,7 @@ def confirmed(scene: Scene, batch: Batch, cache: bool) -> Trajectory:
 
 def _solved(
     what: str,
-    method: Callable[..., Marched],
+    method: Callable[[Problem], Marched],
     scene: Scene,
     batch: Batch,
     rtol: float,
@@ -82,9 +83,9 @@ def _solved(
     progress: Progress | None,
 ) -> Trajectory:
     def compute(rows: list[int], report: Progress | None) -> list[entries.Arrays]:
-        start = start_states(Mechanism.of(scene), batch[rows])
-        _check_above_ground(Mechanism.of(scene), start)
-        marched = method(scene, start, batch[rows], rtol, progress=report)
+        problem = _problem(scene, batch[rows], rtol, report)
+        _check_above_ground(problem.mechanism, problem.start)
+        marched = method(problem)
         return [
             {"states": states, "failure": _encoded(failure)}
             for states, failure in zip(marched.states, marched.failures, strict=True)
@@ -96,13 +97,20 @@ def _solved(
     return _trajectory(scene, batch, ready)
 
 
-def _marched(
-    scene: Scene, start: Array, batch: Batch, rtol: float, *, progress: Progress | None
-) -> Marched:
-    if Mechanism.of(scene).frictional:
-        return integrate(scene, start, batch, rtol, progress=progress)
-    dynamics, inputs = dynamics_of(Mechanism.of(scene)), Inputs(batch.force, batch.torque)
-    return march(dynamics, start, inputs, scene.clock.frame, rtol=rtol, progress=progress)
+def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Problem:
+    mechanism = Mechanism.of(scene)
+    return Problem(
+        dynamics=dynamics_of(mechanism),
+        start=start_states(mechanism, batch),
+        force=batch.force,
+        torque=batch.torque,
+        rtol=rtol,
+        progress=progress,
+    )
+
+
+def _marched(problem: Problem) -> Marched:
+    return integrate(problem) if problem.mechanism.frictional else march(problem)
 
 
 def checked_tolerance(rtol: float) -> float:
@@ -130,53 +138,32 @@ def start_states(mechanism: Mechanism, batch: Batch) -> Array:
     return dynamics_of(mechanism).pack(BodyStates.of(mechanism, batch))
 
 
-def integrate(
-    scene: Scene,
-    start: Array,
-    batch: Batch,
-    rtol: float,
-    *,
-    companions: int = 1,
-    progress: Progress | None = None,
-) -> Marched:
-    """Integrate states under a batch's inputs with the method that suits the scene."""
-    mechanism, inputs = Mechanism.of(scene), Inputs(batch.force, batch.torque)
-    if scene.contacts and mechanism.has_only_balls:
-        return march_balls(mechanism, start, inputs, progress=progress)
+def integrate(problem: Problem) -> Marched:
+    """Solve a problem with the method that suits the scene."""
+    mechanism = problem.mechanism
+    if mechanism.scene.contacts and mechanism.has_only_balls:
+        return march_balls(problem)
     if mechanism.frictional:
-        return _gripping(mechanism, start, inputs, rtol, companions, progress)
-    dynamics, frame = dynamics_of(mechanism), scene.clock.frame
-    stiff = is_stiff(dynamics, start, inputs, frame)
-    if stiff or scene.contacts:
-        method = march_stiff if stiff else march
-        found = method(
-            dynamics, start, inputs, frame, rtol=rtol, companions=companions, progress=progress
-        )
-        return found.within_half_turns(mechanism, dynamics)
+        return _gripping(problem)
+    stiff = is_stiff(problem)
+    if stiff or mechanism.scene.contacts:
+        found = march_stiff(problem) if stiff else march(problem)
+        return found.within_half_turns(problem.dynamics)
     from mbds_xsim.reference.compiled import march_compiled  # imports a compiler
 
-    return march_compiled(
-        mechanism, start, inputs, rtol=rtol, companions=companions, progress=progress
-    )
+    return march_compiled(problem)
 
 
-def _gripping(
-    mechanism: Mechanism,
-    start: Array,
-    inputs: Inputs,
-    rtol: float,
-    companions: int,
-    progress: Progress | None,
-) -> Marched:
-    if mechanism.scene.contacts:
-        marched = Marched.from_start(start, inputs)
+def _gripping(problem: Problem) -> Marched:
+    if problem.mechanism.scene.contacts:
+        marched = Marched.from_start(problem)
         why = "contact and dry friction of joints together are beyond the reference"
-        return dataclasses.replace(marched, failures=[Failure(1, why)] * len(start))
+        return dataclasses.replace(marched, failures=[Failure(1, why)] * len(problem.start))
     from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
 
     # Companions stop and start at times of their own, so that their errors do not cancel.
-    rtol = min(rtol, _ALONE) if companions > 1 else rtol
-    return march_gripping(mechanism, start, inputs, rtol=rtol, progress=progress)
+    rtol = min(problem.rtol, _ALONE) if problem.companions > 1 else problem.rtol
+    return march_gripping(dataclasses.replace(problem, rtol=rtol))
 
 
 def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Trajectory:
@@ -258,15 +245,15 @@ def sensitivity(
 
 
 def _growth(scene: Scene, batch: Batch, rtol: float, progress: Progress | None) -> Array:
-    mechanism = Mechanism.of(scene)
-    dynamics = dynamics_of(mechanism)
-    start = dynamics.project(start_states(mechanism, batch))
+    once = _problem(scene, batch, rtol, progress)
+    mechanism, dynamics = once.mechanism, once.dynamics
+    start = dynamics.project(once.start)
     other = np.array(
         [_perturbed(mechanism, *pair) for pair in zip(start, batch.index, strict=True)]
     )
     pairs = np.stack([start, other], axis=1).reshape(-1, *start.shape[1:])
-    twice = batch[np.repeat(np.arange(len(batch)), 2)]
-    marched = integrate(scene, pairs, twice, rtol, companions=2, progress=progress)
+    twice = once.part(np.repeat(np.arange(len(batch)), 2))
+    marched = integrate(dataclasses.replace(twice, start=pairs, companions=2, progress=progress))
     bodies = dynamics.unpack(marched.states)
     markers = marker_positions(mechanism, bodies.position, bodies.native)
     distance = _rms(markers[::2] - markers[1::2])

@@ -5,7 +5,6 @@ An explicit method would take steps as short as the fastest decay although nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,66 +12,57 @@ import numpy as np
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference.dynamics import Dynamics
 from mbds_xsim.reference.first_impact import FirstImpact, dips, first_touch, resting
-from mbds_xsim.reference.marching import MOST_STEPS, Inputs, Marched, branchless, stopped
+from mbds_xsim.reference.marching import MOST_STEPS, Marched, Problem, branchless, stopped
 from mbds_xsim.reference.singular import BIFURCATION
 from mbds_xsim.scene.state import Failure
 
 if TYPE_CHECKING:
     from scipy.integrate import Radau
 
-Progress = Callable[[int, int], None]
-
 # Decays in a frame above which Radau is the faster one, measured on a fly-ball governor.
 _DECAYS = 2.5
 _FIRST_STEP = 0.01  # of a frame
 
 
-def is_stiff(dynamics: Dynamics, start: Array, inputs: Inputs, frame: float) -> bool:
+def is_stiff(problem: Problem) -> bool:
     """Whether some motion decays much faster than frames follow each other, at the start."""
+    dynamics = problem.dynamics
     if not dynamics.damped:
         return False
-    rate = _Rate(dynamics, inputs.force[:1, 0], inputs.torque[:1, 0])
-    jacobian = rate.jacobian(0.0, start[:1].reshape(-1))
+    rate = _Rate(dynamics, problem.force[:1, 0], problem.torque[:1, 0])
+    jacobian = rate.jacobian(0.0, problem.start[:1].reshape(-1))
     if not np.isfinite(jacobian).all():
         return False
     values = np.linalg.eigvals(jacobian)
-    return float(-values.real.min()) * frame > _DECAYS
+    return float(-values.real.min()) * problem.frame > _DECAYS
 
 
-def march_stiff(
-    dynamics: Dynamics,
-    start: Array,
-    inputs: Inputs,
-    frame: float,
-    *,
-    rtol: float,
-    companions: int = 1,
-    progress: Progress | None = None,
-) -> Marched:
+def march_stiff(problem: Problem) -> Marched:
     """Do what `marching.march` does, one group of companions after the other."""
-    batch, frames = inputs.force.shape[:2]
-    marched = Marched.from_start(start, inputs)
+    dynamics, frame, frames = problem.dynamics, problem.frame, problem.frames
+    batch, companions = len(problem.start), problem.companions
+    marched = Marched.from_start(problem)
     failures = marched.failures
-    lost = branchless(dynamics, start, inputs)
+    lost = branchless(problem)
     for first in range(0, batch, companions):
         rows = slice(first, first + companions)
         if lost[rows].any():
             failures[rows] = [Failure(1, BIFURCATION)] * companions
             continue
-        state, step = dynamics.project(start[rows]), _FIRST_STEP * frame
+        state, step = dynamics.project(problem.start[rows]), _FIRST_STEP * frame
         if resting(*dynamics.heights(state)).any():
             failures[rows] = [FirstImpact.at(1, 0.0)] * companions
             continue
         for k in range(frames):
-            rate = _Rate(dynamics, inputs.force[rows, k], inputs.torque[rows, k])
-            ended, step = _through_frame(rate, state, min(step, frame), frame, k, rtol)
+            rate = _Rate(dynamics, problem.force[rows, k], problem.torque[rows, k])
+            ended, step = _through_frame(rate, state, min(step, frame), frame, k, problem.rtol)
             if isinstance(ended, Failure):
                 failures[rows] = [ended] * companions
                 break
             state = dynamics.project(ended)
             marched.states[rows, k + 1] = state
-            if progress is not None:
-                progress(first * frames + companions * (k + 1), batch * frames)
+            if problem.progress is not None:
+                problem.progress(first * frames + companions * (k + 1), batch * frames)
     return marched
 
 

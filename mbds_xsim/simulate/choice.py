@@ -226,7 +226,7 @@ def settings_for(scene: Scene, adapter: Adapter, profile: Profile) -> Settings:
     `matched` settings that have been found and checked for a built-in scene are stored in
     `scenes/matched/`, one file a scene; those of an engine that another package adds, in the folder
     that this package registers. They hold for its physics, whatever a scene is called.
-    For other scenes the adapter makes a careful choice.
+    For other scenes the adapter makes a careful choice; `mbds_xsim.measure.quick` searches first.
     """
     if profile == MATCHED and is_stored(scene, adapter.name):
         return _stored(scene.name)[adapter.name].settings(scene)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.audit import audit_file
 from mbds_xsim.dataset.export import LOST, Form, export
 from mbds_xsim.dataset.foreign import Provenance, read_foreign
@@ -22,26 +23,18 @@ MOTION = ("position", "velocity", "body/position", "body/orientation", "body/vel
 SET = "1pendulum/mujoco-matched"
 
 
-class Silence:
-    def begin(self, total: int) -> None:
-        pass
-
-    def advance(self, what: str) -> None:
-        pass
-
-
 @pytest.fixture(scope="module")
 def data(whole: Path) -> Dataset:
     return load_dataset(whole / f"{SET}.h5")
 
 
 def _exported(whole: Path, out: Path, form: Form, numbers: list[int] | None = None) -> Path:
-    export(whole, out, form, numbers=numbers, progress=Silence())
+    export(whole, out, form, numbers=numbers, progress=Silent())
     return out / SET
 
 
 def test_npz_files_hold_every_trajectory(whole: Path, data: Dataset, tmp_path: Path) -> None:
-    done = export(whole, tmp_path, "npz", progress=Silence())
+    done = export(whole, tmp_path, "npz", progress=Silent())
     files = sorted((tmp_path / SET).glob("*.npz"))
     assert (done.files, done.trajectories, len(files)) == (3, len(data), 3)
     assert done.bytes == sum(file.stat().st_size for file in files)
@@ -115,11 +108,11 @@ def test_bad_requests_are_one_line(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--indices: got 700, allowed for .* is 0 … 699"):
         _exported(whole, tmp_path, "npz", [3, 700])
     with pytest.raises(InputError, match=r"--engines: got 'dart', allowed for .* is mujoco"):
-        export(whole, tmp_path, "npz", engines="dart", progress=Silence())
+        export(whole, tmp_path, "npz", engines="dart", progress=Silent())
     with pytest.raises(InputError, match="holds no data set"):
-        export(tmp_path, tmp_path / "out", "npz", progress=Silence())
+        export(tmp_path, tmp_path / "out", "npz", progress=Silent())
     with pytest.raises(InputError, match="there is no such file or folder"):
-        export(tmp_path / "nothing", tmp_path / "out", "npz", progress=Silence())
+        export(tmp_path / "nothing", tmp_path / "out", "npz", progress=Silent())
     assert not list(tmp_path.iterdir())
     _exported(whole, tmp_path, "csv", [3])
     with pytest.raises(InputError, match=r"holds 0000000003\.csv, which is not of this export"):

@@ -87,14 +87,10 @@ def _pybullet() -> AbstractContextManager[object]:
 
 
 def _dart() -> AbstractContextManager[object]:
-    loads = _adapter("dart.stepping").FrameLoads
-    hold = loads.hold
-
-    def hold_beside(self: Any, force: Any, torque: Any) -> None:
-        hold(self, force, torque)
+    def move(self: Any, _force: Any, _torque: Any) -> None:
         self.forces = [(_beside(put), value) for put, value in self.forces]
 
-    return mock.patch.object(loads, "hold", hold_beside)
+    return _with_more(_adapter("dart.stepping").FrameLoads, "hold", move)
 
 
 def _beside(put: Any) -> Any:
@@ -140,10 +136,8 @@ def _damped_dart(damping: float) -> AbstractContextManager[object]:
 def _one_sided_mujoco() -> AbstractContextManager[object]:
     """Drive a point of the child instead of the joint."""
     model = _adapter("mujoco.model")
-    add_motors = model._motors
 
-    def add_one_sided(actuators: Any, bodies: Any, mechanism: Any) -> None:
-        add_motors(actuators, bodies, mechanism)
+    def change(actuators: Any, bodies: Any, mechanism: Any) -> None:
         for motor, hinge in zip(actuators, mechanism.hinges, strict=True):
             if motor.attrib.pop("refsite", None) is None:
                 del motor.attrib["joint"]
@@ -151,23 +145,20 @@ def _one_sided_mujoco() -> AbstractContextManager[object]:
                 motor.set("site", site)
                 motor.set("gear", model.numbers((0.0, 0.0, 0.0, *hinge.axis)))
 
-    return mock.patch.object(model, "_motors", add_one_sided)
+    return _with_more(model, "_motors", change)
 
 
 def _one_sided_pybullet() -> AbstractContextManager[object]:
     """Take the reaction back from the parent."""
-    loads = _adapter("pybullet.loads").StepLoads
-    apply = loads.apply
 
-    def apply_one_sided(self: Any, force: Any, torque: Any, told: Any) -> None:
-        apply(self, force, torque, told)
+    def take_back(self: Any, _force: Any, torque: Any, told: Any) -> None:
         state = self._model.states(told)
         for hinge, value in zip(self._hinges, torque, strict=True):
             if hinge.parent != WORLD_INDEX and value:
                 back = value * rotation.rotate(state.native[hinge.parent], hinge.axis)
                 self._apply_torque(*self._address(hinge.parent), back.tolist(), self._in_world)
 
-    return mock.patch.object(loads, "apply", apply_one_sided)
+    return _with_more(_adapter("pybullet.loads").StepLoads, "apply", take_back)
 
 
 def _one_sided_dart() -> AbstractContextManager[object]:
@@ -198,17 +189,24 @@ def _one_sided_exudyn() -> AbstractContextManager[object]:
 
 
 def _one_sided_pinocchio() -> AbstractContextManager[object]:
-    run = _adapter("pinocchio.run").PinocchioRun
-    hold = run._hold
-
-    def hold_one_sided(self: Any, batch: Any, rows: Any, frame: int) -> None:
-        hold(self, batch, rows, frame)
+    def replace(self: Any, batch: Any, rows: Any, frame: int) -> None:
         turning = np.zeros_like(batch.force[rows, frame])
         for k, hinge in enumerate(self._mechanism.hinges):
             turning[:, hinge.child] += batch.torque[rows, frame][:, [k]] * hinge.axis
         self._dynamics.torque, self._dynamics.turning = 0.0, turning
 
-    return mock.patch.object(run, "_hold", hold_one_sided)
+    return _with_more(_adapter("pinocchio.run").PinocchioRun, "_hold", replace)
+
+
+def _with_more(place: Any, name: str, more: Callable[..., None]) -> AbstractContextManager[object]:
+    """Let a function or method go on when it has done its own."""
+    own = getattr(place, name)
+
+    def both(*given: Any) -> None:
+        own(*given)
+        more(*given)
+
+    return mock.patch.object(place, name, both)
 
 
 def _adapter(module: str) -> Any:
@@ -255,26 +253,19 @@ def _pybullet_pairs(
     change: Callable[[int], dict[str, float]],
 ) -> AbstractContextManager[object]:
     """Give bodies with spheres other coefficients."""
-    contact = _adapter("pybullet.contact").BulletContact
-    set_pair = contact.set_pair
 
-    def set_changed(self: Any, number: int, link: int, body: int) -> None:
-        set_pair(self, number, link, body)
+    def replace(self: Any, number: int, link: int, body: int) -> None:
         if body in self._body:
             self._client.build("changeDynamics", number, link, **change(body))
 
-    return mock.patch.object(contact, "set_pair", set_changed)
+    return _with_more(_adapter("pybullet.contact").BulletContact, "set_pair", replace)
 
 
 def _pybullet_box() -> AbstractContextManager[object]:
-    contact = _adapter("pybullet.contact").BulletContact
-    set_solver = contact._set_solver
-
-    def set_box(self: Any, law: Any, step: float) -> None:
-        set_solver(self, law, step)
+    def replace(self: Any, _law: Any, _step: float) -> None:
         self._client.build("setPhysicsEngineParameter", enableConeFriction=0)
 
-    return mock.patch.object(contact, "_set_solver", set_box)
+    return _with_more(_adapter("pybullet.contact").BulletContact, "_set_solver", replace)
 
 
 def _dart_box() -> AbstractContextManager[object]:

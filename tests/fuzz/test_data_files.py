@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.dataset.generate import Request, generate
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.scene.scene import Clock
@@ -30,20 +31,12 @@ _VALUES: Any = st.one_of(
 )
 
 
-class _Silence:
-    def begin(self, total: int, done: int) -> None: ...
-
-    def notice(self, line: str) -> None: ...
-
-    def advance(self, done: int, rejected: int) -> None: ...
-
-
 @functools.cache
 def _sound(folder: Path) -> bytes:
     """A data file of six swings."""
     scene = msgspec.structs.replace(load_scene("1pendulum"), clock=Clock(steps=6))
     choice = Choice.parse(engines="mujoco")
-    generate(Request((scene,), choice, 6, folder), workers=0, progress=_Silence())
+    generate(Request((scene,), choice, 6, folder), workers=0, progress=Silent())
     path = next(folder.rglob("0*.h5"))
     return path.read_bytes()
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.reference import compiled, marching
-from mbds_xsim.reference.dynamics import dynamics_of
 from mbds_xsim.reference.elimination import with_short_loops
-from mbds_xsim.reference.marching import Inputs, Marched
+from mbds_xsim.reference.equations import dynamics_of
+from mbds_xsim.reference.marching import Marched, Problem
 from mbds_xsim.reference.solution import start_states
 from mbds_xsim.reference.tree import tree_of, with_rows
 from mbds_xsim.scene.coupling import Coupling
@@ -20,6 +20,7 @@ from mbds_xsim.scene.joint_space import to_bodies, to_links
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Scene, SpringDamper
+from mbds_xsim.scene.state import Batch
 from mbds_xsim.simulate.registry import load_scene
 from tests.random_scenes import Kind, random_links, random_tree
 
@@ -57,7 +58,10 @@ def _point(rng: np.random.Generator) -> tuple[float, float, float]:
     return x, y, z
 
 
-def random_case(seed: int, kinds: list[Kind], links: int) -> tuple[Mechanism, Array, Array, Array]:
+RandomCase = tuple[Mechanism, Array, Array, Array]
+
+
+def random_case(seed: int, kinds: list[Kind], links: int) -> RandomCase:
     """Make a scene, states of it that keep its joints together, forces and torques."""
     rng = np.random.default_rng(seed)
     scene = with_springs(rng, random_tree(rng, kinds, links=links))
@@ -82,23 +86,22 @@ def are_closed(mechanism: Mechanism, states: Array) -> Mask:
     return np.asarray(joined & (np.abs(dynamics.residual(states)).max(axis=1) < 1e-12))
 
 
+TREES = st.builds(random_case, st.integers(0, 10**6), KINDS, st.just(0))
+
+
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10**6), KINDS)
-def test_trees_have_the_accelerations_that_newton_and_euler_give(
-    seed: int, kinds: list[Kind]
-) -> None:
-    mechanism, states, force, torque = random_case(seed, kinds, 0)
+@given(TREES)
+def test_trees_have_the_accelerations_that_newton_and_euler_give(case: RandomCase) -> None:
+    mechanism, states, force, torque = case
     expected = dynamics_of(mechanism).derivative(states, force, torque)[:, :-1, 7:]
     found = compiled.body_accelerations(mechanism, states, force, torque)
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-8 * (1.0 + np.abs(expected).max()))
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10**6), KINDS)
-def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(
-    seed: int, kinds: list[Kind]
-) -> None:
-    mechanism, states, force, torque = random_case(seed, kinds, 0)
+@given(TREES)
+def test_a_rotor_is_a_torque_against_the_acceleration_of_its_hinge(case: RandomCase) -> None:
+    mechanism, states, force, torque = case
     joints = (
         msgspec.structs.replace(joint, armature=0.8) if joint.kind == "hinge" else joint
         for joint in mechanism.scene.joints
@@ -187,15 +190,20 @@ def test_closed_loops_cost_in_proportion_to_their_number() -> None:
     assert len(kept.on_row) > 4 * len(done[2].on_row)
 
 
+def problem(mechanism: Mechanism, batch: Batch, rtol: float) -> Problem:
+    """Ask for the motion of a batch."""
+    start = start_states(mechanism, batch)
+    return Problem(dynamics_of(mechanism), start, batch.force, batch.torque, rtol)
+
+
 def both(
     name: str, steps: int, *, index: list[int], rtol: float = 1e-11
 ) -> tuple[Marched, Marched]:
     """March a scene with kernels and without."""
     scene = load_scene(name)
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, index).truncated(steps)
-    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
-    slow = marching.march(dynamics_of(mechanism), start, inputs, scene.clock.frame, rtol=1e-11)
-    return compiled.march_compiled(mechanism, start, inputs, rtol=rtol), slow
+    slow = marching.march(problem(mechanism, batch, 1e-11))
+    return compiled.march_compiled(problem(mechanism, batch, rtol)), slow
 
 
 @pytest.mark.parametrize(
@@ -212,11 +220,8 @@ def test_scenes_move_as_in_maximal_coordinates(name: str) -> None:
 def test_a_trajectory_does_not_depend_on_those_beside_it() -> None:
     scene = load_scene("workbench")
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(11)).truncated(7)
-    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
-    together = compiled.march_compiled(mechanism, start, inputs, rtol=1e-9)
-    row = slice(9, 10)
-    alone = Inputs(inputs.force[row], inputs.torque[row])
-    one = compiled.march_compiled(mechanism, start[row], alone, rtol=1e-9)
+    whole, row = problem(mechanism, batch, 1e-9), slice(9, 10)
+    together, one = (compiled.march_compiled(each) for each in (whole, whole.part(row)))
     assert np.array_equal(together.states[row], one.states)
 
 
@@ -235,7 +240,6 @@ def test_a_loop_that_turns_as_a_whole_keeps_its_independent_rows(
 ) -> None:
     scene = load_scene("workbench")
     mechanism, batch = Mechanism.of(scene), draw_batch(scene, range(12))
-    start, inputs = start_states(mechanism, batch), Inputs(batch.force, batch.torque)
     monkeypatch.delattr(marching, "march")
-    whole = compiled.march_compiled(mechanism, start, inputs, rtol=1e-9)
+    whole = compiled.march_compiled(problem(mechanism, batch, 1e-9))
     assert np.isfinite(whole.states).all()

@@ -11,7 +11,7 @@ import pytest
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.reference import accelerations
-from mbds_xsim.reference.dynamics import dynamics_of
+from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, LinkStates, to_bodies
 from mbds_xsim.scene.mechanism import Mechanism

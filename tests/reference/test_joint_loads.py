@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.dynamics import dynamics_of
-from mbds_xsim.reference.marching import Inputs
+from mbds_xsim.reference.equations import dynamics_of
 from mbds_xsim.reference.solution import solve, start_states
 from mbds_xsim.scene.joint_space import joint_coordinate
 from mbds_xsim.scene.mechanism import Mechanism
@@ -27,12 +26,10 @@ def test_the_reference_meets_the_closed_form(case: Case) -> None:
 def test_maximal_coordinates_end_where_a_spring_passes_half_a_turn() -> None:
     (case,) = (case for case in JOINT_CASES if case.name == "sprung hinge")
     mechanism, batch = Mechanism.of(case.scene), draw_batch(case.scene, [0])
-    dynamics, inputs = dynamics_of(mechanism), Inputs(batch.force, batch.torque)
-    frame = case.scene.clock.frame
-    start = start_states(mechanism, batch)
+    dynamics, start = dynamics_of(mechanism), start_states(mechanism, batch)
+    problem = marching.Problem(dynamics, start, batch.force, batch.torque, rtol=1e-9)
 
-    found = marching.march(dynamics, start, inputs, frame, rtol=1e-9)
-    found = found.within_half_turns(mechanism, dynamics)
+    found = marching.march(problem).within_half_turns(dynamics)
 
     (failure,) = found.failures
     assert failure is not None
@@ -40,6 +37,6 @@ def test_maximal_coordinates_end_where_a_spring_passes_half_a_turn() -> None:
     before = dynamics.unpack(found.states[0, : failure.frame])
     (axle,) = mechanism.compliant
     assert joint_coordinate(axle, before.position, before.native)[-1] > 2.5
-    exact = case.exact(frame * np.arange(failure.frame, dtype=float))
+    exact = case.exact(problem.frame * np.arange(failure.frame, dtype=float))
     assert before.position == pytest.approx(exact, abs=1e-8)
     assert np.isnan(found.states[0, failure.frame :]).all()

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from mbds_xsim.reference import kernels
+from mbds_xsim.reference import cache, kernels
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kernels, "kernel_folder", kernels.kernel_folder.__wrapped__)
-    return kernels.kernel_folder()
+    monkeypatch.setattr(cache, "kernel_folder", cache.kernel_folder.__wrapped__)
+    return cache.kernel_folder()
 
 
 def test_it_is_compiled_once_and_told_before(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,7 +55,7 @@ def test_machine_code_of_other_versions_goes_a_month_after_its_last_use(folder: 
     folder.mkdir()
     os.utime(folder, (0.0, 0.0))
 
-    kernels._remove_unused(kernels.kernel_folder())
+    kernels._remove_unused(cache.kernel_folder())
 
     assert [other.exists() for other in others.values()] == [True, False]
     assert time.time() - folder.stat().st_mtime < 60.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -101,41 +103,37 @@ def test_velocities_are_the_rates_of_positions() -> None:
     )
 
 
+_QUARTER = rotation.from_vector(np.array([[0.0, 0.0, np.pi / 2]]))
+_GROWN: dict[str, Any] = {
+    # A joint's kind and axis, its child's centre of mass, the motion, coordinate and rate.
+    "a hinge turns right-handed": (
+        ("hinge", (0.0, 0.0, 2.0)),
+        (1.0, 0.0, 0.0),
+        ([0.0, 1.0, 0.0], _QUARTER, [-3.0, 0.0, 0.0], [0.0, 0.0, 3.0]),
+        (np.pi / 2, 3.0),
+    ),
+    "a slider moves along": (
+        ("slider", (3.0, 0.0, 4.0)),
+        (0.0, 0.5, 0.0),
+        ([0.6, 0.5, 0.8], rotation.IDENTITY[None], [1.2, 0.0, 1.6], [0.0, 0.0, 0.0]),
+        (1.0, 2.0),
+    ),
+}
+
+
 @pytest.mark.parametrize("swapped", [False, True])
-def test_a_hinge_grows_as_the_child_turns_right_handed(swapped: bool) -> None:
-    body = Body("arm", inertia=Inertia(1.0, (1.0, 1.0, 1.0), com=(1.0, 0.0, 0.0)))
+@pytest.mark.parametrize("name", _GROWN)
+def test_coordinates_grow_as_the_child_moves(name: str, swapped: bool) -> None:
+    (kind, axis), com, motion, expected = _GROWN[name]
+    body = Body("arm", inertia=Inertia(1.0, (1.0, 1.0, 1.0), com=com))
     ends = ("arm", "world") if swapped else ("world", "arm")
-    hinge = Joint("hinge", "hinge", *ends, (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
-    mechanism = Mechanism.of(Scene("arm", (body,), 1.0, joints=(hinge,)))
-    quarter = rotation.from_vector(np.array([[0.0, 0.0, np.pi / 2]]))
-    spin = np.array([[0.0, 0.0, 3.0]])
-    arm_up = BodyStates(np.array([[0.0, 1.0, 0.0]]), quarter, np.array([[-3.0, 0.0, 0.0]]), spin)
-
-    links = to_links(mechanism, arm_up)
-
-    sign = -1.0 if swapped else 1.0
-    assert links.coordinate[0] == pytest.approx(sign * np.pi / 2)
-    assert links.rate[0] == pytest.approx(sign * 3.0)
-    _equal(to_bodies(mechanism, links).position, arm_up.position)
-    _equal(to_bodies(mechanism, links).velocity, arm_up.velocity)
-
-
-@pytest.mark.parametrize("swapped", [False, True])
-def test_a_slider_grows_as_the_child_moves_along(swapped: bool) -> None:
-    body = Body("cart", inertia=Inertia(1.0, (1.0, 1.0, 1.0), com=(0.0, 0.5, 0.0)))
-    ends = ("cart", "world") if swapped else ("world", "cart")
-    slider = Joint("slider", "slider", *ends, (0.0, 0.0, 0.0), (3.0, 0.0, 4.0))
-    mechanism = Mechanism.of(Scene("cart", (body,), 1.0, joints=(slider,)))
-    moved = BodyStates(
-        np.array([[0.6, 0.5, 0.8]]),
-        rotation.IDENTITY[None].copy(),
-        np.array([[1.2, 0.0, 1.6]]),
-        np.zeros((1, 3)),
-    )
+    joint = Joint("joint", kind, *ends, (0.0, 0.0, 0.0), axis)
+    mechanism = Mechanism.of(Scene("arm", (body,), 1.0, joints=(joint,)))
+    moved = BodyStates(*(np.array(part, dtype=float).reshape(1, -1) for part in motion))
 
     links = to_links(mechanism, moved)
 
     sign = -1.0 if swapped else 1.0
-    assert links.coordinate[0] == pytest.approx(sign * 1.0)
-    assert links.rate[0] == pytest.approx(sign * 2.0)
+    assert (links.coordinate[0], links.rate[0]) == pytest.approx([sign * v for v in expected])
     _equal(to_bodies(mechanism, links).position, moved.position)
+    _equal(to_bodies(mechanism, links).velocity, moved.velocity)

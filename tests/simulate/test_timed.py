@@ -14,7 +14,7 @@ import pytest
 
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.measure.runner import Running
-from mbds_xsim.reference import kernels
+from mbds_xsim.reference import cache, kernels
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.state import Batch, Failure, Trajectory
 from mbds_xsim.simulate import timed
@@ -177,7 +177,7 @@ def test_engines_run_while_the_reference_is_compiled(
 ) -> None:
     importlib.import_module("mbds_xsim.reference.compiled")  # with the machine code that is there
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(kernels, "kernel_folder", kernels.kernel_folder.__wrapped__)
+    monkeypatch.setattr(cache, "kernel_folder", cache.kernel_folder.__wrapped__)
     monkeypatch.setattr(kernels, "_compile", list)
     notes = _Notes()
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.scene.state import Failure, Trajectory
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice
@@ -142,12 +143,6 @@ def test_the_page_says_what_the_adapters_say() -> None:
     assert stale == [], f"docs/contact.md is stale; run: {again}"
 
 
-class _Silent:
-    def begin(self, total: int) -> None: ...
-
-    def advance(self, what: str) -> None: ...
-
-
 @pytest.mark.usefixtures("in_process")
 def test_the_command_writes_page_figures_and_json(run: CommandLine, here: Path) -> None:
     """In this process: that parts run apart, the next test says."""
@@ -174,7 +169,7 @@ def test_a_part_that_fails_is_told_and_takes_nothing_with_it(
     pytest.importorskip("mujoco")
     monkeypatch.setattr(present, "_PARTS", {"arithmetic": math.sqrt, "limits": limits})
 
-    found = present.study_contact(Choice(("mujoco",), ("native",)), progress=_Silent(), workers=1)
+    found = present.study_contact(Choice(("mujoco",), ("native",)), progress=Silent(), workers=1)
 
     (missing,) = found.missing
     assert (missing.engine, missing.profile, missing.part) == ("mujoco", "native", "arithmetic")

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.isolate import Silent
 from mbds_xsim.measure import quick as bisect
 from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
@@ -36,14 +37,6 @@ class Outside(MuJoCo):
 """
 
 
-class _Silent:
-    def forecast(self, left_s: float) -> None:
-        pass
-
-    def advance(self, what: str) -> None:
-        pass
-
-
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MBDS_XSIM_CACHE", str(tmp_path / "cache"))
@@ -62,7 +55,7 @@ def _match(scene: Scene, engines: str = "mujoco,exudyn") -> Match:
         trajectories=1,
         held_out=1,
         workers=0,
-        meter=_Silent(),
+        meter=Silent(),
         command="mbds-xsim match",
     )
 
@@ -184,7 +177,7 @@ def test_the_best_effort_breaks_the_fewest_checks_and_costs_the_least_of_those(
         (40, 6.0, ("wheels: far",)),
     ):
         candidate.proofs[count] = Trial(reasons, excess, 0.1 * count, 0.1 * count)
-    proof = study._Field(scene, draw_batch(scene, range(3)), None, 0, 1.0, _Silent())  # type: ignore[arg-type]
+    proof = study._Field(scene, draw_batch(scene, range(3)), None, 0, 1.0, Silent())  # type: ignore[arg-type]
 
     found = study._best_effort(proof, [candidate], (used, candidate.proofs[40]))
 

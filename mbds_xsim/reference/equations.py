@@ -1,0 +1,70 @@
+"""The equations of motion of any mechanism, and accelerations by them.
+
+They are in maximal coordinates (`dynamics`); what acts on coordinates of joints, rotors, dry
+friction and couplings, is in those of the mechanism's tree (`compiled`).
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.reference.dynamics import Dynamics, maximal_of
+from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.mechanism import Mechanism
+
+_AT_ONCE = 256  # states; more only cost memory
+
+
+@functools.lru_cache(maxsize=64)
+def dynamics_of(mechanism: Mechanism) -> Dynamics:
+    """Prepare a mechanism (once each)."""
+    if mechanism.rotors or mechanism.couplings or mechanism.frictional:
+        return Dynamics(mechanism, _Compiled(mechanism))
+    return maximal_of(mechanism)
+
+
+@dataclass(frozen=True, eq=False)
+class _Compiled:
+    """The compiled equations of a mechanism; a compiler is imported when they are used."""
+
+    mechanism: Mechanism
+
+    def accelerations(self, states: Array, force: Array, torque: Array) -> Array:
+        from mbds_xsim.reference.compiled import body_accelerations
+
+        return body_accelerations(self.mechanism, states, force, torque)
+
+    def projected(self, states: Array) -> Array:
+        from mbds_xsim.reference.compiled import projected
+
+        return projected(self.mechanism, states)
+
+
+def accelerations(
+    mechanism: Mechanism, bodies: BodyStates, force: Array, torque: Array
+) -> tuple[Array, Array]:
+    """Evaluate the equations of motion at any states, without contact.
+
+    Args:
+        mechanism: Whose motion.
+        bodies: States that keep the joints together, with any leading axes.
+        force: In W on the centres of mass [N], shape (…, body, 3).
+        torque: About the hinges of `Mechanism.hinges` [N·m], shape (…, hinge).
+
+    Returns:
+        Of the centres of mass in W [m/s²] and angular in W [rad/s²], shapes (…, body, 3).
+    """
+    dynamics, shape = dynamics_of(mechanism), bodies.position.shape
+    flat = (np.asarray(values, dtype=float) for values in vars(bodies).values())
+    state = dynamics.pack(BodyStates(*(values.reshape(-1, *values.shape[-2:]) for values in flat)))
+    force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
+    hinges = len(mechanism.hinges)
+    torque = np.broadcast_to(torque, (*shape[:-2], hinges)).reshape(len(state), hinges)
+    parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
+    rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
+    rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
+    return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
