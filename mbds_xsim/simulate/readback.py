@@ -39,7 +39,7 @@ def compare(
     """
     lines = []
     for what, got, wanted, floor, names in _quantities(mechanism, batch, readback):
-        if got is not None and len(wanted):
+        if got is not None and (len(wanted) or got.size):
             lines += _differences(what, got, wanted, floor, names)
     off = 0.0 if readback.step is None else abs(readback.step - settings.step)
     if not off <= _TOLERANCE * settings.step:
