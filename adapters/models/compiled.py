@@ -19,7 +19,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported, ModelFacts
 
 from .assembling import assemble
@@ -72,11 +73,7 @@ _ALIASES = {
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
     """Read an MJCF or URDF file; see `mbds_xsim.simulate.registry`."""
-    try:
-        import mujoco
-    except ImportError as error:
-        msg = "models are read by MuJoCo, which is not installed: pip install 'mbds-xsim[mujoco]'"
-        raise EngineMissing(msg) from error
+    mujoco = optional("mujoco", "reading MJCF and URDF", "mujoco")
     root = read_source(path, folder)
     if root.tag not in _LABELS:
         msg = f"its outermost element is <{root.tag}>, allowed are <mujoco> and <robot>"

@@ -14,7 +14,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Imported
 
 from .assembling import assemble
@@ -40,11 +41,7 @@ _NOT_READ = ("include", "frame", "experimental:params")
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
     """Read an SDF file; see `mbds_xsim.simulate.registry`."""
-    try:
-        import dartpy
-    except ImportError as error:
-        msg = "SDF is read by DART, which is not installed: pip install 'mbds-xsim[dart]'"
-        raise EngineMissing(msg) from error
+    dartpy = optional("dartpy", "reading SDF", "dart")
     if floating:
         msg = "--floating is for URDF; SDF says itself which of its models are fixed"
         raise InputError(msg)

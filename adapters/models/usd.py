@@ -11,7 +11,8 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.base.errors import EngineMissing, InputError
+from mbds_xsim.base.errors import InputError
+from mbds_xsim.base.frame import optional
 from mbds_xsim.scene.imported import Fate, Imported
 
 from .assembling import assemble
@@ -29,25 +30,21 @@ _KINDS = {"RevoluteJoint": "hinge", "PrismaticJoint": "slider", "SphericalJoint"
 
 def read(path: Path, folder: Path, floating: bool) -> Imported:
     """Read a USD file; see `mbds_xsim.simulate.registry`."""
-    try:
-        from pxr import Sdf, Tf, Usd
-    except ImportError as error:
-        msg = "USD is read by OpenUSD, which is not installed: pip install 'mbds-xsim[usd]'"
-        raise EngineMissing(msg) from error
+    sdf, tf, usd = (optional(f"pxr.{name}", "reading USD", "usd") for name in ("Sdf", "Tf", "Usd"))
     if floating:
         msg = "--floating is for URDF; USD says itself which of its bodies are free"
         raise InputError(msg)
     try:
-        _check_layers(Sdf, path, folder.resolve())
-        stage = Usd.Stage.Open(str(path))
+        _check_layers(sdf, path, folder.resolve())
+        stage = usd.Stage.Open(str(path))
         reading = _Reading(stage)
         parts = reading.model(path.stem)
-    except Tf.ErrorException as error:
+    except tf.ErrorException as error:
         reason = str(error).strip().splitlines()[-1].rpartition(": ")[2].strip("' ")
         raise InputError(f"OpenUSD does not read it: {reason}") from error
     had = {key for part in parts.parts for freedom in part.freedoms for key in freedom.properties}
     fates = [*fates_of(stage, limited="limits" in had), *reading.fates]
-    version = ".".join(map(str, Usd.GetVersion()))
+    version = ".".join(map(str, usd.GetVersion()))
     return assemble(parts, file=path.name, kind="USD", reader=f"OpenUSD {version}", fates=fates)
 
 
