@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 from benchmarks.harness import print_table
 from mbds_xsim.measure.result import EngineResult
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.simulate.choice import Choice
 from mbds_xsim.simulate.registry import load_scene
 from mbds_xsim.studies.validate import validate_with_evidence
@@ -39,7 +40,7 @@ def _blamed(name: str, seeds: int, nearest: dict[str, tuple[float, str]]) -> Ite
     runs: dict[str, list[tuple[int, EngineResult]]] = defaultdict(list)
     for seed in range(FIRST, FIRST + seeds):
         found, _ = validate_with_evidence(
-            load_scene(name), choice=Choice.parse(), seed=seed, workers=0
+            load_scene(name), choice=Choice.parse(), starts=Starts(seed=seed), workers=0
         )
         for row in found.engines:
             runs[row.engine].append((seed, row))

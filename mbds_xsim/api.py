@@ -14,6 +14,7 @@ import numpy as np
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.files import path_of
 from mbds_xsim.base.isolate import LIMIT
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, words_of
@@ -91,10 +92,7 @@ def validate(
     validation, evidence = validate_with_evidence(
         load_scene(scene),
         choice=choice,
-        trajectories=trajectories,
-        seed=seed,
-        noise=noise,
-        inputs=inputs,
+        starts=Starts(trajectories, seed, noise, inputs),
         cache=cache,
         workers=workers,
         command="mbds_xsim.validate",

@@ -58,6 +58,7 @@ def validate(
     """
     from mbds_xsim.measure.result import to_json
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.validate import validate_with_evidence
     from mbds_xsim.studies.validate.present import present
@@ -67,10 +68,7 @@ def validate(
         validation, evidence = validate_with_evidence(
             shared.scene_named(scene),
             choice=choice,
-            trajectories=trajectories,
-            seed=seed,
-            noise=noise,
-            inputs=inputs,
+            starts=Starts(trajectories, seed, noise, inputs),
             cache=cache,
             workers=workers,
             progress=progress,

@@ -46,6 +46,7 @@ def match(
     from mbds_xsim.base.files import write_whole
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.match import matched_toml, present
     from mbds_xsim.studies.match import search as study
@@ -61,9 +62,8 @@ def match(
             result = study.match(
                 scene,
                 choice=choice,
-                trajectories=trajectories,
                 held_out=held_out,
-                seed=seed,
+                starts=Starts(trajectories, seed),
                 limit=limit,
                 options=options,
                 workers=workers,
@@ -125,6 +125,7 @@ def ablate(
         mbds-xsim ablate 5pendulum balldrop --trajectories 4 --markdown ablation.md
     """
     from mbds_xsim.report.terminal import print_report
+    from mbds_xsim.scene.sampling import Starts
     from mbds_xsim.simulate.choice import Choice
     from mbds_xsim.studies.ablate import ablate as study
     from mbds_xsim.studies.ablate import present
@@ -139,8 +140,7 @@ def ablate(
             result = study(
                 scene,
                 choice=choice,
-                starts=trajectories,
-                seed=seed,
+                starts=Starts(trajectories, seed),
                 cache=cache,
                 workers=workers,
                 progress=progress,

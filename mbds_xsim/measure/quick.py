@@ -25,8 +25,7 @@ from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.runner import Notices
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.reference import cache as disk
-from mbds_xsim.scene.sampling import distinct_starts, draw_batch
-from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
@@ -76,7 +75,7 @@ def searched(
     found = {name: entry for name in keys if cache and (entry := _load(keys[name])) is not None}
     missing = [name for name in keys if name not in found]
     if missing:
-        batch = draw_batch(scene, range(distinct_starts(scene, len(INTERVALS))))
+        batch = Starts().draw(scene)
         progress.begin(len(missing))
         reference = run_references(
             scene, batch, cache=cache, workers=workers, notice=progress.notice

@@ -87,6 +87,25 @@ def distinct_starts(scene: Scene, asked: int, *, noise: bool = True, inputs: boo
     return asked if starts or (noise and scene.noise > 0) else 1
 
 
+@dataclass(frozen=True)
+class Starts:
+    """Which trajectories of a scene are drawn: as many of each interval."""
+
+    trajectories: int = 1
+    """Of each interval; where nothing is drawn there is one in all."""
+    seed: int = 0
+    noise: bool = True
+    """Whether the noise forces act."""
+    inputs: bool = True
+    """Whether drawn forces and torques act."""
+
+    def draw(self, scene: Scene) -> Batch:
+        """Draw them (SceneError as in `draw_batch`)."""
+        asked = len(terms.INTERVALS) * self.trajectories
+        count = distinct_starts(scene, asked, noise=self.noise, inputs=self.inputs)
+        return draw_batch(scene, range(count), seed=self.seed, noise=self.noise, inputs=self.inputs)
+
+
 def noise_components(scene: Scene) -> list[int]:
     """Components of W in which the scene moves, and so the noise acts."""
     return {1: [0], 2: [0, 2], 3: [0, 1, 2]}[scene.dimension]

@@ -13,7 +13,7 @@ import pytest
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.file import write_scene
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling import Starts, draw_batch
 from mbds_xsim.scene.sampling_terms import Turn
 from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
@@ -44,7 +44,7 @@ def _effect(name: str) -> Effect:
 
 
 def _ablate(scene: Scene, engines: str = "mujoco,exudyn") -> Ablation:
-    return ablate(scene, choice=Choice.parse(engines=engines), starts=1, workers=0)
+    return ablate(scene, choice=Choice.parse(engines=engines), starts=Starts(), workers=0)
 
 
 def _row(ablation: Ablation, effect: str, factor: float) -> WeakenedEffect:

@@ -17,7 +17,7 @@ from mbds_xsim.measure.campaign import run_references
 from mbds_xsim.measure.quick import COUNTS, Search
 from mbds_xsim.measure.trial import Trial, run_trial
 from mbds_xsim.scene.budget import Budget
-from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.sampling import Starts, draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.adapter import Settings
@@ -52,7 +52,7 @@ def _match(scene: Scene, engines: str = "mujoco,exudyn") -> Match:
     return match(
         scene,
         choice=Choice.parse(engines=engines),
-        trajectories=1,
+        starts=Starts(),
         held_out=1,
         workers=0,
         meter=Silent(),

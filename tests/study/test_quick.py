@@ -16,6 +16,7 @@ from mbds_xsim.base.isolate import Silent
 from mbds_xsim.measure import quick
 from mbds_xsim.measure.quick import COUNTS, fewest, searched
 from mbds_xsim.measure.trial import Trial
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Body, Clock, Force, Inertia, Joint, Scene
 from mbds_xsim.simulate import registry
 from mbds_xsim.simulate.choice import Choice, Matched, is_stored, settings_for
@@ -191,7 +192,7 @@ def test_an_engine_that_the_file_does_not_have_is_told(tmp_path: Path) -> None:
 def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> None:
     scene = cart_pole()
     choice = Choice(("mujoco",), given={"matched": {"mujoco": Matched("Euler", 1)}})
-    validation, evidence = validate_with_evidence(scene, choice=choice, trajectories=4, workers=0)
+    validation, evidence = validate_with_evidence(scene, choice=choice, starts=Starts(4), workers=0)
 
     assert validation.trajectories == (0,)
     assert len(evidence.batch) == 1
@@ -200,5 +201,7 @@ def test_a_scene_of_which_nothing_is_drawn_runs_once_and_has_no_interval() -> No
     with_noise = msgspec.structs.replace(scene, noise=0.1)
     validation, _ = validate_with_evidence(with_noise, choice=choice, workers=0)
     assert validation.trajectories == (0, 1, 2)
-    validation, _ = validate_with_evidence(with_noise, choice=choice, noise=False, workers=0)
+    validation, _ = validate_with_evidence(
+        with_noise, choice=choice, starts=Starts(noise=False), workers=0
+    )
     assert validation.trajectories == (0,)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from mbds_xsim.reference import FirstImpact
 from mbds_xsim.report import quantity
 from mbds_xsim.report.blocks import Block, Cell, Column, Mark, Remarks, Report, Row, Table, table_of
 from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import ModelSize
@@ -45,14 +45,15 @@ from mbds_xsim.studies.ablate.analyse import (
 from mbds_xsim.studies.ablate.effects import EFFECTS, AblatedScene, Effect, variants_of
 from mbds_xsim.studies.validate import validate_with_evidence
 
+_STARTS = Starts(2)
+
 
 def ablate(
     scene: Scene,
     *,
     choice: Choice | None = None,
     effects: Sequence[Effect] = EFFECTS,
-    starts: int = 2,
-    seed: int = 0,
+    starts: Starts = _STARTS,
     cache: bool = True,
     workers: int | None = None,
     progress: Watch | None = None,
@@ -64,8 +65,7 @@ def ablate(
         scene: What to take apart.
         choice: Engines and settings that give the floor; all at matched settings when left out.
         effects: What may be dropped; those that the scene does not have are passed over.
-        starts: Starts of each of the intervals low, medium and high.
-        seed: Seed of starts and inputs.
+        starts: What is drawn.
         cache: Whether stored reference solutions may be used.
         workers: Processes at a time; all cores when left out, none but this one for 0.
         progress: Where progress is told.
@@ -76,11 +76,15 @@ def ablate(
     """
     begin, meter = time.perf_counter(), _Phases(progress)
     chosen = searched(scene, choice or Choice.parse(), cache=cache, workers=workers, progress=meter)
-    how: dict[str, Any] = {"seed": seed, "cache": cache, "workers": workers, "progress": meter}
-    validation, evidence = validate_with_evidence(scene, choice=chosen, trajectories=starts, **how)
+    validation, evidence = validate_with_evidence(
+        scene, choice=chosen, starts=starts,
+        cache=cache, workers=workers, progress=meter,
+    )  # fmt: skip
     contenders, _ = chosen.contenders(scene)
     bench, least = Bench.of(validation, evidence, contenders), least_size(scene)
-    rows = bench.rows(variants_of(scene, effects, evidence.batch, seed), workers, cache, meter)
+    rows = bench.rows(
+        variants_of(scene, effects, evidence.batch, starts.seed), workers, cache, meter
+    )
     return Ablation(
         scene=scene.name,
         description=scene.description,
@@ -100,7 +104,7 @@ def ablate(
         contact_spheres=least.spheres,
         sizes=tuple(_sizes(scene, contenders, least, workers)),
         trajectories=validation.trajectories,
-        seed=seed,
+        seed=starts.seed,
         versions=validation.versions,
         machine=validation.machine,
         command=command,

@@ -16,8 +16,7 @@ from mbds_xsim.measure.campaign import ReferenceOutcome, run_references
 from mbds_xsim.measure.quick import Search
 from mbds_xsim.measure.runner import Meter, machine
 from mbds_xsim.measure.trial import Trial, failed_trial, joined, run_trial
-from mbds_xsim.scene.sampling import distinct_starts, draw_batch
-from mbds_xsim.scene.sampling_terms import INTERVALS
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
 from mbds_xsim.simulate import registry
@@ -27,6 +26,7 @@ from mbds_xsim.simulate.simulator import NATIVE, EngineMethod
 from mbds_xsim.studies.match import SCHEMA, Found, Match
 from mbds_xsim.studies.tradeoff import curves_of
 
+_STARTS = Starts(2)
 _SAMPLE = 3  # trajectories that run at other steps too
 _DEAREST = 3.0
 """A method that costs so many times another one of its engine and has not passed is given up."""
@@ -118,9 +118,8 @@ def match(
     scene: Scene,
     *,
     choice: Choice,
-    trajectories: int = 2,
+    starts: Starts = _STARTS,
     held_out: int = 20,
-    seed: int = 0,
     limit: float = 30.0,
     options: bool = False,
     workers: int | None = None,
@@ -138,9 +137,8 @@ def match(
     Args:
         scene: What to simulate.
         choice: Which engines.
-        trajectories: Starts of each interval to search with.
-        held_out: Starts of each interval to verify with.
-        seed: Of the search; the next one is that of the held-out trajectories.
+        starts: To search with.
+        held_out: Starts of each interval to verify with, by the next seed.
         limit: Longest rollout of a trajectory [s].
         options: Whether the options that adapters declare worth trying are varied too.
         workers: Processes at a time; all cores when left out.
@@ -153,10 +151,10 @@ def match(
     """
     curves, left_out = _curves(scene, choice, options=options)
     field_of = partial(_field, scene, cache=cache, workers=workers, limit=limit, meter=meter)
-    ground = field_of(trajectories, seed)
+    ground, seed = field_of(starts), starts.seed
     used = _used(ground, {curve.engine for curve in curves})
     candidates = _searched(ground, curves, used)
-    proof = field_of(held_out, seed + 1)
+    proof = field_of(dataclasses.replace(starts, trajectories=held_out, seed=seed + 1))
     engines = dict.fromkeys(curve.engine for curve in curves)
     return Match(
         schema=SCHEMA,
@@ -164,7 +162,7 @@ def match(
         command=command,
         seed=seed,
         held_out_seed=seed + 1,
-        trajectories=trajectories,
+        trajectories=starts.trajectories,
         held_out=held_out,
         machine=machine(),
         engines=tuple(_settle(ground, proof, candidates, used, name) for name in engines),
@@ -174,12 +172,11 @@ def match(
 
 
 def _field(
-    scene: Scene, count: int, seed: int, *, cache: bool, workers: int | None, limit: float,
+    scene: Scene, starts: Starts, *, cache: bool, workers: int | None, limit: float,
     meter: Meter,
 ) -> _Field:  # fmt: skip
     """Draw starts, and solve what they are held against."""
-    starts = range(distinct_starts(scene, len(INTERVALS) * count))
-    batch = draw_batch(scene, starts, seed=seed)
+    batch = starts.draw(scene)
     reference = run_references(scene, batch, cache=cache, workers=workers)
     return _Field(scene, batch, reference, workers, limit, meter)
 

@@ -27,7 +27,7 @@ from mbds_xsim.measure.result import (
 )
 from mbds_xsim.measure.runner import Account, Watch
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.sampling import distinct_starts, draw_batch
+from mbds_xsim.scene.sampling import Starts
 from mbds_xsim.scene.sampling_terms import INTERVALS
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, fingerprint
@@ -38,6 +38,7 @@ from mbds_xsim.simulate.claims import TRUTH
 _ONE_SECOND = 1.0
 _SEEN = 0.01  # shorter work is no part of the account [s]
 _HIGH = INTERVALS.index("high")
+_STARTS = Starts()
 _VERDICTS = ("pass", "warn", "fail")
 
 
@@ -45,10 +46,7 @@ def validate_with_evidence(
     scene: Scene,
     *,
     choice: Choice,
-    trajectories: int = 1,
-    seed: int = 0,
-    noise: bool = True,
-    inputs: bool = True,
+    starts: Starts = _STARTS,
     cache: bool = True,
     workers: int | None = None,
     readback: bool = True,
@@ -65,8 +63,7 @@ def validate_with_evidence(
     if chosen.given != choice.given:
         spent["search of settings"] = time.perf_counter() - begin
     contenders, left_out = chosen.contenders(scene)
-    count = distinct_starts(scene, len(INTERVALS) * trajectories, noise=noise, inputs=inputs)
-    batch = draw_batch(scene, range(count), seed=seed, noise=noise, inputs=inputs)
+    batch = starts.draw(scene)
     outcomes, reference = run_campaign(scene, batch, contenders, cache=cache, **how)
     refine(scene, batch, outcomes, reference, **how)
     checking, named = time.perf_counter(), _named(outcomes, progress)
@@ -83,7 +80,7 @@ def validate_with_evidence(
         verdict=_worst(results),
         wall_s=time.perf_counter() - begin,
         command=command,
-        seed=seed,
+        seed=starts.seed,
         trajectories=tuple(int(index) for index in batch.index),
         length_m=scene.length,
         budget={key: getattr(scene.budget, key) for key in scene.budget.__struct_fields__},
