@@ -28,7 +28,7 @@ _Data = Annotated[
     list[Path], typer.Argument(metavar="DATA…", help="Data sets, or folders of them.")
 ]
 _Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the models.")]
-_Models = Annotated[str | None, typer.Option(help="Comma-separated; all that learn when left out.")]
+_Models = Annotated[str | None, typer.Option(help="Comma-separated; all of the track if left out.")]
 _On = Annotated[
     str,
     typer.Option(help="each, leave-one-out, all, by-interval, mujoco, mujoco-low, …; by commas."),
@@ -43,7 +43,7 @@ _Steps = Annotated[
 ]
 _Track = Annotated[
     str | None,
-    typer.Option(help="Hyper-parameters: lite, native or paper; the profile's when left out."),
+    typer.Option(help="Hyper-parameters: lite, native, paper, native+; else the profile's."),
 ]
 _Plan = Annotated[bool, typer.Option("--plan", help="Only measure and print the cost.")]
 _Mixed = Annotated[bool, typer.Option("--bf16", help="On cuda: mixed precision with bfloat16.")]
@@ -120,6 +120,7 @@ def train(
     """
     shared.check_torch("train")
     from mbds_xsim.learn.groups import groups
+    from mbds_xsim.learn.recipe import TRACKS
     from mbds_xsim.learn.runs import TrainingRequest
     from mbds_xsim.learn.trainings import planned
     from mbds_xsim.report.terminal import print_blocks
@@ -128,7 +129,7 @@ def train(
     _check_options(device, tensorboard, fast=bf16 or compiled, far=scheduler is not None)
     request = TrainingRequest(
         groups=groups(data),
-        models=_models(models),
+        models=_models(models, track or TRACKS.get(profile)),
         on=on,
         seeds=seeds,
         profile_name=profile,
@@ -155,11 +156,14 @@ def train(
     raise typer.Exit(1 if told["failed"] or told["diverged"] else 0)
 
 
-def _models(names: str | None) -> list[str]:
-    """Read the models from a user's words; all that learn when left out."""
-    from mbds_xsim.learn.model import trainable
+def _models(names: str | None, track: str | None) -> list[str]:
+    """Read the models from a user's words; all that have the track when left out."""
+    from mbds_xsim.learn.model import load_model, trainable
 
-    return trainable() if names is None else [w.strip() for w in dict.fromkeys(names.split(","))]
+    if names is not None:
+        return [word.strip() for word in dict.fromkeys(names.split(","))]
+    able = [name for name in trainable() if track in load_model(name).tracks]
+    return able or trainable()  # whose refusal says which tracks there are
 
 
 def _costs(trainings: TrainingPlan, carrier: Carrier, at_once: int, console: Console) -> list[Cost]:

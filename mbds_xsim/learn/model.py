@@ -42,7 +42,8 @@ class LearnedModel(nn.Module, ABC):
     """
 
     tracks: ClassVar[Mapping[str, Any]] = {}
-    """Hyper-parameters by track: `paper`, `native`, `lite`; none where there is nothing to set."""
+    """Hyper-parameters by track: `paper`, `native`, `lite`, `native+`; none where there is nothing
+    to set. The last is the smallest, and what is taken where a profile's is not there."""
     dtype: ClassVar[torch.dtype] = torch.float32
     """Of what it is given, and of its parameters."""
     needs_bodies: ClassVar[bool] = False
@@ -165,23 +166,33 @@ def load_model(name: str) -> type[LearnedModel]:
     return kind
 
 
+def track_of(name: str, track: str | None = None, usual: str = "") -> str:
+    """Give a model's track: the one asked for, else a usual one that it has, else its last.
+
+    The last of a model's tracks is the smallest; "" of a model without any. UnknownName where
+    there is no such model, InputError where it has no such track.
+    """
+    tracks = load_model(name).tracks
+    if track is not None and tracks and track not in tracks:
+        msg = f"--track: got {track!r}, allowed for {name} is {', '.join(tracks)}"
+        raise InputError(msg)
+    return track or (usual if usual in tracks else ["", *tracks][-1])
+
+
 def build(
-    name: str, graph: Graph, statistics: Statistics, *, track: str = "native", seed: int = 0
+    name: str, graph: Graph, statistics: Statistics, *, track: str | None = None, seed: int = 0
 ) -> LearnedModel:
     """Make an untrained model: the same seed makes the same parameters.
 
-    UnknownName where there is no such model, InputError where it has no such track.
+    Of its track `native`, or the last, where none is named; errors are those of `track_of`.
     """
-    kind = load_model(name)
-    if kind.tracks and track not in kind.tracks:
-        msg = f"track: got {track!r}, allowed for {name} is {', '.join(kind.tracks)}"
-        raise InputError(msg)
+    kind, track = load_model(name), track_of(name, track, "native")
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         return kind(graph, statistics, kind.tracks.get(track)).to(kind.dtype)
 
 
-def refusal(name: str, graph: Graph, *, track: str = "native") -> str:
+def refusal(name: str, graph: Graph, *, track: str | None = None) -> str:
     """Say why a model cannot represent a scene; "" where it can."""
     try:
         build(name, graph, Statistics.of_nothing(), track=track)

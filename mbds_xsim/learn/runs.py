@@ -26,7 +26,7 @@ from mbds_xsim.dataset.hdf5 import CONTENT
 from mbds_xsim.dataset.variant import folder_name
 from mbds_xsim.learn.curves import EventLog, LearningCurve, write_curve
 from mbds_xsim.learn.groups import Share, TrainingGroup, check_share, mixed
-from mbds_xsim.learn.model import LearnedModel, build, load_model
+from mbds_xsim.learn.model import LearnedModel, build, load_model, track_of
 from mbds_xsim.learn.model_file import read_facts, save_model
 from mbds_xsim.learn.recipe import TRACKS, Profile, Recipe, put
 from mbds_xsim.learn.statistics import Statistics
@@ -54,7 +54,7 @@ class TrainingRequest:
     profile: Profile
     out: Path
     track: str | None = None
-    """Hyper-parameters; those of the profile when left out."""
+    """Hyper-parameters; those of the profile when left out, or the last of a model without them."""
     device: str = "cpu"
     events: Path | None = None
     """Folder of TensorBoard's files."""
@@ -81,7 +81,7 @@ class TrainingRun:
     @property
     def track(self) -> str:
         """Name of its hyper-parameters."""
-        return self.request.track or TRACKS[self.request.profile_name]
+        return track_of(self.model, self.request.track, TRACKS[self.request.profile_name])
 
     @property
     def name(self) -> str:

@@ -18,7 +18,7 @@ from mbds_xsim.dataset.read import Dataset
 from mbds_xsim.learn.curves import read_curve
 from mbds_xsim.learn.graph import Graph
 from mbds_xsim.learn.groups import shares_of
-from mbds_xsim.learn.model import load_model, refusal, trainable
+from mbds_xsim.learn.model import load_model, refusal, track_of, trainable
 from mbds_xsim.learn.recipe import PROFILES, TRACKS, Profile
 from mbds_xsim.learn.runs import (
     Cost,
@@ -99,15 +99,13 @@ def planned(request: TrainingRequest, *, only: bool = False) -> TrainingPlan:
     """
     events = request.events and request.events.absolute()
     request = replace(request, out=request.out.absolute(), events=events)
-    track = request.track or TRACKS[request.profile_name]
+    usual, tracks = TRACKS[request.profile_name], {}
     for model in request.models:
         if model not in trainable():
             raise UnknownName.of("model to train", model, trainable())
-        if track not in load_model(model).tracks:
-            msg = f"--track: got {track!r}, allowed is {', '.join(load_model(model).tracks)}"
-            raise InputError(msg)
+        tracks[model] = track_of(model, request.track, usual)
     reasons = {
-        (group, model): refusal(model, Graph.of(group.scene), track=track)
+        (group, model): refusal(model, Graph.of(group.scene), track=tracks[model])
         for group in request.groups
         for model in request.models
     }

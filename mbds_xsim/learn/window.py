@@ -69,6 +69,8 @@ class Sample(RowBundle):
     """Of the particles in the frames to come [m], shape (batch, frame, particle, 3)."""
     velocity: Tensor
     """The same [m/s]."""
+    body: Tensor | None = None
+    """Published states of the bodies then, shape (batch, frame, body, 13), as of `Start`."""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -205,4 +207,5 @@ class Motions(RowBundle):
             inputs=self.inputs[row, steps],
             position=self.position[row, steps + 1],
             velocity=self.velocity[row, steps + 1],
+            body=None if self.body is None else self.body[row, steps + 1],
         )

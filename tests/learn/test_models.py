@@ -9,7 +9,7 @@ import torch
 from mbds_xsim.base import versions
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.dataset.read import Dataset
-from mbds_xsim.learn.model import build, load_model, model_names, rollout
+from mbds_xsim.learn.model import build, load_model, model_names, rollout, track_of
 from mbds_xsim.learn.model_file import read_model, save_model
 from mbds_xsim.learn.recipe import Profile, Recipe
 from mbds_xsim.learn.statistics import Statistics
@@ -31,7 +31,7 @@ def test_golden_models(data: Data) -> None:
     figures = {}
     for name in model_names():
         training, test = _read(data, name, "train"), _read(data, name, "test")
-        model = build(name, training.graph, Statistics.of(training), track="lite")
+        model = build(name, training.graph, Statistics.of(training), track=track_of(name))
         figures[name] = shadow(rollout(model, test, steps=2))
 
     check_golden("models", versions.MODELS, figures, rtol=1e-5, atol=1e-5)
@@ -40,11 +40,11 @@ def test_golden_models(data: Data) -> None:
 @pytest.mark.parametrize("name", [name for name in model_names() if load_model(name).tracks])
 def test_a_model_learns(data: Data, name: str) -> None:
     training, validation = _read(data, name, "train"), _read(data, name, "validation")
-    model = build(name, training.graph, Statistics.of(training), track="lite")
+    model = build(name, training.graph, Statistics.of(training), track=track_of(name))
     fixed = training.draw(64, torch.Generator().manual_seed(7), horizon=2)
     before = model.loss(fixed, torch.Generator().manual_seed(8)).item()
     profile = Profile(steps=15, every=5, windows=4, horizon=2, until_level=False)
-    own = load_model(name).tracks["lite"].recipe
+    own = load_model(name).tracks[track_of(name)].recipe
     recipe = Recipe(rate=1e-3, batch=16, horizon=own.horizon)
     run = train(model, training, validation, recipe, profile)
     assert run.ended == "steps"

@@ -386,7 +386,7 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
 
 def test_models_that_are_not_there_are_said_so(shift: Shift) -> None:
     none = "no trained model of it was given"
-    assert shift.left_out == {"hgnn": none, "lgnn": none, "sgnn": none}
+    assert shift.left_out == dict.fromkeys(("gns+", "hgnn", "lgnn", "sgnn", "sgnn+"), none)
     assert refusal("gns", Graph.of(load_scene("balldrop"))) == ""
     assert "contact" in refusal("hgnn", Graph.of(load_scene("balldrop")))
     flat = Inertia(1.0, moments=(1.0, 1.0, 2.0))

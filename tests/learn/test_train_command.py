@@ -311,7 +311,7 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
         (["empty"], "empty holds no data set; name a folder that mbds-xsim generate has finished"),
         (
             ["DATA", "--models", "gsn"],
-            "is called 'gsn'; did you mean 'gns'? There are: gns, hgnn, lgnn, sgnn",
+            "is called 'gsn'; did you mean 'gns'? There are: gns, gns+, hgnn, lgnn, sgnn, sgnn+",
         ),
         (["DATA", "--models", "hold"], "no model to train is called 'hold'"),
         (["DATA", "--on", "bullet"], "--on: got 'bullet', allowed for 2pendulum/native is each,"),
@@ -325,7 +325,10 @@ def test_tensorboard_is_told_of_a_run_that_was_finished_before(ask: Ask, tmp_pat
             ["DATA", "--profile", "light"],
             "is called 'light'; did you mean 'lite'? There are: smoke, lite,",
         ),
-        (["DATA", "--track", "fast"], "--track: got 'fast', allowed is paper, native, lite"),
+        (
+            ["DATA", "--track", "fast"],
+            "--track: got 'fast', allowed for gns is paper, native, lite",
+        ),
         (["DATA", "--device", "tpu"], "--device: got 'tpu', allowed is cpu or cuda"),
         (["DATA", "--bf16"], "--bf16 and --compile: got --device cpu, allowed with them is cuda"),
         (["DATA", "--profile", "smoke", "--out", "a-file"], "cannot write"),

@@ -1,0 +1,158 @@
+"""Models of bodies: what an engine does beside smooth rigid motion, frame by frame.
+
+A frame begins with smooth motion on the joints under the known inputs (`BodyMechanics.smooth`), which
+flies bodies exactly. A network adds what that lacks, from what it sees of the frame (`BodyView`):
+of each body a displacement and a change of its twist, of each contact sphere two impulses on its
+body, one that displaces it and one that changes its twist. What joints forbid of it is taken away
+by the least mass-weighted change, so that rods keep their lengths; nothing is asked of a GPU on
+the way.
+
+The loss holds displacement and twist against the teacher's, body by body, not particle by particle:
+an impact of a disc is one wrench, not nineteen accelerations.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+import msgspec
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.dataset.points import Points
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.body_view import BodyView, BodyViewer
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.model import LearnedModel
+from mbds_xsim.learn.recipe import Cosine, Recipe
+from mbds_xsim.learn.rigid import TWIST, BodyMechanics, Q, X
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.learn.window import KnownInputs, Sample, Start
+
+ADDED = 2
+"""Of each vector that a network gives: a displacement, and a change of the twist."""
+
+_LEAST = 1e-6
+"""Of a squared distance: keeps the root's slope finite."""
+
+
+class BodySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Hyper-parameters of models of bodies."""
+
+    width: int = 64
+    layers: int = 3
+    """Linear layers of each perceptron."""
+    steps: int = 2
+    """Of message passing over the joints."""
+    substeps: int = 4
+    """Steps of smooth motion in a frame, an even number."""
+    recipe: Recipe = Recipe(rate=3e-3, batch=128, schedule=Cosine(), clip=1.0, skip=True)
+
+
+class BodyModel(LearnedModel):
+    """Smooth rigid motion on a scene's joints, and a network for all else."""
+
+    dtype: ClassVar[torch.dtype] = torch.float64
+    needs_bodies: ClassVar[bool] = True
+    tracks: ClassVar[Mapping[str, BodySettings]] = {"native+": BodySettings()}
+
+    to_native: Tensor
+    owner: Tensor
+    offset: Tensor
+
+    def __init__(self, graph: Graph, statistics: Statistics, settings: BodySettings) -> None:
+        super().__init__(graph, statistics, settings)
+        self.settings = settings
+        self.rigid = BodyMechanics(graph)
+        self.viewer = BodyViewer(graph, statistics)
+        self.plain = nn.Parameter(torch.zeros(2 * ADDED, BodyViewer.BODY))
+        mechanism, points = graph.mechanism, Points.of(graph.scene)
+        keep(
+            self,
+            to_native=turning.conjugate(torch.from_numpy(mechanism.reference_orientation)),
+            owner=torch.from_numpy(points.body),
+            offset=torch.from_numpy(points.offset),
+        )
+
+    @abstractmethod
+    def corrections(self, view: BodyView) -> tuple[Tensor, Tensor]:
+        """Give what bodies and contacts add, in units of the deviation of second differences.
+
+        Of bodies displacement and change of the twist, linear and angular parts, (batch, body, 2,
+        2, 3); of contacts their impulses over the body's mass, (batch, contact, 2, 3).
+        """
+
+    def begin(self, start: Start) -> Tensor:
+        """Give the bodies' states in native frames, shape (batch, body, 13)."""
+        assert start.body is not None
+        return self.native(start.body)
+
+    def native(self, body: Tensor) -> Tensor:
+        """Turn published states (…, body, 13) to native frames."""
+        body = body.to(self.to_native)
+        turned = turning.multiply(body[..., Q], self.to_native.expand_as(body[..., Q]))
+        return torch.cat([body[..., X], turned, body[..., TWIST] * self.rigid.moves], dim=-1)
+
+    def advance(self, state: Tensor, inputs: KnownInputs) -> Tensor:
+        smooth, added = self.predict(state, inputs)
+        moved = self.rigid.moved(smooth, added[:, 0])
+        if len(self.rigid.rows):
+            hold = self.rigid.hold(moved)
+            assert hold is not None
+            moved = self.rigid.moved(moved, -hold.least(self.rigid.residual(moved)))
+        return torch.cat([moved[..., :7], smooth[..., TWIST] + added[:, 1]], dim=-1)
+
+    def predict(self, state: Tensor, inputs: KnownInputs) -> tuple[Tensor, Tensor]:
+        """Give what smooth motion makes of a state, and what is added to it.
+
+        That is a displacement [m, rad] and a change of the twists [m/s, rad/s], shape (batch, 2,
+        body, 6), as joints let them through.
+        """
+        with torch.no_grad():
+            inputs = KnownInputs(inputs.force.to(state), inputs.torque.to(state))
+            step = self.graph.frame_s, self.settings.substeps
+            states, hold = self.rigid.smooth(state, inputs, *step)
+            view, smooth = self.viewer(states), states[-1]
+        of_bodies, of_contacts = self.corrections(view)
+        of_bodies = of_bodies + (self.plain @ view.bodies.vectors).unflatten(2, (ADDED, 2))
+        unit = torch.stack([self.viewer.change * self.graph.frame_s, self.viewer.change])
+        added = []
+        for k in range(ADDED):
+            shift, turn = of_bodies[:, :, k].unbind(-2)
+            own = self.viewer.links(smooth, shift, turn / self.viewer.radius) * self.rigid.moves
+            impulse = self._wrenches(view, of_contacts[:, :, k])
+            change = unit[k] * (own + self.rigid.of_impulse(smooth, impulse))
+            added.append(change if hold is None else hold.kept(change))
+        return smooth, torch.stack(added, dim=1)
+
+    def _wrenches(self, view: BodyView, pushes: Tensor) -> Tensor:
+        """Sum impulses at contacts to bodies, about their centres of mass."""
+        carrier = self.viewer.sphere_body
+        pushes = pushes * self.rigid.mass[carrier]
+        each = torch.cat([pushes, torch.linalg.cross(view.arm, pushes)], dim=-1)
+        whole = each.new_zeros(len(each), self.graph.body_count, 6)
+        return whole.index_add(1, carrier, each)
+
+    def positions(self, state: Tensor) -> Tensor:
+        arm = turning.rotate(state[:, self.owner, Q], self.offset)
+        return state[:, self.owner, X] + arm
+
+    def loss(self, sample: Sample, generator: torch.Generator) -> Tensor:
+        """Mean distance of the next frame from the teacher's, in units of second differences.
+
+        Root mean square over the mass, of displacements and twists together. Not its square: of
+        that rare violent frames would be all that counts; nor its logarithm: impacts would be
+        learned last.
+        """
+        del generator
+        assert sample.body is not None
+        smooth, added = self.predict(self.begin(sample.start), sample.inputs.at(0))
+        target = self.native(sample.body[:, 0])
+        place = self.rigid.square(smooth, added[:, 0] - self.rigid.apart(smooth, target))
+        twist = target[..., TWIST] - smooth[..., TWIST]
+        speed = self.rigid.square(smooth, added[:, 1] - twist)
+        error = place / self.graph.frame_s**2 + speed
+        return torch.sqrt(error / self.viewer.change**2 + _LEAST).mean()

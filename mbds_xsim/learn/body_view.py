@@ -1,0 +1,169 @@
+"""What networks of bodies are shown of a frame: vectors and scalars of bodies, joints, contacts.
+
+Beside the state stands what smooth motion would make of it (`BodyMechanics.smooth`): the twists that
+it ends with, and the gaps that contact spheres would have then. Vectors are in W and turn with the
+whole; scalars stay. Velocities are in units of the deviation of displacements over a frame,
+changes of them in units of that of second differences; spins count by their body's radius of
+gyration about its joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.links import Links
+from mbds_xsim.learn.rigid import Q, V, W, X
+from mbds_xsim.learn.statistics import Statistics
+from mbds_xsim.scene.mechanism import JointKind
+
+_KINDS: tuple[JointKind, ...] = ("fixed", "hinge", "slider", "ball")
+_FINE = 1e-3  # of the scene's length: gaps that decide on support
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Vectors (batch, item, channel, 3) and scalars (batch, item, scalar) of items of a kind."""
+
+    vectors: Tensor
+    scalars: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class BodyView:
+    """All that is seen of a frame."""
+
+    bodies: Seen
+    joints: Seen
+    """Every joint from each body that it holds: at the receiving end."""
+    contacts: Seen
+    arm: Tensor
+    """From the centre of mass to where a sphere would touch [m], shape (batch, contact, 3)."""
+
+
+class BodyViewer(nn.Module):
+    """Makes the views of one scene."""
+
+    BODY, JOINT, CONTACT = 12, 5, 4
+    """Vectors of a body (velocity, spin and spin on its joint, what smooth motion adds to each and
+    how much of it rather in the second half of the frame, its frame), of a joint
+    (arms to it, relative velocity and spin, the hinge's axis), of a contact (velocities of the
+    lowest point at both ends, arm, spin)."""
+    BODY_SCALARS, JOINT_SCALARS, CONTACT_SCALARS = 4, len(_KINDS), 8
+
+    speed: Tensor
+    """Unit of velocities [m/s]."""
+    change: Tensor
+    """Unit of changes of them [m/s]."""
+    radius: Tensor
+    shape: Tensor
+    receivers: Tensor
+    senders: Tensor
+    """Body at the other end of each end of a joint, the world behind them, shape (end,)."""
+    arms: Tensor
+    kind: Tensor
+    sphere_body: Tensor
+    sphere: Tensor
+    depth: Tensor
+    """Of the spheres, along the vertical [m], shape (contact, 3)."""
+
+    def __init__(self, graph: Graph, statistics: Statistics) -> None:
+        super().__init__()
+        mechanism, world = graph.mechanism, graph.body_count
+        self.links = Links(mechanism)
+        self.length, self.frame_s = graph.length, graph.frame_s
+        mass, inertia = torch.from_numpy(mechanism.mass), torch.from_numpy(mechanism.inertia)
+        moments = inertia.diagonal(dim1=-2, dim2=-1)
+        square = 0.5 * moments.sum(-1) / mass
+        ends = [end for joint in mechanism.joints for end in (joint, joint.turned_round())]
+        ends = [end for end in ends if end.child >= 0]
+        arms = [[*end.in_child, *end.in_parent, *end.axis] for end in ends]
+        keep(
+            self,
+            radius=(square + self.links.arm.square().sum(-1)).sqrt()[:, None],
+            shape=torch.cat([(mass / mass.mean())[:, None], moments / (mass * square)[:, None]], 1),
+            receivers=torch.tensor([end.child for end in ends], dtype=torch.int64),
+            senders=torch.tensor([e.parent % (world + 1) for e in ends], dtype=torch.int64),
+            arms=torch.tensor(arms, dtype=torch.float64).reshape(-1, 3, 3),
+            kind=torch.eye(len(_KINDS)).double()[[_KINDS.index(end.kind) for end in ends]],
+            sphere_body=torch.from_numpy(mechanism.sphere_body),
+            sphere=torch.from_numpy(mechanism.sphere_offset),
+            depth=torch.from_numpy(mechanism.sphere_radius[:, None] * np.array([0.0, 0.0, 1.0])),
+        )
+        for name, moments_of in (("speed", "displacement"), ("change", "acceleration")):
+            spread = getattr(statistics, moments_of).spread(graph.moving) / graph.frame_s
+            self.register_buffer(name, torch.tensor(spread, dtype=torch.float64))
+
+    def forward(self, states: Sequence[Tensor]) -> BodyView:
+        """Look at states at the steps of a smooth frame, each (batch, body, 13)."""
+        before, middle, after = states[0], states[len(states) // 2], states[-1]
+        first, start, _ = self._touch(before)
+        gap, end, arm = self._touch(after)
+        spin = after[:, self.sphere_body, W] * self.radius[self.sphere_body]
+        contact = [start / self.speed, end / self.speed, arm / self.radius[self.sphere_body]]
+        return BodyView(
+            self._bodies(before, middle, after),
+            self._joints(after),
+            Seen(
+                torch.stack([*contact, spin / self.speed], dim=-2),
+                self._gaps(first, gap, start[..., 2:], end[..., 2:]),
+            ),
+            arm,
+        )
+
+    def _bodies(self, before: Tensor, middle: Tensor, after: Tensor) -> Seen:
+        bend = after - 2.0 * middle + before
+        motions = (before, self.speed), (after - before, self.change), (bend, self.change)
+        vectors = [
+            vector / unit
+            for state, unit in motions
+            for spin in (state[..., W] * self.radius,)
+            for vector in (state[..., V], spin, self.links.beside(state[..., W]) * self.radius)
+        ]
+        frame = turning.matrix(after[..., Q]).mT
+        whole = torch.cat([torch.stack(vectors, dim=-2), frame], dim=-2)
+        return Seen(whole, self.shape.expand(len(after), -1, -1))
+
+    def _joints(self, state: Tensor) -> Seen:
+        world = state.new_zeros(len(state), 1, 13)
+        world[..., 3] = 1.0
+        whole = torch.cat([state, world], dim=1)
+        own, other = whole[:, self.receivers], whole[:, self.senders]
+        radius = self.radius[self.receivers]
+        vectors = [
+            turning.rotate(own[..., Q], self.arms[:, 0]) / radius,
+            (own[..., X] - other[..., X]) / radius,
+            (own[..., V] - other[..., V]) / self.speed,
+            (own[..., W] - other[..., W]) * radius / self.speed,
+            turning.rotate(own[..., Q], self.arms[:, 2]),
+        ]
+        return Seen(torch.stack(vectors, dim=-2), self.kind.expand(len(state), -1, -1))
+
+    def _touch(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Gaps (batch, contact, 1) [m], velocities of the lowest points [m/s], arms to them [m]."""
+        body = state[:, self.sphere_body]
+        arm = turning.rotate(body[..., Q], self.sphere) - self.depth
+        velocity = body[..., V] + torch.linalg.cross(body[..., W], arm)
+        return body[..., 2:3] + arm[..., 2:], velocity, arm
+
+    def _gaps(self, start: Tensor, end: Tensor, falls: Tensor, fell: Tensor) -> Tensor:
+        """Scalars of contacts: gaps in two units, depth, share of the frame before, speeds."""
+        unit = self.change * self.frame_s
+        share = (start / (start - end).clamp(min=1e-9)).clamp(0.0, 1.0)
+        fine = _FINE * self.length
+        return torch.cat(
+            [
+                torch.asinh(start / unit), torch.asinh(end / unit),
+                torch.asinh(start / fine), torch.asinh(end / fine),
+                (-end).clamp(min=0.0) / unit, share,
+                falls / self.speed, fell / self.speed,
+            ],
+            dim=-1,
+        )  # fmt: skip

@@ -1,0 +1,203 @@
+"""Rigid bodies on their joints in torch: smooth motion over a frame, and what joints let through.
+
+The step is RATTLE (Andersen, J. Comput. Phys. 52 (1983) 24): positions are put onto the joints by
+impulses at the step's start, velocities by impulses at its end. It is of second order, exact for
+a body that flies, and turns a body by its angular momentum, so that a wheel may spin by whole
+radians a step. Contact and random forces are no part of it.
+
+A state is (batch, body, 13): centre of mass [m], rotation of the native frame (wxyz), velocity
+[m/s], angular velocity [rad/s], in W.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from mbds_xsim.base.errors import Unsupported
+from mbds_xsim.learn import turning
+from mbds_xsim.learn.graph import Graph
+from mbds_xsim.learn.joint_rows import JointRows
+from mbds_xsim.learn.layers import keep
+from mbds_xsim.learn.window import KnownInputs
+
+X, Q, TWIST, V, W = slice(0, 3), slice(3, 7), slice(7, 13), slice(7, 10), slice(10, 13)
+"""Parts of a state."""
+_PLANE = (0.0, 1.0, 0.0)  # about which a plane scene turns
+_PASSES = 2  # of Newton's method with the matrix of the step's start
+_REST = 1e-10  # of a row's own size: rows that follow from others have a factor, too
+
+
+@dataclass(frozen=True, eq=False)
+class JointHold:
+    """Joints at one pose: what they leave of a change of twists or of a displacement."""
+
+    jacobian: Tensor
+    """By twists, shape (batch, row, 6 · body)."""
+    over_mass: Tensor
+    """M⁻¹ Jᵀ, shape (batch, 6 · body, row)."""
+    factor: Tensor
+    """Of J M⁻¹ Jᵀ."""
+
+    def least(self, goal: Tensor) -> Tensor:
+        """Mass-weighted least change c with J c = goal, shape (batch, body, 6)."""
+        multiplier = torch.cholesky_solve(goal[..., None], self.factor)
+        return (self.over_mass @ multiplier).reshape(len(goal), -1, 6)
+
+    def kept(self, change: Tensor) -> Tensor:
+        """What the joints let through of changes (batch, body, 6)."""
+        along = (self.jacobian @ change.flatten(1)[..., None])[..., 0]
+        return change - self.least(along)
+
+
+class BodyMechanics(nn.Module):
+    """Masses, joints, gravity and driven hinges of one scene.
+
+    Springs, dampers, rotors, friction and couplings in joints there are none of (Unsupported).
+    """
+
+    mass: Tensor
+    inertia: Tensor
+    lightness: Tensor
+    gravity: Tensor
+    moves: Tensor
+    """Of a twist's six components, 1 where the scene moves, 0 elsewhere."""
+    still: Tensor
+    hinge_parent: Tensor
+    hinge_child: Tensor
+
+    def __init__(self, graph: Graph) -> None:
+        super().__init__()
+        mechanism = graph.mechanism
+        loaded = [f"joint {joint.name!r}" for joint in mechanism.joints if joint.is_loaded]
+        loaded += [f"spring {spring.name!r}" for spring in mechanism.springs]
+        if loaded:
+            msg = (
+                f"{loaded[0]}: got a spring, damper, rotor, friction or coupling, allowed is none: "
+                "models of bodies know rigid joints alone; take gns or sgnn"
+            )
+            raise Unsupported(msg)
+        self.rows = JointRows(mechanism)
+        whole = graph.scene.dimension == 3
+        moves = torch.cat([graph.moving, torch.tensor([whole, True, whole])])
+        inertia = torch.from_numpy(mechanism.inertia)
+        keep(
+            self,
+            mass=torch.from_numpy(mechanism.mass)[:, None],
+            inertia=inertia,
+            lightness=torch.linalg.inv(inertia),
+            gravity=graph.gravity,
+            moves=moves.to(graph.gravity),
+            still=torch.tensor([[0.0] * 3 + [1.0] + [0.0] * 3], dtype=torch.float64),
+            hinge_parent=torch.tensor([h.parent for h in mechanism.hinges], dtype=torch.int64),
+            hinge_child=torch.tensor([h.child for h in mechanism.hinges], dtype=torch.int64),
+        )
+
+    def moved(self, state: Tensor, change: Tensor) -> Tensor:
+        """Displace bodies: centres of mass by, and rotations about, the halves of a change."""
+        turned = turning.multiply(turning.from_vector(change[..., 3:]), state[..., Q])
+        turned = turned / turned.norm(dim=-1, keepdim=True)
+        return torch.cat([state[..., X] + change[..., :3], turned, state[..., TWIST]], dim=-1)
+
+    def apart(self, state: Tensor, other: Tensor) -> Tensor:
+        """Give the change that leads from one pose to another, shape (batch, body, 6)."""
+        turn = turning.multiply(other[..., Q], turning.conjugate(state[..., Q]))
+        return torch.cat([other[..., X] - state[..., X], turning.to_vector(turn)], dim=-1)
+
+    def of_impulse(self, state: Tensor, impulse: Tensor) -> Tensor:
+        """Change of the twists by linear and angular impulses [N·s, N·m·s], (batch, body, 6)."""
+        spin = self._turned(self.lightness, state[..., Q]) @ impulse[..., 3:, None]
+        return torch.cat([impulse[..., :3] / self.mass, spin[..., 0]], dim=-1) * self.moves
+
+    def square(self, state: Tensor, change: Tensor) -> Tensor:
+        """Mean square over the mass of what a displacement or twist moves, shape (batch,)."""
+        spin = (self._turned(self.inertia, state[..., Q]) @ change[..., 3:, None])[..., 0]
+        whole = self.mass * change[..., :3].square() + change[..., 3:] * spin
+        return whole.sum((-2, -1)) / self.mass.sum()
+
+    def hold(self, state: Tensor) -> JointHold | None:
+        """Give the joints at a pose; None without any."""
+        if not len(self.rows):
+            return None
+        jacobian = self.rows.jacobian(*self._placed(state))
+        linear = jacobian[..., :3] / self.mass
+        turned = jacobian[..., None, 3:] @ self._turned(self.lightness, state[..., Q])[:, None]
+        over_mass = torch.cat([linear, turned[..., 0, :]], dim=-1).flatten(2).mT
+        jacobian = jacobian.flatten(2)
+        matrix = jacobian @ over_mass
+        matrix = matrix + torch.diag_embed(_REST * matrix.diagonal(dim1=-2, dim2=-1))
+        factor, failed = torch.linalg.cholesky_ex(matrix)
+        factor = torch.where((failed > 0)[:, None, None], torch.nan, factor)
+        return JointHold(jacobian, over_mass, factor)
+
+    def residual(self, state: Tensor) -> Tensor:
+        """How far joints are open [m or rad], shape (batch, row)."""
+        return self.rows.residual(*self._placed(state))
+
+    def smooth(
+        self, state: Tensor, inputs: KnownInputs, frame_s: float, substeps: int
+    ) -> tuple[list[Tensor], JointHold | None]:
+        """Move on the joints over a frame, without contact.
+
+        Returns:
+            The states after none, one and so on of the steps, and the joints at the last.
+        """
+        hold = self.hold(state)
+        if hold is not None:
+            state = torch.cat([state[..., :7], hold.kept(state[..., TWIST])], dim=-1)
+        states = [state]
+        for _ in range(substeps):
+            state, hold = self._step(state, hold, inputs, frame_s / substeps)
+            states.append(state)
+        return states, hold
+
+    def _step(
+        self, state: Tensor, hold: JointHold | None, inputs: KnownInputs, step: float
+    ) -> tuple[Tensor, JointHold | None]:
+        """RATTLE: half a kick, a drift that ends on the joints, half a kick."""
+        half = 0.5 * step
+        inertia = self._turned(self.inertia, state[..., Q])
+        pull = (self.gravity + inputs.force / self.mass) * self.moves[:3]
+        v = state[..., V] + half * pull
+        spin = _times(inertia, state[..., W]) + half * self._couples(state, inputs.torque)
+        midway = turning.multiply(turning.from_vector(half * state[..., W]), state[..., Q])
+        light = self._turned(self.lightness, midway)
+        for k in range(_PASSES + 1 if hold else 1):
+            twist = torch.cat([v, _times(light, spin)], dim=-1) * self.moves
+            after = self.moved(state, step * twist)
+            if hold is None or k == _PASSES:
+                break
+            kick = hold.least(self.residual(after)) / step
+            v, spin = v - kick[..., :3], spin - _times(inertia, kick[..., 3:])
+        v = v + half * pull
+        spin = spin + half * self._couples(after, inputs.torque)
+        spin = _times(self._turned(self.lightness, after[..., Q]), spin)
+        twist, hold = torch.cat([v, spin], dim=-1) * self.moves, self.hold(after)
+        return torch.cat([after[..., :7], hold.kept(twist) if hold else twist], dim=-1), hold
+
+    def _couples(self, state: Tensor, torque: Tensor) -> Tensor:
+        """Torques of the driven hinges on the bodies [N·m], shape (batch, body, 3)."""
+        couple = state.new_zeros(len(state), state.shape[1] + 1, 3)
+        if torque.shape[-1]:
+            _, turn = self._placed(state)
+            along = self.rows.vectors(turn)[:, self.rows.layout.hinge] * torque[..., None]
+            world = state.shape[1]
+            couple = couple.index_add(1, self.hinge_child % (world + 1), along)
+            couple = couple.index_add(1, self.hinge_parent % (world + 1), -along)
+        return couple[:, :-1]
+
+    def _placed(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Centres of mass and rotation matrices, the world's behind the bodies'."""
+        whole = torch.cat([state[..., :7], self.still.expand(len(state), 1, 7)], dim=1)
+        return whole[..., X], turning.matrix(whole[..., Q])
+
+    def _turned(self, tensor: Tensor, q: Tensor) -> Tensor:
+        """A tensor of the native frames in W, shape (batch, body, 3, 3)."""
+        turn = turning.matrix(q)
+        return turn @ tensor @ turn.mT
+
+
+def _times(matrix: Tensor, vector: Tensor) -> Tensor:
+    return (matrix @ vector[..., None])[..., 0]
