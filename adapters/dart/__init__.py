@@ -53,6 +53,7 @@ class Dart(Adapter):
                 Feature.LOOP_HINGE: _NO_LOOPS,
                 Feature.LOOP_FIXED: _NO_LOOPS,
                 Feature.JOINT_FRICTION: _NO_CONTACT,
+                Feature.JOINT_LIMITS: _NO_CONTACT,
                 **dict.fromkeys(CONTACTS, _NO_CONTACT),
             },
             own=False,
@@ -82,6 +83,7 @@ class Dart(Adapter):
         Feature.DISTANCE_LINK: "DART has no constraint that keeps a distance",
         Feature.ARMATURE: "DART has no inertia of a joint beside those of its bodies",
         Feature.COUPLING: "dartpy has no call that ties a joint to another",
+        Feature.JOINT_REBOUND: "DART's limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "DART's springs and dampers of joints act on coordinates, and a "
         "joint that closes a loop has none",
     }

@@ -9,6 +9,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import dartpy
 import numpy as np
@@ -143,7 +144,8 @@ class DartRun(Run):
             anchor=joint_anchors(self._mechanism, self._link_anchor),
             spring=self._loads.springs(),
             law=joint_laws(self._mechanism, self._law),
-            friction=self._friction(),
+            friction=np.array([j.getCoulombFriction(0) for j in self._held("frictional")]),
+            limits=np.array([_limits(joint) for joint in self._held("limited")]).reshape(-1, 2),
         )
 
     def _axis(self, link: Link) -> Array:
@@ -163,10 +165,10 @@ class DartRun(Run):
         stiffness, damping = joint.getSpringStiffness(0), joint.getDampingCoefficient(0)
         return stiffness, damping, joint.getRestPosition(0)
 
-    def _friction(self) -> Array:
+    def _held(self, which: str) -> list[Any]:
+        """Give DART's joints of a property of the mechanism."""
         bodies = {link.joint.index: link.body for link in self._mechanism.links if link.joint}
-        joints = [self._model.joints[bodies[j.index]] for j in self._mechanism.frictional]
-        return np.array([joint.getCoulombFriction(0) for joint in joints])
+        return [self._model.joints[bodies[j.index]] for j in getattr(self._mechanism, which)]
 
     def _damping(self) -> Array:
         carried = {link.body: link.joint for link in self._mechanism.links}
@@ -193,6 +195,12 @@ class DartRun(Run):
 
     def close(self) -> None:
         vars(self).clear()
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    if not joint.areLimitsEnforced():
+        return -np.inf, np.inf
+    return joint.getPositionLowerLimit(0), joint.getPositionUpperLimit(0)
 
 
 @contextlib.contextmanager

@@ -131,6 +131,10 @@ def _body(mechanism: Mechanism, link: Link) -> Iterator[str]:
         yield f"joints[{k}].setRestPosition(0, {joint.rest!r})"
     if joint.friction:
         yield f"joints[{k}].setCoulombFriction(0, {joint.friction!r})"
+    if joint.limits:
+        for side, limit in zip(("Lower", "Upper"), joint.limits, strict=True):
+            yield f"joints[{k}].setPosition{side}Limit(0, {limit!r})"
+        yield f"joints[{k}].setLimitEnforcement(True)"
 
 
 def _pin(joint: PlacedJoint, point: Array) -> str:

@@ -106,6 +106,7 @@ class Exudyn(Adapter):
     limits: ClassVar[dict[Feature, str]] = {
         Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
         Feature.JOINT_FRICTION: f"Exudyn has dry friction of {_NODES}",
+        Feature.JOINT_LIMITS: f"Exudyn has stops of {_NODES}",
         Feature.COUPLING: f"Exudyn constrains {_NODES}",
     }
     coordinates = "maximal"

@@ -19,20 +19,22 @@ from mbds_xsim.scene.servo import Servo
 
 from .facts import facts_of
 from .masses import SHARE, physical, small
-from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts
+from .parts import Closing, Drive, Freedom, Line, Mass, ModelCoupling, Part, Parts, Property
 from .starts import starts
+from .stops import kept_limits
 
-_NOT_YET = "not yet in the scene description"
 PROPERTIES = {
     "stiffness": "",
     "rest": "",
     "damping": "",
     "armature": "",
     "friction": "",
-    "limits": _NOT_YET,
+    "limits": "",
 }
 """Why a property of joints is dropped, "" where it is kept; by the names of `Joint`'s fields."""
 
+_AS_IS = "on the joint, as it is"
+_KEPT = {"limits": "stops of the joint, which give nothing of a speed back"}
 _SCALAR = "the scene description has it for hinges and sliders alone"
 _NOTHING = Mass(0.0, np.zeros(3), np.zeros((3, 3)))
 _TIES_NOTHING = "it holds what does not move, or is not there"
@@ -68,9 +70,9 @@ def assemble(model: Parts, *, file: str, kind: str, reader: str, fates: Iterable
         gravity=model.gravity.tolist(),
     )
     scene = msgspec.structs.replace(scene, sampling=starts(scene, builder.limits))
-    return Imported(
-        scene, file, kind, reader, gathered([*fates, *builder.fates]), facts_of(model, reader)
-    )
+    scene, more = kept_limits(scene, model.labels.get("limits", ("joint", "limits")))
+    told = gathered([*fates, *builder.fates, *more])
+    return Imported(scene, file, kind, reader, told, facts_of(model, reader))
 
 
 class _Builder:
@@ -214,14 +216,12 @@ class _Builder:
         kept: dict[str, Any] = {}
         for key, value in freedom.properties.items():
             scalar = freedom.kind in ("hinge", "slider")
-            reason = PROPERTIES[key] or ("" if scalar else _SCALAR)
-            if key in ("stiffness", "damping") and isinstance(value, float) and value < 0:
-                reason = "it is negative"
+            reason = PROPERTIES[key] or ("" if scalar else _SCALAR) or _wrong(key, value, freedom)
             if not reason:
                 kept[key] = value
             element, attribute = self._model.labels[key]
             told = f"{freedom.name}: {_shown(value)}"
-            outcome, how = ("dropped", reason) if reason else ("kept", "on the joint, as it is")
+            outcome, how = ("dropped", reason) if reason else ("kept", _KEPT.get(key, _AS_IS))
             self.fates.append(Fate(element, (attribute,), outcome, how, True, (told,)))  # type: ignore[arg-type]
         if freedom.kind == "free":
             return
@@ -341,6 +341,16 @@ def _in_a_point(freedoms: tuple[Freedom, ...]) -> bool:
 def _unique(wanted: str, taken: set[str]) -> str:
     names: Iterator[str] = (f"{wanted} {k}" for k in range(2, len(taken) + 3))
     return wanted if wanted and wanted not in taken else next(n for n in names if n not in taken)
+
+
+def _wrong(key: str, value: Property, freedom: Freedom) -> str:
+    """Say why a value of a property cannot be kept."""
+    if isinstance(value, float):
+        return "it is negative" if key in ("stiffness", "damping") and value < 0 else ""
+    if not value[0] < value[1]:
+        return "the lower one is not below the upper one"
+    far = freedom.kind == "hinge" and (value[1] <= -math.pi or value[0] >= math.pi)
+    return "they are all more than half a turn from the reference pose" if far else ""
 
 
 def _shown(value: float | tuple[float, float]) -> str:

@@ -35,7 +35,8 @@ _NO_MODEL: dict[str, tuple[bool, str]] = {
 }
 """Fields of a scene that no format takes: whether they bear on the motion, and the reason."""
 _URDF_JOINTS = {"hinge": "continuous", "slider": "prismatic", "fixed": "fixed", None: "floating"}
-_URDF_LACKS = {"stiffness": "springs", "armature": "rotors"}
+_URDF_LIMITED = {"hinge": "revolute", "slider": "prismatic"}
+_URDF_LACKS = {"stiffness": "springs", "armature": "rotors", "restitution": "rebound from limits"}
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _NO_URDF = "URDF is a tree of links with hinges and sliders"
 
@@ -183,6 +184,11 @@ def _urdf_link(root: Element, mechanism: Mechanism, link: Link, frames: dict[int
     if joint is not None and (joint.damping or joint.friction):
         law = {key: repr(getattr(joint, key)) for key in ("damping", "friction")}
         SubElement(hold, "dynamics", law)
+    if joint is not None and joint.limits:
+        hold.set("type", _URDF_LIMITED[joint.kind])
+        lower, upper = map(repr, joint.limits)
+        # Effort and velocity are required; nothing of ours is limited by them.
+        SubElement(hold, "limit", lower=lower, upper=upper, effort="1e9", velocity="1e9")
     for tie in mechanism.couplings:
         if joint is not None and tie.follower.name == joint.name:
             law = {"multiplier": repr(tie.ratio), "offset": repr(tie.offset)}

@@ -22,7 +22,12 @@ from .spinless import SpinlessRun
 
 __all__ = ["MuJoCo"]
 
-_NATIVE_OPTIONS = {"loop_time_constant": 0.0, "link_time_constant": 0.0, "contact_substeps": 0}
+_NATIVE_OPTIONS = {
+    "loop_time_constant": 0.0,
+    "link_time_constant": 0.0,
+    "contact_substeps": 0,
+    "hard_limits": False,
+}
 _SOLVERS = ("Newton", "CG", "PGS")
 # An ordinary user's [s].
 _DEFAULT_STEP = 0.002
@@ -44,6 +49,9 @@ _CENTRED = 1e-9  # [m]
 _SPRING_ANGLE = 0.15
 # Of a damper's decay in a step; RK4 is unstable from 2.8.
 _DECAY = 0.5
+# Where joints have limits, each stop is off by a step's way [s].
+_CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 5e-4, 5e-5
+_NO_REBOUND = "it meets a stop four times in a step, which no damper turns into a rebound"
 
 
 class MuJoCo(Adapter):
@@ -55,7 +63,14 @@ class MuJoCo(Adapter):
     methods: ClassVar = {
         # A loop is as stiff as the step allows, so the stages of a step see it open by h² and
         # push with accelerations that do not vanish with h: velocities are off by a share of h.
-        "RK4": Method("RK4", "RK4", 4, loop_order=2, loop_velocity_order=1),
+        "RK4": Method(
+            "RK4",
+            "RK4",
+            4,
+            {Feature.JOINT_REBOUND: _NO_REBOUND},
+            loop_order=2,
+            loop_velocity_order=1,
+        ),
         "Euler": Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5),
         # Implicit in the forces of dampers. Without any it is Euler to the last bit on jointed
         # bodies, but not on free ones that spin.
@@ -92,6 +107,11 @@ class MuJoCo(Adapter):
             above=0,
             most=HARDEST,
         ),
+        "hard_limits": Option(
+            True,
+            "let stops of joints take a velocity, and give the restitution back, in a step; "
+            "without, MuJoCo's default solref and solimp, with a rebound of their own",
+        ),
         "solver": Option("Newton", "constraint solver: Newton, CG or PGS", names=_SOLVERS),
         "spin": Option(
             True,
@@ -112,6 +132,7 @@ class MuJoCo(Adapter):
         "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
         "contact_hardness": Sweep((0.5, 0.9), needs=frozenset({Feature.CONTACT})),
+        "hard_limits": Sweep((False,), needs=frozenset({Feature.JOINT_LIMITS})),
         "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK}),
         "spin": Sweep((True, False), needs=frozenset({Feature.BALL})),
         "turn": Sweep((0.0, 0.25, 0.0625), methods=("RK4",)),
@@ -146,6 +167,10 @@ class MuJoCo(Adapter):
         longest = min(longest, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
         mechanism = Mechanism.of(scene)
         options: dict[str, float | bool] = {}
+        if any(joint.restitution for joint in mechanism.limited):
+            return Settings("Euler", careful_step(frame, _CAREFUL_REBOUND_STEP, _CAREFUL_COUNT))
+        if mechanism.limited:
+            longest = min(longest, _CAREFUL_LIMIT_STEP)
         if mechanism.has_only_balls:
             options["impact_steps"] = 1
         elif scene.contacts and abs(mechanism.sphere_offset).max() < _CENTRED:
@@ -182,6 +207,7 @@ class MuJoCo(Adapter):
             step * option("loop_time_constant"),
             step * option("link_time_constant"),
             Impact(finer, impact_steps, option("contact_hardness")),
+            option("hard_limits"),
         )
         turn = 0.0 if scene.contacts or settings.method != "RK4" else option("turn")
         mechanism = Mechanism.of(scene)

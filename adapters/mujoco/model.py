@@ -16,7 +16,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Link, Mechanism, PlacedJoint, PointPair
 
-from .contact import Impact, add_ground, cone_options, numbers
+from .contact import Impact, add_ground, cone_options, numbers, stop_law
 from .state import slim
 
 _JOINT_TYPES = {"ball": "ball", "hinge": "hinge", "slider": "slide"}
@@ -51,6 +51,8 @@ class StepOptions:
     link_time_constant: float
     """The same of distance links."""
     impact: Impact
+    hard_limits: bool
+    """Whether stops take all of a velocity in a step, and not as soft as by default."""
 
 
 def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
@@ -67,6 +69,11 @@ def mjcf(mechanism: Mechanism, stepping: StepOptions, idle: Array) -> Element:
     _option(root, mechanism, stepping)
     loops, links = map(_softness, (stepping.loop_time_constant, stepping.link_time_constant))
     bodies = mechanics(root, mechanism, idle, loops, links)
+    for joint in mechanism.limited if stepping.hard_limits else ():
+        law = stop_law(joint.restitution, stepping.timestep)
+        element = bodies[_carried(mechanism, joint)].find("joint")
+        assert element is not None
+        element.attrib.update({f"{key}limit": value for key, value in law.items()})
     add_ground(root, bodies, mechanism, stepping.impact)
     if mechanism.hinges:
         _motors(SubElement(root, "actuator"), bodies, mechanism)
@@ -158,9 +165,10 @@ def _idle(mechanism: Mechanism) -> list[str]:
             *mechanism.distances,
             *mechanism.couplings,
             *mechanism.frictional,
+            *mechanism.limited,
             *mechanism.scene.contacts,
         ),
-        "limit": (),
+        "limit": mechanism.limited,
         "frictionloss": mechanism.frictional,
         "sensor": (),
     }
@@ -210,7 +218,16 @@ def _body(
         if joint.friction:
             element.set("frictionloss", repr(joint.friction))
             element.attrib.update(grip)
+        if joint.limits:
+            element.attrib.update(limited="true", range=numbers(joint.limits))
     return body
+
+
+def _carried(mechanism: Mechanism, joint: PlacedJoint) -> int:
+    """Give the body that a joint of the tree holds."""
+    return next(
+        link.body for link in mechanism.links if link.joint and link.joint.index == joint.index
+    )
 
 
 def _joint(body: Element, name: str, kind: str, anchor: Array, axis: Array) -> Element:

@@ -179,6 +179,7 @@ class ModelRun(Run):
             coupling=self._couplings(),
             armature=model.dof_armature[self._dofs(self._mechanism.rotors)],
             friction=model.dof_frictionloss[self._dofs(self._mechanism.frictional)],
+            limits=self._limits(),
         )
 
     def _twist(self, body: int) -> Array:
@@ -234,6 +235,11 @@ class ModelRun(Run):
         damping = model.dof_damping[self._dof(joint)]
         return model.jnt_stiffness[number], damping, model.qpos_spring[model.jnt_qposadr[number]]
 
+    def _limits(self) -> Array:
+        numbers = [self._model.joint(joint.name).id for joint in self._mechanism.limited]
+        held = self._model.jnt_limited[numbers].astype(bool)
+        return np.where(held[:, None], self._model.jnt_range[numbers], np.inf)
+
     def _dof(self, joint: PlacedJoint) -> int:
         return int(self._model.jnt_dofadr[self._model.joint(joint.name).id])
 
@@ -270,6 +276,7 @@ class ModelRun(Run):
                     )
                 ),
                 [model.opt.density, model.opt.viscosity],
+                [model.jnt_limited.sum() - len(self._mechanism.limited)],
             ]
         )
 

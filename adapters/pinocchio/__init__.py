@@ -53,6 +53,7 @@ class Pinocchio(Adapter):
         Feature.DISTANCE_LINK: "Pinocchio has no constraint that keeps a distance",
         Feature.COUPLING: "its articulated-body algorithm does not know Pinocchio's mimic joints",
         Feature.JOINT_FRICTION: "Pinocchio gives accelerations; sticking is left to what steps it",
+        Feature.JOINT_LIMITS: "Pinocchio gives accelerations; stops are left to what steps it",
         Feature.CLOSING_LOAD: "a joint that closes a loop has no coordinate in Pinocchio",
         **dict.fromkeys(CONTACTS, _NO_CONTACT),
     }

@@ -25,6 +25,8 @@ _CAREFUL_STEP, _CAREFUL_COUNT = 2e-5, 100
 _SPRING_ANGLE, _DECAY = 0.5, 0.5
 # Ten leave a body on four corners with 1e-6 m/s, and turn it where it comes down flat.
 _CAREFUL_CONTACT = {"solver_iterations": 50}
+# What a joint is past its stop it gets back as a speed: with 0.8 that is a rebound of up to 0.8.
+_LIMIT_ERP = 1e-3
 # Bullet's SIMD_EPSILON: what a joint moves does not move if it is less (kg, kg·m² about a hinge).
 _LEAST = float(np.finfo(float).eps)
 # PhysicsServerCommandProcessor::createEmptyDynamicsWorld and btCollisionObject.
@@ -80,6 +82,7 @@ class PyBullet(Adapter):
         Feature.LOOP_SLIDER: "its constraint JOINT_PRISMATIC is not reliable between multibodies",
         Feature.DISTANCE_LINK: "it has no constraint that keeps a distance",
         Feature.ARMATURE: "Bullet has no inertia of a joint beside those of its bodies",
+        Feature.JOINT_REBOUND: "its limits of joints take velocities and give none back",
         Feature.CLOSING_LOAD: "its damping acts on coordinates, and a joint that closes a loop has "
         "none",
     }
@@ -115,7 +118,10 @@ class PyBullet(Adapter):
             return Settings(method, step, usual)
         longest = min(_CAREFUL_STEP, spring_step(scene, angle=_SPRING_ANGLE, decay=_DECAY))
         step = careful_step(scene.clock.frame, longest, _CAREFUL_COUNT)
-        return Settings(method, step, _CAREFUL_CONTACT if scene.contacts else {})
+        options: dict[str, float] = dict(_CAREFUL_CONTACT if scene.contacts else {})
+        if Mechanism.of(scene).limited:
+            options["erp"] = _LIMIT_ERP
+        return Settings(method, step, options)
 
     def load(self, scene: Scene, settings: Settings) -> Run:
         return PyBulletRun(

@@ -274,6 +274,11 @@ class Multibodies:
             self.client.note(f"{name[link.body]!r} on {joint.name!r} is link {k} of {number}")
             self._set_dynamics(number, k, link.body, joint.damping)
             self._switch_motor_off(number, k, joint)
+            if joint.limits:
+                build(
+                    "changeDynamics", number, k,
+                    jointLowerLimit=joint.limits[0], jointUpperLimit=joint.limits[1],
+                )  # fmt: skip
         return int(number)
 
     def _set_dynamics(self, number: int, link: int, body: int, damping: float) -> None:

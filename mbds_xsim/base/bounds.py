@@ -76,6 +76,14 @@ def share(key: str, value: float) -> None:
         raise SceneError(msg)
 
 
+def span(key: str, values: tuple[float, float]) -> None:
+    """Raise unless two finite numbers ascend."""
+    finite(key, values)
+    if not values[0] < values[1]:
+        msg = f"{key}: got {list(values)}, allowed are two numbers, the smaller one first"
+        raise SceneError(msg)
+
+
 def size(key: str, value: float) -> None:
     """Raise unless a length is above 0, resolved by places, and no longer than they reach."""
     positive(key, value, least=_SHORTEST, why="places are resolved to 1e-9 m")

@@ -8,7 +8,7 @@ and fails where somebody forgot. An adapter's own number is `Adapter.revision`.
 
 from __future__ import annotations
 
-PHYSICS = 1
+PHYSICS = 2
 """Starts, inputs and reference solutions of a scene."""
 
 CHECKS = 9

@@ -32,6 +32,7 @@ from mbds_xsim.checks.passivity import (
     penetration,
     resting,
 )
+from mbds_xsim.checks.stops import past_limits, stop_passivity
 from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
@@ -51,6 +52,8 @@ CHECKS: tuple[Check, ...] = (
     energy_balance,
     momentum,
     coefficients,
+    past_limits,
+    stop_passivity,
     penetration,
     contact_gap,
     passivity,

@@ -47,18 +47,18 @@ class Energy:
 
 @check("energy", lambda record: record.energy_budget)
 def energy_balance(record: Record) -> Figures | None:
-    """Measure |E − E(0) − W| over the energy scale; with contact, over each period of flight.
+    """Measure |E − E(0) − W| over the energy scale; where things meet, over the periods between.
 
     The work of held inputs is exact; that of dampers is a quadrature, whose error is the
     finding's uncertainty. None where nothing flies.
     """
     flights = record.flying()
-    if record.scene.contacts and not flights.any():
+    if record.mechanism.has_impacts and not flights.any():
         return None
     energy = energy_of(record)
     loss, error = damper_loss(record)
     balance = energy.total - energy.total[:, :1] - input_work(record) + loss
-    if record.scene.contacts:
+    if record.mechanism.has_impacts:
         balance[:, 1:] = summed(np.diff(balance, axis=1)[..., None], flights)[..., 0]
     note = ""
     if np.nanmax(error, initial=0.0) > 0:

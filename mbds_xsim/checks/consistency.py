@@ -37,6 +37,7 @@ _SHORT = 0.5
 that nowhere come within 0.25 of order 4 in energy; all 300 limits are within 0.7 uncertainties.
 """
 _OVER = 0.25
+_IRREGULAR = 1.0  # the same where joints run into stops
 _UNEXPLAINED = 5.0
 """Moves of the finest run beyond which no order explains how far the reference is: at half an
 order already, all that is left to converge is 2.4 moves."""
@@ -130,11 +131,14 @@ class Consistency:
                 near,
             )
             energies = ("consistency of energy", levels, floor, predictable, scene.budget.energy)
-            both = [_compare(each, *energies) for each in (order, lower)]
-            return [_compare(order, *positions), _either(*both) if lower < order else both[0]]
+            compare = functools.partial(_compare, bool(mechanism.limited))
+            both = [compare(each, *energies) for each in (order, lower)]
+            return [compare(order, *positions), _either(*both) if lower < order else both[0]]
 
 
-def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolation:
+def extrapolate(
+    runs: Sequence[Array], order: int, floor: Array, *, bumps: bool = False
+) -> Extrapolation:
     """Extrapolate quantities of runs at steps h, h/2 (and h/4) to a vanishing step.
 
     With three runs there are two extrapolations. Their difference is at least three times the
@@ -147,6 +151,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
         runs: Shape (trajectory, frame, component) each, coarsest first.
         order: Declared order of convergence.
         floor: Differences up to this are rounding, shape (trajectory, frame).
+        bumps: Whether joints run into stops. Where in a step they do changes with the step, so that
+            errors fall with it in no regular way: the finest run is the limit, and what the runs
+            differ by is uncertain.
 
     Raises:
         InputError: There are neither two nor three runs.
@@ -169,6 +176,9 @@ def extrapolate(runs: Sequence[Array], order: int, floor: Array) -> Extrapolatio
     faster = observed > order + _OVER
     unsure = np.where(faster, sizes[0] / 2.0**order, _SAFETY * apart / 3.0)
     asymptotic = settled | (observed >= order - _SHORT)
+    if bumps:
+        limit, unsure = runs[-1], np.maximum(0.5 * gain * sizes[0], gain * sizes[1])
+        asymptotic = settled | (observed >= order - _IRREGULAR)
     return Extrapolation(limit, unsure + floor, observed, asymptotic)
 
 
@@ -242,12 +252,18 @@ def _either(first: _Comparison, second: _Comparison) -> _Comparison:
 
 
 def _compare(
-    order: int, name: str, values: list[Array], floor: Array, predictable: Mask, budget: float
+    bumps: bool,
+    order: int,
+    name: str,
+    values: list[Array],
+    floor: Array,
+    predictable: Mask,
+    budget: float,
 ) -> _Comparison:
     frames = min(value.shape[1] for value in values)
     floor, predictable = floor[:, :frames], predictable[:, :frames]
     *runs, truth = (value[:, :frames] for value in values)
-    found = [extrapolate(part, order, floor) for part in _threes(runs)]
+    found = [extrapolate(part, order, floor, bumps=bumps) for part in _threes(runs)]
     series = np.full(floor.shape, np.nan)
     before: Extrapolation | None = None
     for each, finest in zip(found, runs[-len(found) :], strict=True):

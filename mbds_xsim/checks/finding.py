@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import apart
+from mbds_xsim.checks.clearance import clear_of_stops
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
@@ -102,11 +103,12 @@ class Record:
     def flying(self, group: tuple[int, ...] | None = None) -> Mask:
         """Find the steps in which no sphere of a group (or of all) can reach the ground.
 
-        Shape (trajectory, step).
+        And no joint that holds the group on the world (or none at all) a stop; (trajectory, step).
         """
         owner = self.mechanism.sphere_body
         own = np.ones(len(owner), dtype=bool) if group is None else np.isin(owner, group)
-        return np.asarray(self.clear[:, :, own].all(axis=2))
+        touching_nothing = self.clear[:, :, own].all(axis=2)
+        return touching_nothing & clear_of_stops(self.mechanism, self.world, self.frame, group)
 
     @functools.cached_property
     def spin(self) -> Array:

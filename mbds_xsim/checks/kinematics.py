@@ -47,7 +47,7 @@ def kinematics(record: Record) -> Figures | None:
     series[:, mismatch.frame] = np.concatenate([whole[..., None], each], axis=-1)
     speed = _largest(mismatch.rms(mismatch.velocity))
     resolved = np.median(np.nan_to_num(mismatch.blur / speed[:, None]))
-    if record.scene.contacts:
+    if record.mechanism.has_impacts:
         series[:, 0] = 0.0  # not every trajectory flies
     note = f"frames resolve {resolved:.1g} of the largest speed"
     return Figures(series, ["", *(body.name for body in bodies)], note)
@@ -99,7 +99,7 @@ def velocity_lag(record: Record) -> Figures | None:
     if mismatch is None:
         return None
     lag, uncertainty = _slope(mismatch, _LAG * _step(record))
-    if record.scene.contacts:
+    if record.mechanism.has_impacts:
         lag = np.nan_to_num(lag)
     note = f"known to {np.max(uncertainty):.1g} s"
     return Figures(record.at_end(np.abs(lag)[:, None]), note=note, uncertainty=uncertainty)
@@ -107,7 +107,9 @@ def velocity_lag(record: Record) -> Figures | None:
 
 def _mismatch(record: Record) -> Mismatch | None:
     """None where no step is clear of contact; most scenes have none."""
-    if record.steps < 1 or (record.scene.contacts and not np.isfinite(record.mismatch.blur).any()):
+    if record.steps < 1 or (
+        record.mechanism.has_impacts and not np.isfinite(record.mismatch.blur).any()
+    ):
         return None
     return record.mismatch
 

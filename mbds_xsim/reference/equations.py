@@ -22,7 +22,7 @@ _AT_ONCE = 256  # states; more only cost memory
 @functools.lru_cache(maxsize=64)
 def dynamics_of(mechanism: Mechanism) -> Dynamics:
     """Prepare a mechanism (once each)."""
-    if mechanism.rotors or mechanism.couplings or mechanism.frictional:
+    if mechanism.rotors or mechanism.couplings or mechanism.braked:
         return Dynamics(mechanism, _Compiled(mechanism))
     return maximal_of(mechanism)
 

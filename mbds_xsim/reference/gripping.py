@@ -1,18 +1,20 @@
-"""March mechanisms with dry friction in joints, from one stop or start of a joint to the next.
+"""March mechanisms with dry friction or stops in joints, from one event to the next.
 
 Friction of constant size has one motion only, as it never decreases with the rate. Joints that move
-have all of it against them. Those that stand still have what keeps them there, as far as it goes:
-shares μ of it, within ±1, that make ½ μᵀ H μ − aᵀ μ least, a the accelerations without them and H
-what they take of these. Between such events a motion is smooth, and steps are those of `marching`.
+have all of it against them. Those that stand still have what keeps them there, as far as it goes,
+and so have those that rest against a stop (`brakes`). Events are that a joint stops or gives way,
+and that it reaches a stop. Between them a motion is smooth, and steps are those of `marching`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mbds_xsim.base.arrays import Array
+from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.reference.brakes import Brakes, least_shares
 from mbds_xsim.reference.closure_kernel import accelerate_once, project_once
 from mbds_xsim.reference.compiled import body_states, chosen, lines, with_signs_of, workspace
+from mbds_xsim.reference.first_impact import dips
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.marching import (
     FIRST_STEP,
@@ -24,14 +26,16 @@ from mbds_xsim.reference.marching import (
     next_step,
     try_step,
 )
-from mbds_xsim.reference.tree import link_number, to_tree
+from mbds_xsim.reference.tree import to_tree
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.state import Failure
 
 _HALVINGS = 50  # of a step, until an event in it is found
 _ALL = 1.0 - 1e-9  # share of its friction from which on a joint that stands still gives way
 _STILL = 1e-12  # of accelerations without friction: what keeps on standing still
-_LOST = 1e-12  # of H's largest eigenvalue: what moves nothing
+_TOUCHING = 1e-12  # [rad or m]: before a stop
+_SLOW = 1e-6  # of a joint's fastest approach to its stop: what does not bounce
+_MOST_EVENTS = 1000  # in a frame
 
 
 def march_gripping(problem: Problem) -> Marched:
@@ -43,7 +47,7 @@ def march_gripping(problem: Problem) -> Marched:
         motion = _Motion(problem.mechanism, place, problem.rtol)
         for k in range(frames):
             if not motion.through_frame(problem.force[row, k], problem.torque[row, k]):
-                why = "its steps become too short or too many: see friction, masses and springs"
+                why = "its steps become too short or too many: see friction, limits, springs"
                 marched.failures[row] = Failure(k + 1, f"the solution cannot be continued: {why}")
                 break
             marched.states[row, k + 1] = with_signs_of(motion.state(), marched.states[row, k])
@@ -60,15 +64,16 @@ class _Motion:
         self._work, self._lanes = workspace(self._tree), lines(self._tree.size)
         self._rates = lines(self._tree.size)
         self._frame, self._rtol = mechanism.scene.clock.frame, rtol
-        joints = spanned.frictional
-        self._law = [spanned.counted.index(joint) for joint in joints]
-        self._fast = np.array(
-            [self._tree.speed_at[link_number(spanned, joint)] for joint in joints]
-        )
-        self._most = np.array([joint.friction for joint in joints])
-        self._y, self._step = self._closed(y), FIRST_STEP * self._frame
-        self._sense = np.sign(self._y[self._fast])
-        """Of each joint with friction: −1 or 1 where it moves, 0 where it stands still."""
+        self._brakes = brakes = Brakes.of(self._tree, spanned)
+        self._onto = np.equal.outer(np.arange(len(self._tree.law)), brakes.law).astype(float)
+        """Which law each brake acts by, shape (law, brake)."""
+        self._y, self._step = y, FIRST_STEP * self._frame
+        self._sense = np.where(brakes.stops, 1.0, np.sign(y[brakes.fast]))
+        """Of joints with friction: −1 or 1 where they move, 0 where they stand still. Of stops: 0
+        where a joint rests against them, 1 elsewhere."""
+        self._fastest = np.zeros(len(brakes.law))
+        """Approach to each stop so far [rad/s or m/s]."""
+        self._y = self._closed(y)
 
     def state(self) -> Array:
         """Give the states of the bodies, shape (body + world, 13)."""
@@ -80,7 +85,8 @@ class _Motion:
         loads = self._work.load.reshape(-1, 6, LANES)
         loads[:-1, :3] = force[self._tree.body][..., None]
         self._work.torque[: len(torque)] = torque[:, None]
-        left, self._sense = self._frame, self._settled(self._y, self._sense)
+        left, events = self._frame, 0
+        self._turn_at(self._y)
         rate = self._derivative(self._y[None])
         for _ in range(MOST_STEPS):
             h = left / np.ceil(left / self._step)
@@ -90,12 +96,13 @@ class _Motion:
                 if self._step < SMALLEST_STEP * self._frame:
                     return False
                 continue
-            if self._has_turned(new):
-                h = self._until_event(rate, h)
+            if events > _MOST_EVENTS:
+                return False
+            if (share := self._event_within(rate, h, new)) is not None:
+                h, events = h * share, events + 1
                 new = self._tried(rate, h)[0]
                 self._step = FIRST_STEP * self._frame
-                new[self._fast[self._sense * new[self._fast] <= 0.0]] = 0.0
-                self._sense = self._settled(new, np.sign(new[self._fast]))
+                self._turn_at(new)
             self._y, left = new, left - h
             if left <= 1e-14 * self._frame:
                 self._y = self._closed(self._y)
@@ -110,77 +117,129 @@ class _Motion:
         allowed = self._rtol * (1.0 + np.maximum(np.abs(self._y), np.abs(new)))
         return new[0], float(error_ratio(stages, step, allowed)[0])
 
-    def _until_event(self, rate: Array, h: float) -> float:
-        """Find the shortest part of a step in which something stops or gives way [s]."""
+    def _event_within(self, rate: Array, h: float, new: Array) -> float | None:
+        """Find the shortest part of a step in which something stops, gives way or meets a stop."""
         low, high = 0.0, 1.0
+        if not self._has_turned(new):
+            places = self._dips(h, new)
+            crossed = (p for p in places.tolist() if self._has_turned(self._tried(rate, p * h)[0]))
+            if (found := next(crossed, None)) is None:
+                return None
+            high = found
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             turned = self._has_turned(self._tried(rate, middle * h)[0])
             low, high = (low, middle) if turned else (middle, high)
-        return high * h
+        return high
+
+    def _dips(self, h: float, new: Array) -> Array:
+        """Find where in a step joints may be past stops that they are before at both ends."""
+        ends = [
+            (self._brakes.gaps(y)[None, self._open], -self._brakes.approach(y)[None, self._open])
+            for y in (self._y, new)
+        ]
+        places = dips(ends[0], ends[1], np.array([h]))
+        return np.sort(places[np.isfinite(places)])
+
+    @property
+    def _open(self) -> Mask:
+        """Stops against which no joint rests."""
+        return self._brakes.stops & (self._sense != 0.0)
 
     def _has_turned(self, y: Array) -> bool:
-        """Whether a joint that moved has come back to rest, or one that stood gives way."""
-        if (self._sense * y[self._fast] < 0.0).any():
+        """Whether a joint has come back to rest or gives way, or is past a stop."""
+        brakes = self._brakes
+        if (self._sense * y[brakes.fast] < 0.0)[~brakes.stops].any():
+            return True
+        gaps = brakes.gaps(y)
+        past = (gaps < 0.0) & ((brakes.approach(y) > 0.0) | (gaps < -_TOUCHING))
+        if past[self._open].any():
             return True
         return bool(self._settled(y, self._sense)[self._sense == 0].any())
 
+    def _turn_at(self, y: Array) -> None:
+        """Go on from an event, or with other loads: joints stop, bounce, rest or give way."""
+        brakes, sense = self._brakes, self._sense
+        back = ~brakes.stops & (sense * y[brakes.fast] < 0.0)
+        y[brakes.fast[back]] = 0.0
+        touched = brakes.gaps(y) <= _TOUCHING
+        y[brakes.place[touched]] = brakes.bound[touched]
+        if (touched & (brakes.approach(y) > 0.0)).any():
+            self._bounce(y, touched)
+        resting = touched & (brakes.approach(y) == 0.0)
+        moving = np.sign(y[brakes.fast])
+        self._sense = self._settled(y, np.where(brakes.stops, 1.0 - resting, moving))
+
+    def _bounce(self, y: Array, touched: Mask) -> None:
+        """Let joints rebound from stops by Newton's law, all at once."""
+        brakes = self._brakes
+        speed = brakes.approach(y)
+        self._fastest = np.fmax(self._fastest, speed * touched)
+        rebound = brakes.restitution * (speed > _SLOW * self._fastest)
+        columns = self._columns(y, 0.0 * self._sense, touched)
+        change = columns[0] - columns[1:]
+        taken = (brakes.turn * change[:, brakes.fast])[:, touched].T  # stops are of size 1
+        wanted = (speed + rebound * np.maximum(speed, 0.0))[touched]
+        none = 0.0 * wanted
+        y -= least_shares(wanted, taken, none, none + np.inf) @ change
+        small = np.abs(brakes.approach(y)) < _SLOW * self._fastest.max()
+        flat = touched & (rebound == 0.0) & small
+        y[brakes.fast[flat]] = 0.0
+
     def _settled(self, y: Array, sense: Array) -> Array:
         """Decide which of the joints that stand still go on to do so, and where others go."""
-        still = np.flatnonzero(sense == 0)
-        if not len(still):
+        held, brakes = np.flatnonzero(sense == 0), self._brakes
+        if not len(held):
             return sense
-        free, taken = self._responses(y, sense)
-        values, vectors = np.linalg.eigh((taken + taken.T) / 2)
-        kept = values > _LOST * values.max()
-        roots, basis = np.sqrt(values[kept]), vectors[:, kept]
-        from scipy.optimize import lsq_linear  # takes long to import
-
-        share = lsq_linear(
-            roots[:, None] * basis.T, basis.T @ free / roots, (-1.0, 1.0), method="bvls"
-        ).x
-        gives = np.abs(free - taken @ share) > _STILL * np.abs(free).max(initial=0.0)
-        moved = sense.copy()
-        moved[still] = np.where((np.abs(share) > _ALL) & gives, np.sign(share), 0.0)
-        return moved
-
-    def _responses(self, y: Array, sense: Array) -> tuple[Array, Array]:
-        """Accelerations of joints that stand still, without and by the friction of each."""
-        still = sense == 0
-        found = self._evaluated(y, self._grips(sense))[:, self._fast[still]]
-        return found[0], (found[0] - found[1:]).T
+        power = brakes.turn * brakes.size * self._columns(y, sense, sense == 0)[:, brakes.fast]
+        free, taken = power[0, held], (power[0, held] - power[1:, held]).T
+        least, most, stops = brakes.least[held], brakes.most[held], brakes.stops[held]
+        share, size = least_shares(free, taken, least, most), brakes.size[held]
+        # As accelerations, of which a joint with both has one.
+        left, gripped = (free - taken @ share) / size, np.abs(taken[:, ~stops]).sum(axis=1)
+        small = _STILL * ((np.abs(free) + gripped) / size).max()
+        yields = (np.abs(share) > _ALL) & (np.abs(left) > small)
+        settled = sense.copy()
+        settled[held] = np.where(stops, left < -small, np.where(yields, np.sign(share), 0.0))
+        return settled
 
     def _derivative(self, y: Array) -> Array:
         """Time derivative of a state, shape (1, number); joints that stand still stay so."""
-        still = self._sense == 0
-        found = self._evaluated(y[0], self._grips(self._sense))
-        if not still.any():
+        held = self._sense == 0
+        found = self._columns(y[0], self._sense, held)
+        if not held.any():
             return found[:1]
-        taken = (found[0] - found[1:]).T
-        share = np.linalg.lstsq(taken[self._fast[still]], found[0, self._fast[still]])[0]
+        at, taken = self._brakes.fast[held], (found[0] - found[1:]).T
+        share = np.linalg.lstsq(taken[at], found[0, at])[0]
         rate = found[0] - taken @ share
-        rate[self._fast[still]] = 0.0
+        rate[at] = 0.0
         return rate[None]
 
-    def _grips(self, sense: Array) -> Array:
-        """Friction of joints that move, then also of each that stands still, (column, joint)."""
-        base = self._most * sense
-        return np.concatenate([base[None], base + np.diag(self._most)[sense == 0]])
+    def _columns(self, y: Array, sense: Array, held: Mask) -> Array:
+        """Derivatives of a state with the friction of joints that move, then also with each brake.
+
+        Shape (1 + held, number).
+        """
+        brakes = self._brakes
+        size = brakes.turn * brakes.size
+        base = np.where(brakes.stops, 0.0, size * sense)
+        return self._evaluated(y, np.concatenate([base[None], base + np.diag(size)[held]]))
 
     def _evaluated(self, y: Array, grips: Array) -> Array:
-        """Derivatives of a state under several frictions, shape (column, number)."""
+        """Derivatives of a state under several brakes' forces, shape (column, number)."""
         self._lanes[:] = y[:, None]
         found = np.empty((len(grips), len(y)))
         for first in range(0, len(grips), LANES):
             part = grips[first : first + LANES]
-            self._work.grip[self._law, : len(part)] = part.T
+            self._work.grip[: len(self._onto), : len(part)] = self._onto @ part.T
             accelerate_once(self._tree, self._work, self._lanes, self._rates)
             found[first : first + len(part)] = self._rates.T[: len(part), : len(y)]
         return found
 
     def _closed(self, y: Array) -> Array:
         """Put a state onto the closures; what stood still does so again."""
-        still = self._fast[y[self._fast] == 0.0]
+        brakes, rest = self._brakes, self._sense == 0
+        still = brakes.fast[(y[brakes.fast] == 0.0) & rest]
         self._lanes[:] = y[:, None]
         project_once(self._tree, self._work, self._lanes)
         closed = self._lanes[:, 0].copy()

@@ -110,7 +110,7 @@ def _problem(scene: Scene, batch: Batch, rtol: float, progress: Progress | None)
 
 
 def _marched(problem: Problem) -> Marched:
-    return integrate(problem) if problem.mechanism.frictional else march(problem)
+    return integrate(problem) if problem.mechanism.braked else march(problem)
 
 
 def checked_tolerance(rtol: float) -> float:
@@ -143,7 +143,7 @@ def integrate(problem: Problem) -> Marched:
     mechanism = problem.mechanism
     if mechanism.scene.contacts and mechanism.has_only_balls:
         return march_balls(problem)
-    if mechanism.frictional:
+    if mechanism.braked:
         return _gripping(problem)
     stiff = is_stiff(problem)
     if stiff or mechanism.scene.contacts:
@@ -157,7 +157,7 @@ def integrate(problem: Problem) -> Marched:
 def _gripping(problem: Problem) -> Marched:
     if problem.mechanism.scene.contacts:
         marched = Marched.from_start(problem)
-        why = "contact and dry friction of joints together are beyond the reference"
+        why = "contact and dry friction or limits of joints together are beyond the reference"
         return dataclasses.replace(marched, failures=[Failure(1, why)] * len(problem.start))
     from mbds_xsim.reference.gripping import march_gripping  # imports a compiler
 

@@ -134,6 +134,18 @@ def check_joints(mechanism: Mechanism, starts: BodyStates) -> None:
             raise SceneError(msg)
 
 
+def check_limits(mechanism: Mechanism, starts: BodyStates) -> None:
+    """Raise SceneError, naming the joint, unless poses are within the limits of joints."""
+    for joint in mechanism.limited:
+        past = joint.beyond(joint_coordinate(joint, starts.position, starts.native)).max(initial=0)
+        if past > _GAP_TOLERANCE:
+            msg = (
+                f"the start of joint {joint.name!r} is {past:.3g} rad or m past its limits, "
+                f"allowed is {list(joint.limits or ())}; start it within"
+            )
+            raise SceneError(msg)
+
+
 def _assemble_pose(mechanism: Mechanism, position: Array, native: Array) -> tuple[Array, Array]:
     scene = mechanism.scene
     given = [(placed, scene.joints[placed.index]) for placed in mechanism.joints]

@@ -123,6 +123,18 @@ def joint_rate(joint: PlacedJoint, world: BodyStates) -> Array:
     return np.asarray(np.sum(moving * axis, axis=-1))
 
 
+def joint_turns(joint: PlacedJoint, world: BodyStates, frame: float) -> Array:
+    """Give the angles by which a hinge turns over each step [rad], shape (trajectory, step).
+
+    A frame gives its angle up to full turns; the mean of the rates at the two ends of the step
+    chooses among them.
+    """
+    rate = joint_rate(joint, world)
+    turn = np.diff(joint_coordinate(joint, world.position, world.native), axis=1)
+    expected = 0.5 * (rate[:, 1:] + rate[:, :-1]) * frame
+    return np.asarray(turn + 2 * np.pi * np.round((expected - turn) / (2 * np.pi)))
+
+
 def coupling_gaps(mechanism: Mechanism, bodies: BodyStates) -> tuple[Array, Array]:
     """Give by how much followers are off where couplings have them, and at which rate.
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections import defaultdict, deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +23,7 @@ from mbds_xsim.scene.coupling import PlacedCoupling
 from mbds_xsim.scene.mass import mass_properties
 from mbds_xsim.scene.scene import WORLD, DistanceLink, Scene, SpringDamper
 from mbds_xsim.scene.servo import law_of
+from mbds_xsim.scene.spanning import spanning_tree
 
 JointKind = Literal["fixed", "hinge", "slider", "ball"]
 
@@ -60,6 +60,8 @@ class PlacedJoint:
     rest: float = 0.0
     armature: float = 0.0
     friction: float = 0.0
+    limits: tuple[float, float] | None = None
+    restitution: float = 0.0
     coupled: bool = False
     """Whether it follows another joint, or another follows it."""
 
@@ -81,13 +83,13 @@ class PlacedJoint:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it has a spring, damper, rotor or friction, or is coupled."""
+        """Whether it has a spring, damper, rotor, friction or limits, or is coupled."""
         return self.complies or self.in_tree
 
     @property
     def in_tree(self) -> bool:
         """Whether something is on it that only a joint of the tree can have."""
-        return self.armature > 0.0 or self.friction > 0.0 or self.coupled
+        return bool(self.armature or self.friction or self.limits or self.coupled)
 
     def effort(self, coordinate: Array, rate: Array) -> Array:
         """Give the torque [N·m] or force [N] of the spring and damper along the axis on the child.
@@ -96,6 +98,12 @@ class PlacedJoint:
         """
         spring = self.stiffness * (coordinate - self.rest)
         return np.asarray(-spring - self.damping * rate)
+
+    def beyond(self, coordinate: Array) -> Array:
+        """Give how far coordinates are past the limits, which it has [rad or m], 0 within."""
+        assert self.limits is not None
+        low, high = self.limits
+        return np.maximum(np.maximum(low - coordinate, coordinate - high), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,12 +189,27 @@ class Mechanism:
     @functools.cached_property
     def counted(self) -> tuple[PlacedJoint, ...]:
         """The joints whose coordinate matters, a hinge's with its whole turns, in scene order."""
-        return tuple(j for j in self.joints if j.complies or j.friction or j.coupled)
+        return tuple(j for j in self.joints if j.complies or j.friction or j.limits or j.coupled)
 
     @functools.cached_property
     def frictional(self) -> tuple[PlacedJoint, ...]:
         """The joints with dry friction, in scene order."""
         return tuple(joint for joint in self.joints if joint.friction)
+
+    @functools.cached_property
+    def limited(self) -> tuple[PlacedJoint, ...]:
+        """The joints with limits, in scene order."""
+        return tuple(joint for joint in self.joints if joint.limits)
+
+    @property
+    def braked(self) -> bool:
+        """Whether joints have dry friction or limits, so that motions have events."""
+        return bool(self.frictional or self.limited)
+
+    @property
+    def has_impacts(self) -> bool:
+        """Whether something can meet the ground, or a joint its stop."""
+        return bool(self.scene.contacts or self.limited)
 
     @functools.cached_property
     def couplings(self) -> tuple[PlacedCoupling, ...]:
@@ -261,10 +284,10 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
     masses, coms, inertias = zip(*(mass_properties(body) for body in scene.bodies), strict=True)
     com = np.array(coms)
     joints = tuple(_place(scene, k, index, com) for k in range(len(scene.joints)))
-    links, loops = _spanning_tree(len(scene.bodies), joints, cut)
+    tree, loops = spanning_tree(len(scene.bodies), joints, cut)
     for joint in loops:
         if joint.in_tree:
-            given = [key for key in ("armature", "friction") if getattr(joint, key)]
+            given = [key for key in ("armature", "friction", "limits") if getattr(joint, key)]
             what = (given or ["a coupling"])[0]
             where = f"joints[{joint.name!r}]: got {what} on a joint that closes a loop"
             raise SceneError(f"{where}, allowed is it on others; let another joint close it")
@@ -288,7 +311,7 @@ def _build(scene: Scene, cut: tuple[JointKind, ...]) -> Mechanism:
         inertia=np.array(inertias),
         reference_orientation=np.array([body.orientation for body in scene.bodies]),
         joints=joints,
-        links=links,
+        links=tuple(Link(*link) for link in tree),
         loops=loops,
         distances=tuple(_pair(link, link.length, index, com) for link in scene.distance_links),
         springs=tuple(
@@ -334,6 +357,8 @@ def _place(scene: Scene, k: int, index: dict[str, int], com: Array) -> PlacedJoi
         rest=rest,
         armature=joint.armature,
         friction=joint.friction,
+        limits=joint.limits,
+        restitution=joint.restitution,
         coupled=any(joint.name in (each.joint, each.follows) for each in scene.couplings),
     )
 
@@ -345,56 +370,3 @@ def _pair(
     if length is None:
         length = float(np.linalg.norm(np.subtract(here, there)))
     return PointPair(item.name, (a, b), (_native(here, a, com), _native(there, b, com)), length)
-
-
-def _spanning_tree(
-    body_count: int, joints: tuple[PlacedJoint, ...], cut: tuple[JointKind, ...]
-) -> tuple[tuple[Link, ...], tuple[PlacedJoint, ...]]:
-    """Kruskal's minimum spanning forest, then links ordered from the roots outwards.
-
-    Of joints of one kind, the last listed closes the loop; those with a spring or damper stay in
-    the tree if any can, as reduced coordinates have them there, and those that have a rotor or
-    friction or are coupled before all.
-    """
-    group = list(range(body_count + 1))  # the last one is the world
-
-    def find(k: int) -> int:
-        while group[k] != k:
-            group[k] = group[group[k]]
-            k = group[k]
-        return k
-
-    tree, loops = [], []
-
-    def cut_last(joint: PlacedJoint) -> tuple[bool, int, bool]:
-        return not joint.in_tree, -cut.index(joint.kind), not joint.complies
-
-    for joint in sorted(joints, key=cut_last):
-        a, b = find(joint.parent % (body_count + 1)), find(joint.child % (body_count + 1))
-        if a == b:
-            loops.append(joint)
-        else:
-            group[a] = b
-            tree.append(joint)
-    at: dict[int, list[PlacedJoint]] = defaultdict(list)
-    for joint in sorted(tree, key=lambda joint: joint.index):
-        at[joint.parent].append(joint)
-        at[joint.child].append(joint)
-    links: list[Link] = []
-    seen: set[int] = {WORLD_INDEX}
-    queue = deque([WORLD_INDEX])
-    roots = iter(range(body_count))
-    while len(links) < body_count:
-        if not queue:
-            root = next(k for k in roots if k not in seen)
-            links.append(Link(root, WORLD_INDEX, None))
-            seen.add(root)
-            queue.append(root)
-        here = queue.popleft()
-        for joint in at[here]:
-            outwards = joint if joint.parent == here else joint.turned_round()
-            if outwards.child not in seen:
-                links.append(Link(outwards.child, here, outwards))
-                seen.add(outwards.child)
-                queue.append(outwards.child)
-    return tuple(links), tuple(sorted(loops, key=lambda joint: joint.index))

@@ -19,7 +19,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
-from mbds_xsim.scene.assembly import assemble, check_joints
+from mbds_xsim.scene.assembly import assemble, check_joints, check_limits
 from mbds_xsim.scene.draft import Draft, carried_by, hinge_rate, pose
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism
@@ -61,6 +61,7 @@ def draw_batch(
         }
     )
     check_joints(mechanism, starts)
+    check_limits(mechanism, starts)
     return Batch(
         index=np.array([state.index for state in drawn], dtype=np.int64),
         position=starts.position,

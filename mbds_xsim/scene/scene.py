@@ -131,8 +131,12 @@ class Joint(Neutral):
     """Inertia of a rotor on it, times the gear ratio squared [kg·m²] or [kg]."""
     friction: NotNegative = 0.0
     """Of dry friction on it, which it takes at most while it stands still [N·m] or [N]."""
+    limits: Annotated[tuple[float, float], bounds.span] | None = None
+    """Coordinates of the stops between which it moves [rad] or [m]."""
+    restitution: Annotated[float, bounds.share] = 0.0
+    """Newton's coefficient e of its rebound from a stop, in [0, 1]."""
 
-    added = ("stiffness", "damping", "rest", "armature", "friction")
+    added = ("stiffness", "damping", "rest", "armature", "friction", "limits", "restitution")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -147,6 +151,9 @@ class Joint(Neutral):
             raise SceneError(msg)
         if self.kind == "hinge" and abs(self.start or 0.0) > 2 * math.pi:
             msg = f"start: got {self.start}, allowed is −2π to 2π; hinge angles are in radians"
+            raise SceneError(msg)
+        if self.restitution and not self.limits:
+            msg = f"restitution: got {self.restitution} without limits, allowed is it with them"
             raise SceneError(msg)
         if self.parent == self.child:
             msg = f"joint {self.name!r} joins {self.parent!r} to itself"

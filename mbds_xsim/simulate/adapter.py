@@ -111,6 +111,8 @@ class Readback:
     """Of `Mechanism.rotors` [kg·m² or kg], shape (joint,)."""
     friction: Array | None = None
     """Dry friction of `Mechanism.frictional` [N·m or N], shape (joint,)."""
+    limits: Array | None = None
+    """Of `Mechanism.limited`, lower and upper [rad or m], shape (joint, 2)."""
     coupling: Array | None = None
     """Ratio and offset of `Mechanism.couplings`, shape (coupling, 2)."""
 

@@ -51,6 +51,8 @@ class Feature(Enum):
     ARMATURE = "armature of a joint"
     COUPLING = "joint that follows another"
     JOINT_FRICTION = "dry friction in a joint"
+    JOINT_LIMITS = "limits of a joint"
+    JOINT_REBOUND = "rebound from the limits of a joint"
     CLOSING_LOAD = "spring or damper in a joint that closes a loop"
     FORCE = "force at the centre of mass"
     HINGE_TORQUE = "hinge torque"
@@ -89,6 +91,8 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.ARMATURE: bool(mechanism.rotors),
         Feature.COUPLING: bool(mechanism.couplings),
         Feature.JOINT_FRICTION: bool(mechanism.frictional),
+        Feature.JOINT_LIMITS: bool(mechanism.limited),
+        Feature.JOINT_REBOUND: any(joint.restitution for joint in mechanism.limited),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
         Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
         Feature.HINGE_TORQUE: any(load.joint in driven for load in loads)
@@ -138,8 +142,8 @@ class Method:
         return self.family == TRUTH
 
     def order_for(self, scene: Scene) -> int:
-        """Order that holds for a scene: 1 where dry friction stops joints within steps."""
-        if Mechanism.of(scene).frictional and not self.adaptive:
+        """Order that holds for a scene: 1 where friction or limits stop joints within steps."""
+        if Mechanism.of(scene).braked and not self.adaptive:
             return 1
         constrained = self.loop_order is not None and _constrained(scene)
         return self.loop_order if constrained and self.loop_order is not None else self.order

@@ -135,6 +135,9 @@ def _quantities(mechanism: Mechanism, batch: Batch, readback: Readback) -> Itera
         got = None if held is None else held.reshape(-1, 1)
         yield what, got, wanted, 0.0, [joint.name for joint in joints]
     yield from _columns("joints", _LAW, _known(readback.law, laws), laws, names)
+    stops = np.array([joint.limits for joint in mechanism.limited])
+    names = [joint.name for joint in mechanism.limited]
+    yield from _columns("joints", ("lower limit", "upper limit"), readback.limits, stops, names)
     tied = np.array([(each.ratio, each.offset) for each in mechanism.couplings])
     names = [each.name for each in mechanism.couplings]
     yield from _columns("couplings", ("ratio", "offset"), readback.coupling, tied, names)

@@ -34,6 +34,7 @@ from mbds_xsim.testing.case import (
 )
 from mbds_xsim.testing.joint_cases import CARRIER, JOINT_CASES, UP, on_a_carrier
 from mbds_xsim.testing.loop_cases import LOOPS
+from mbds_xsim.testing.stop_cases import STOP_CASES
 
 _BOX = (0.1, 0.4, 0.9)  # edges [m]
 _BOX_MASS = 10.0
@@ -250,5 +251,6 @@ CASES: tuple[Case, ...] = (
     _flywheel(),
     _spin_up_in_flight(),
     *JOINT_CASES,
+    *STOP_CASES,
     *LOOPS,
 )

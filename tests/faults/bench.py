@@ -28,6 +28,7 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
     ("2ladder", "exudyn"): ("trapezoidal", 8, {}),
     ("workbench", "mujoco"): ("Euler", 40, {}),
     ("workbench", "pybullet"): ("semi-implicit-euler", 20, {}),
+    ("workbench with stops", "pybullet"): ("semi-implicit-euler", 40, {"erp": 1e-3}),
     ("workbench", "dart"): ("semi-implicit-euler", 20, {"error_reduction": 0.8}),
     # At longer steps Newton's method fails on the fast start; at shorter ones, or with a Jacobian
     # that is kept, what it leaves shows beside the small difference that a step makes.
@@ -43,9 +44,9 @@ _SETTINGS: dict[tuple[str, str], tuple[str, int, dict[str, Any]]] = {
 
 def _quick(name: str, engine: str) -> Matched:
     """Give settings that are quick, or those stored for the scene that it was made from."""
-    name = name.partition(" with ")[0]
-    if (name, engine) in _SETTINGS:
-        return Matched(*_SETTINGS[name, engine])
+    for known in (name, name := name.partition(" with ")[0]):
+        if (known, engine) in _SETTINGS:
+            return Matched(*_SETTINGS[known, engine])
     scene = load_scene(name.split()[0])
     settings = settings_for(scene, load_adapter(engine), "matched")
     return Matched(settings.method, settings.substeps(scene.clock.frame), dict(settings.options))

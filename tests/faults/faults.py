@@ -29,7 +29,7 @@ def _fault(name: str, scene: str, engines: str, checks: str, change: Change, **m
     return Fault(name, scene, tuple(engines.split(", ")), named, change, **more)
 
 
-def _as(value: float) -> to.Figure:
+def _as(value: Any) -> to.Figure:
     return lambda _: value
 
 
@@ -319,6 +319,16 @@ MODELLING = (
         "mujoco, pybullet, dart", _LIMIT,
         to.part("joints", "rail", to.changed(friction=_as(0.0)), "dry friction"),
         untold=("pybullet",)),
+    _fault("stop of a hinge 0.05 rad early", "workbench with stops", "mujoco, pybullet, dart",
+        _LIMIT,
+        to.part("joints", "elbow", to.changed(limits=_as((-1.0, 0.2))), "upper limit of elbow"),
+        untold=("pybullet",)),
+    _fault("stop of a slider left out", "workbench with stops", "mujoco, pybullet, dart",
+        f"past limits, {_LIMIT}",
+        to.part("joints", "rail", to.changed(limits=_as(None)), "joints"),
+        untold=("pybullet",)),
+    _fault("rebound from a stop a fifth high", "workbench with rebounds", "mujoco", _LIMIT,
+        to.part("joints", "elbow", to.changed(restitution=_as(0.6)), "")),
     _fault("spring 1 mm long", "workbench", "mujoco", _LIMIT,
         to.part("springs", "stay", to.changed(rest_length=_more(1e-3)), "rest length [m] of stay")),
     _fault("flywheel of 5 % more inertia", "simplecubli in flight", "exudyn", "momentum",

@@ -20,6 +20,8 @@ SCENES = {
     "workbench with rotors": 16,
     "workbench with a gear": 16,
     "workbench with dry friction": 16,
+    "workbench with stops": 16,
+    "workbench with rebounds": 16,
     "ballscroll": 40,
     "ballscroll at 45°": 40,
     "balldrop": 75,
@@ -49,6 +51,8 @@ def scene_of(name: str, frames: int | None = None) -> Scene:
         "workbench with rotors": _geared,
         "workbench with a gear": _coupled,
         "workbench with dry friction": _braked,
+        "workbench with stops": _stopped,
+        "workbench with rebounds": _rebounding,
     }
     return changes[name](scene) if name in changes else scene
 
@@ -108,6 +112,23 @@ def _braked(scene: Scene) -> Scene:
     friction = {"shoulder": 0.3, "elbow": 0.2, "rail": 0.5}
     joints = (msgspec.structs.replace(j, friction=friction.get(j.name, 0.0)) for j in scene.joints)
     return msgspec.structs.replace(scene, joints=tuple(joints))
+
+
+_LIMITS = {"shoulder": (-1.0, 0.2), "elbow": (-1.0, 0.25), "rail": (-0.06, -0.03)}
+"""Within reach of the sprung workbench."""
+
+
+def _stopped(scene: Scene, restitution: float = 0.0) -> Scene:
+    """Let two hinges of the arm and the cart run into stops."""
+    law = {name: {"limits": pair, "restitution": restitution} for name, pair in _LIMITS.items()}
+    scene = _sprung(scene)
+    joints = (msgspec.structs.replace(j, **law.get(j.name, {})) for j in scene.joints)
+    return msgspec.structs.replace(scene, joints=tuple(joints))
+
+
+def _rebounding(scene: Scene) -> Scene:
+    """Let these stops give half of a speed back, which MuJoCo's alone can."""
+    return _stopped(scene, 0.5)
 
 
 def _started(scene: Scene, *sampling: Draw) -> Scene:

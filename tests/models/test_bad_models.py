@@ -118,7 +118,7 @@ def test_a_folder_above_is_named_to_be_read(run: CommandLine, here: Path) -> Non
 
 
 def test_an_import_is_a_scene_file_and_a_report(run: CommandLine, here: Path) -> None:
-    joint = '<joint name="hip" limited="true" range="-20 30"/>'
+    joint = '<joint name="hip" type="ball" limited="true" range="0 30"/>'
     (here / "leg.xml").write_text(_MJCF.format(_BODY.replace("<joint/>", joint), ""))
 
     ended = run(

@@ -52,6 +52,7 @@ def _same(first: Scene, second: Scene) -> None:
         apart = np.cross(again.axis, joint.axis)
         np.testing.assert_allclose(apart, 0, atol=1e-11)
         keys = ("damping", "stiffness", "rest", "armature", "friction")
+        assert again.limits == pytest.approx(joint.limits, abs=1e-12)
         laws = [[getattr(j, key) for key in keys] for j in (joint, again)]
         assert laws[0] == pytest.approx(laws[1], abs=1e-12)
         assert joint.name in loops or turn * again.axis @ joint.axis >= 0
@@ -84,7 +85,13 @@ def test_any_tree_comes_back_from_mjcf(
     spring = SpringDamper("coil", (WORLD, scene.bodies[0].name), points, 30.0, 0.5, 0.7)  # type: ignore[arg-type]
     joints = tuple(
         msgspec.structs.replace(
-            joint, damping=0.3, stiffness=2.0, rest=0.1, armature=0.2, friction=0.4
+            joint,
+            damping=0.3,
+            stiffness=2.0,
+            rest=0.1,
+            armature=0.2,
+            friction=0.4,
+            limits=(-1.5, 2.0),
         )
         if joint.kind in ("hinge", "slider")
         else joint
@@ -118,7 +125,8 @@ def test_any_tree_of_hinges_and_sliders_comes_back_from_urdf(
     tmp_path: Path, kinds: list[Kind], seed: int
 ) -> None:
     scene = _coupled(random_tree(np.random.default_rng(seed), kinds))
-    joints = (msgspec.structs.replace(each, damping=0.3, friction=0.4) for each in scene.joints)
+    law = {"damping": 0.3, "friction": 0.4, "limits": (-1.5, 2.0)}
+    joints = (msgspec.structs.replace(each, **law) for each in scene.joints)
     scene = msgspec.structs.replace(scene, joints=tuple(joints))
 
     _same(scene, _again(scene, "urdf", tmp_path))

@@ -1,0 +1,92 @@
+"""Cases of joints that run into the stops at their limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.scene import Clock, Joint, Torque
+from mbds_xsim.testing.case import NONE, Case, G, case_of, even, solve
+from mbds_xsim.testing.joint_cases import CARRIER, UP, WHEEL, on_a_carrier
+
+
+def _stopped() -> Case:
+    """A wheel on a free carrier turns until it meets its stop, and takes the carrier along.
+
+    As of the brake, the momentum is the wheel's at the start.
+    """
+    # A third of a step late whether a frame has 4 or 16 steps, as errors go by that share.
+    rate, stop = 5.0, 5.0 * 277 / 600
+
+    def turned(time: Array) -> Array:
+        return WHEEL * (rate * time - np.minimum(rate * time, stop)) / (CARRIER + WHEEL)
+
+    return on_a_carrier(
+        "stopped wheel",
+        "upper limit of a hinge, its reaction",
+        turned,
+        Joint("axle", "hinge", "carrier", "wheel", NONE, UP, rate=rate, limits=(-1.0, stop)),
+    )
+
+
+def _leaning() -> Case:
+    """A rod falls onto its stop, rests there, and is pulled away by a torque that comes late."""
+    mass, arm, moment, stop, torque, hold = 1.2, 0.5, 0.05, -0.9, 9.0, 40
+    about = moment + mass * arm**2
+    clock = Clock(frame=0.02, steps=60)
+
+    def exact(time: Array) -> Array:
+        angle = np.maximum(
+            solve(lambda _, y: np.array([y[1], -mass * G * arm * np.cos(y[0]) / about]),
+                [0.0, 0.0], time)[0],
+            stop,
+        )  # fmt: skip
+        angle[np.argmax(angle == stop) :] = stop
+        late = time >= hold * clock.frame - 1e-12
+        angle[late] = solve(
+            lambda _, y: np.array([y[1], (torque - mass * G * arm * np.cos(y[0])) / about]),
+            [stop, 0.0],
+            time[late] - hold * clock.frame,
+        )[0]
+        return arm * np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=-1)[:, None]
+
+    return case_of(
+        "leaning rod",
+        "lower limit of a hinge: it carries a weight, and lets go",
+        [even("rod", mass, moment, (arm, 0.0, 0.0))],
+        exact,
+        Joint("pivot", "hinge", "world", "rod", NONE, (0.0, -1.0, 0.0), limits=(stop, 1.5)),
+        torques=(Torque("pivot", (0.0, torque), hold),),
+        clock=clock,
+    )
+
+
+def _bouncing() -> Case:
+    """A block falls along a rail onto its stop, bounces at ever shorter times, and rests."""
+    start, stop, kept = 0.1, -0.3, 0.5
+
+    def exact(time: Array) -> Array:
+        fall = np.sqrt(2.0 * (start - stop) / G)
+        begins, speed = [fall], [kept * G * fall]
+        while speed[-1] > 1e-12:
+            begins.append(begins[-1] + 2.0 * speed[-1] / G)
+            speed.append(kept * speed[-1])
+        hop = np.searchsorted(begins, time, side="right") - 1
+        since = time - np.array(begins)[hop]
+        bouncing = stop + np.maximum(np.array(speed)[hop] * since - 0.5 * G * since**2, 0.0)
+        z = np.where(hop < 0, start - 0.5 * G * time**2, bouncing)
+        return np.stack([0.0 * z, 0.0 * z, z], axis=-1)[:, None]
+
+    return case_of(
+        "bouncing block",
+        "rebound of a slider from its limit, and where the bounces end",
+        [even("block", 1.5, 0.1)],
+        exact,
+        Joint(
+            "rail", "slider", "world", "block", NONE, UP, start=start, limits=(stop, 1.0),
+            restitution=kept,
+        ),
+    )  # fmt: skip
+
+
+STOP_CASES: tuple[Case, ...] = (_stopped(), _leaning(), _bouncing())

@@ -1,0 +1,61 @@
+"""Joints stay between their limits, and stops give no energy."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.conservation import energy_balance
+from mbds_xsim.checks.stops import past_limits, stop_passivity
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.testing.case import Case
+from mbds_xsim.testing.stop_cases import STOP_CASES
+
+
+def _record(case: Case) -> Record:
+    batch = draw_batch(case.scene, [0])
+    return Record(case.scene, batch, solve(case.scene, batch, cache=False))
+
+
+@pytest.mark.parametrize("case", STOP_CASES, ids=lambda case: case.name)
+def test_the_exact_motion_passes_and_is_balanced_between_stops(case: Case) -> None:
+    record = _record(case)
+
+    assert past_limits.finding(record).figure.max() < 1e-11
+    assert stop_passivity.finding(record).figure.max() < 1e-6
+    assert energy_balance.finding(record).figure.max() < 1e-6
+
+
+@pytest.mark.parametrize("case", STOP_CASES, ids=lambda case: case.name)
+def test_a_stop_that_is_narrower_was_passed(case: Case) -> None:
+    record = _record(case)
+    joints = (
+        msgspec.structs.replace(joint, limits=tuple(x * 0.9 for x in joint.limits), start=None)
+        if joint.limits
+        else joint
+        for joint in case.scene.joints
+    )
+    narrow = msgspec.structs.replace(case.scene, joints=tuple(joints))
+
+    found = past_limits.finding(Record(narrow, record.batch, record.trajectory))
+    assert found.figure.max() > 0.02
+    assert not found.passed.any()
+
+
+def test_a_stop_that_gives_energy_is_seen() -> None:
+    (case,) = (case for case in STOP_CASES if case.name == "bouncing block")
+    record = _record(case)
+    fall = record.trajectory.position[0, 0, 0, 2] + 0.3
+    hit = int(np.sqrt(2 * fall / 9.81) / record.frame) + 1
+    velocity = record.trajectory.velocity.copy()
+    # Thrown back twice as fast as it came.
+    velocity[:, hit:, :, 2] += 4.0 * np.sqrt(2 * 9.81 * fall)
+    thrown = dataclasses.replace(record.trajectory, velocity=velocity)
+
+    found = stop_passivity.finding(Record(case.scene, record.batch, thrown))
+    assert not found.passed.any()

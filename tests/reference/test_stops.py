@@ -1,0 +1,94 @@
+"""Stops of joints: the only motion, which never passes them, and never gains energy."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mbds_xsim.base.errors import SceneError
+from mbds_xsim.checks import Record
+from mbds_xsim.checks.conservation import energy_of
+from mbds_xsim.checks.stops import past_limits
+from mbds_xsim.reference.solution import solve
+from mbds_xsim.scene.joint_space import BodyStates, to_links
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Body, Clock, Inertia, Joint, Scene
+from mbds_xsim.testing.case import NONE, even
+from tests.random_scenes import Kind, random_tree
+
+
+def _stopped(seed: int, kinds: list[Kind], restitution: float, friction: float) -> Scene:
+    scene = random_tree(np.random.default_rng(seed), kinds)
+    law = {"limits": (-0.3, 0.2), "restitution": restitution, "friction": friction, "rate": 0.5}
+    joints = (msgspec.structs.replace(joint, **law) for joint in scene.joints)
+    clock = Clock(frame=0.01, steps=60)
+    return msgspec.structs.replace(scene, joints=tuple(joints), clock=clock)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=3),
+    st.sampled_from([0.0, 0.4]),
+    st.sampled_from([0.0, 1.0]),
+)
+def test_no_motion_passes_a_stop_or_gains_energy(
+    seed: int, kinds: list[Kind], restitution: float, friction: float
+) -> None:
+    scene = _stopped(seed, kinds, restitution, friction)
+    batch = draw_batch(scene, [0])
+    record = Record(scene, batch, solve(scene, batch, cache=False))
+
+    assert record.trajectory.failures == (None,)
+    assert past_limits.finding(record).figure.max() < 1e-11
+    energy = energy_of(record)
+    assert np.diff(energy.total, axis=1).max() < 1e-9 * energy.scale.max()
+
+
+def test_elastic_stops_keep_the_energy() -> None:
+    scene = _stopped(3, ["hinge", "slider"], 1.0, 0.0)
+    batch = draw_batch(scene, [0])
+    record = Record(scene, batch, solve(scene, batch, cache=False))
+    energy = energy_of(record)
+
+    assert np.ptp(energy.total) < 1e-9 * energy.scale.max()
+
+
+def test_two_carts_that_meet_their_stops_at_once_share_the_impulse() -> None:
+    """A cart on a cart, both with 1 m to go at 1 m/s in W: both stop, by the world's stop alone."""
+    along = (1.0, 0.0, 0.0)
+    scene = Scene(
+        "carts",
+        (even("below", 2.0, 0.1), even("above", 1.0, 0.1)),
+        1.0,
+        joints=(
+            Joint("rail", "slider", "world", "below", NONE, along, rate=1.0, limits=(-1.0, 0.1)),
+            Joint("deck", "slider", "below", "above", NONE, along, rate=1.0, limits=(-1.0, 0.1)),
+        ),
+        gravity=NONE,
+        clock=Clock(0.02, 20),
+    )
+    mechanism = Mechanism.of(scene)
+    states = BodyStates.of(mechanism, solve(scene, draw_batch(scene, [0]), cache=False))
+    links = to_links(mechanism, states)
+
+    assert np.abs(links.rate[0, -1]).max() < 1e-12
+    np.testing.assert_allclose(links.coordinate[0, -1], 0.1, atol=1e-12)
+
+
+def test_a_start_past_the_limits_is_refused() -> None:
+    rod = Body("rod", inertia=Inertia(1.0, (0.1, 0.1, 0.1)))
+    pin = Joint("pin", "hinge", "world", "rod", NONE, (0.0, 1.0, 0.0), start=0.5, limits=(0.0, 0.3))
+
+    with pytest.raises(SceneError, match=r"'pin' is 0\.2 rad or m past its limits"):
+        draw_batch(Scene("late", (rod,), 1.0, joints=(pin,)), [0])
+
+
+def test_limits_must_ascend_and_a_rebound_needs_them() -> None:
+    for law in ({"limits": (1.0, 1.0)}, {"restitution": 0.5}):
+        with pytest.raises(SceneError, match="allowed"):
+            Joint("pin", "hinge", "world", "rod", NONE, (0.0, 1.0, 0.0), **law)
