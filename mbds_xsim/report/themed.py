@@ -10,7 +10,7 @@ import hashlib
 import io
 import re
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -192,6 +192,19 @@ def png(draw: Draw, size: tuple[float, float], stored: bytes = b"") -> bytes:
         told.add_text(SOURCE, checksum(stored))
     picture.save(stream, format="png", optimize=True, pnginfo=told)
     return stream.getvalue()
+
+
+def stacked(parts: Sequence[tuple[Draw, tuple[float, float]]], stored: bytes = b"") -> bytes:
+    """Draw parts one below the other, each with its size [in], into a PNG as of `png`."""
+    draws, sizes = zip(*parts, strict=True)
+    widths, heights = zip(*sizes, strict=True)
+
+    def draw(figure: Any) -> None:
+        rows = figure.subfigures(len(parts), 1, squeeze=False, height_ratios=heights)
+        for row, part in zip(rows[:, 0], draws, strict=True):
+            part(row)
+
+    return png(draw, (max(widths), sum(heights)), stored)
 
 
 def checksum(stored: bytes) -> str:

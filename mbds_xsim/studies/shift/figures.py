@@ -7,6 +7,7 @@ import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mbds_xsim.base.text import in_figure
@@ -113,37 +114,26 @@ def to_png(studies: Sequence[Shift], stored: bytes = b"") -> bytes:
         stored: Of the JSON that keeps it.
     """
     if all(shift.interactions for shift in studies):
-        return _interactions_png(studies, stored)
-    columns = min(_ABREAST, max(len(trained_models(shift)) for shift in studies))
-    sizes = [map_size(matrix_of(s, trained_models(s)[0], at(s, s.at))) for s in studies]
-    rows = [math.ceil(len(trained_models(shift)) / columns) for shift in studies]
-    width = columns * max(size[0] for size in sizes)
-    heights = [count * size[1] for count, size in zip(rows, sizes, strict=True)]
-    height = sum(heights)
-
-    def draw(figure: Any) -> None:
-        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
-        for block, shift, count in zip(blocks[:, 0], studies, rows, strict=True):
-            _draw_block(block, shift, (count, columns))
-
-    return themed.png(draw, (width, height), stored)
+        costs = [(partial(_draw_costs, shift=shift), _size_of_costs(shift)) for shift in studies]
+        return themed.stacked(costs, stored)
+    columns, parts = min(_ABREAST, max(len(trained_models(shift)) for shift in studies)), []
+    for shift in studies:
+        rows = math.ceil(len(trained_models(shift)) / columns)
+        width, height = map_size(matrix_of(shift, trained_models(shift)[0], at(shift, shift.at)))
+        draw = partial(_draw_block, shift=shift, shape=(rows, columns))
+        parts.append((draw, (columns * width, rows * height)))
+    return themed.stacked(parts, stored)
 
 
-def _interactions_png(studies: Sequence[Shift], stored: bytes) -> bytes:
-    sizes = [interactions_size(shift) for shift in studies]
-    heights = [height for _, height in sizes]
+def _draw_costs(figure: Any, shift: Shift) -> None:
+    draw_interactions(figure.subplots(), shift, shift.at)
+    what = f"what a change of engine or settings costs at t = {shift.at}"
+    figure.suptitle(f"{in_figure(shift.scene)}: {what}", fontsize=11, x=0.01, ha="left")
 
-    def draw(figure: Any) -> None:
-        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
-        for block, shift in zip(blocks[:, 0], studies, strict=True):
-            draw_interactions(block.subplots(), shift, shift.at)
-            block.suptitle(
-                f"{in_figure(shift.scene)}: what a change of engine or settings costs at t = "
-                f"{shift.at}",
-                fontsize=11, x=0.01, ha="left",
-            )  # fmt: skip
 
-    return themed.png(draw, (max(max(w for w, _ in sizes), 6.0), sum(heights)), stored)
+def _size_of_costs(shift: Shift) -> tuple[float, float]:
+    width, height = interactions_size(shift)
+    return max(width, 6.0), height
 
 
 def map_size(matrix: Matrix) -> tuple[float, float]:

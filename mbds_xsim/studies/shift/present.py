@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -285,19 +286,14 @@ def picture_size(samples: Samples) -> tuple[float, float]:
 
 def samples_png(studies: Sequence[Samples]) -> bytes:
     """Give the pictures of all studies, one below the other."""
-    sizes = [picture_size(samples) for samples in studies]
-    heights = [height for _, height in sizes]
 
-    def draw(figure: Any) -> None:
-        blocks = figure.subfigures(len(studies), 1, squeeze=False, height_ratios=heights)
-        for block, samples in zip(blocks[:, 0], studies, strict=True):
-            draw_samples(block, samples)
-            if len(studies) > 1:
-                block.suptitle(
-                    in_figure(samples.evaluation.test.scene.name), fontsize=10, x=0.01, ha="left"
-                )
+    def draw(figure: Any, samples: Samples) -> None:
+        draw_samples(figure, samples)
+        if len(studies) > 1:
+            name = in_figure(samples.evaluation.test.scene.name)
+            figure.suptitle(name, fontsize=10, x=0.01, ha="left")
 
-    return themed.png(draw, (sizes[0][0], sum(heights)))
+    return themed.stacked([(partial(draw, samples=each), picture_size(each)) for each in studies])
 
 
 def draw_samples(figure: Any, samples: Samples) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from mbds_xsim.base.text import counted
@@ -176,16 +177,8 @@ def to_png(sweeps: list[Survey], stored: bytes = b"") -> bytes:
         sweeps: What is drawn.
         stored: Of the CSV that keeps it.
     """
-    sizes = [_picture(sweep) for sweep in sweeps]
-
-    def draw(figure: Any) -> None:
-        heights = [height for _, height in sizes]
-        rows = figure.subfigures(len(sweeps), 1, squeeze=False, height_ratios=heights)
-        for part, sweep in zip(rows[:, 0], sweeps, strict=True):
-            _draw_study(part, sweep)
-
-    size = max(width for width, _ in sizes), sum(height for _, height in sizes)
-    return themed.png(draw, size, stored)
+    parts = [(partial(_draw_study, sweep=sweep), _picture(sweep)) for sweep in sweeps]
+    return themed.stacked(parts, stored)
 
 
 def _picture(sweep: Survey) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from mbds_xsim.base.text import counted, in_figure, sentence
@@ -152,14 +153,9 @@ def to_png(studies: list[Tradeoff], stored: bytes = b"") -> bytes:
         studies: What is drawn.
         stored: Of the JSON that keeps it.
     """
-    width, height = _PICTURE
-
-    def draw(figure: Any) -> None:
-        rows = figure.subfigures(len(studies), 1, squeeze=False)
-        for row, study in zip(rows[:, 0], studies, strict=True):
-            _draw_row(row, study)
-
-    return themed.png(draw, (width, height * len(studies)), stored)
+    return themed.stacked(
+        [(partial(_draw_row, study=study), _PICTURE) for study in studies], stored
+    )
 
 
 def _draw_row(figure: Any, study: Tradeoff) -> None:
