@@ -24,6 +24,7 @@ from mbds_xsim.simulate.adapter import (
 
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
+from .older import in_its_words, silence
 from .stepping import Stepping
 
 _START = """
@@ -52,9 +53,9 @@ class ExudynRun(Run):
     ) -> None:
         self._mechanism = mechanism
         self._model = model
-        self._listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
-        exudyn.config.printToConsole = False
-        exudyn.config.suppressWarnings = True
+        listing = _listing(mechanism, model, contact) + stepping.listing(mechanism)
+        self._listing = in_its_words(listing)
+        silence()
         # The listing is the model: running it leaves no call that it does not show.
         self._names: dict[str, Any] = {}
         exec(compile(self._listing, "<exudyn model>", "exec"), self._names)

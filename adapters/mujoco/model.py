@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+import mujoco
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -150,7 +151,11 @@ def _option(root: Element, mechanism: Mechanism, stepping: StepOptions) -> None:
     if mechanism.scene.contacts:
         option.attrib.update(cone_options(stepping.impact))
     # Without autoreset off, a diverged state silently goes back to the reference pose.
-    SubElement(option, "flag", dict.fromkeys(["autoreset", *_idle(mechanism)], "disable"))
+    flags = ["autoreset", *_idle(mechanism)]
+    # Releases before 3.2 and 3.3.6 do not know all of them: they reset with a warning, which ends
+    # a trajectory too, and take longer over what is idle.
+    known = [flag for flag in flags if hasattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}")]
+    SubElement(option, "flag", dict.fromkeys(known, "disable"))
 
 
 def _idle(mechanism: Mechanism) -> list[str]:
@@ -255,9 +260,12 @@ def _close(
     softness: dict[str, str],
 ) -> None:
     for k, along in enumerate(CLOSING_POINTS[joint.kind]):
-        name = closing_point(joint, k)
-        sites = _sites(bodies, joint, along * length * joint.axis, name)
-        ends = dict(zip(("site1", "site2"), sites, strict=True))
+        name, offset = closing_point(joint, k), along * length * joint.axis
+        ends = dict(zip(("site1", "site2"), _sites(bodies, joint, offset, name), strict=True))
+        if not hasattr(mujoco.MjModel, "eq_objtype"):  # before 3.2.3
+            pair = (bodies[joint.parent].get("name", "world"), bodies[joint.child].get("name", ""))
+            ends = dict(zip(("body1", "body2"), pair, strict=True))
+            ends["anchor"] = numbers(joint.in_parent + offset)
         SubElement(equalities, "connect", {"name": name} | ends | softness)
 
 

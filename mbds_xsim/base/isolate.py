@@ -106,6 +106,7 @@ def run_tasks(
     workers: int | None = None,
     started: Callable[[int], None] | None = None,
     finished: Callable[[int, Any], None] | None = None,
+    packages: Path | None = None,
 ) -> list[Any]:
     """Carry out all tasks, in order of their listing as workers come free.
 
@@ -116,6 +117,7 @@ def run_tasks(
             is no timeout then, and an error is raised where it happens.
         started: Called with a task's place as its process begins.
         finished: Called with a task's place and answer as each one ends.
+        packages: Folder whose packages the processes have in place of this one's.
 
     Returns:
         One answer a task, or a `Crash`.
@@ -129,7 +131,7 @@ def run_tasks(
         held_back() as let_through,
         tempfile.TemporaryDirectory(prefix="mbds-xsim-") as folder,
     ):
-        starter = _Starter(tasks, Path(folder))
+        starter = _Starter(tasks, Path(folder), packages)
         most = min(workers or core_count(), max(len(tasks), 1))
         memory = _SHARE * memory_bytes()
         try:
@@ -138,7 +140,7 @@ def run_tasks(
                     place = waiting.pop()
                     if starter.over:  # something has killed it
                         starter.end()
-                        starter = _Starter(tasks, Path(folder))
+                        starter = _Starter(tasks, Path(folder), packages)
                     running.append(_Process(place, tasks[place], starter))
                     if started is not None:
                         started(place)
@@ -174,11 +176,12 @@ def _run_here(
 class _Starter:
     """The process that starts those of the tasks, and what it says of them."""
 
-    def __init__(self, tasks: Sequence[Task], folder: Path) -> None:
+    def __init__(self, tasks: Sequence[Task], folder: Path, packages: Path | None) -> None:
         modules = {str(getattr(task.function, "__module__", "")) for task in tasks}
         own = sorted(name for name in modules if name.startswith("mbds_xsim."))
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         windows = {"MUJOCO_GL": "disable"}  # a toolkit for windows takes as long as MuJoCo itself
+        first = {} if packages is None else {"PYTHONPATH": _before(packages)}
         self.folder, self.log = folder, folder / "starter.log"
         with self.log.open("wb") as log:
             self._popen = subprocess.Popen(
@@ -186,7 +189,7 @@ class _Starter:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env=windows | os.environ | threads,
+                env=windows | os.environ | threads | first,
                 cwd=folder,  # engines drop log files where they stand
                 bufsize=0,
             )
@@ -294,6 +297,11 @@ class _Process:
             return f"the process that starts tasks ended: {_tail(self._starter.log)}"
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return f"the process crashed with {name}: {_tail(self._file.with_suffix('.log'))}"
+
+
+def _before(packages: Path) -> str:
+    """Give the places in which Python looks for packages, with one before all others."""
+    return os.pathsep.join(filter(None, (str(packages.absolute()), os.environ.get("PYTHONPATH"))))
 
 
 def _tail(log: Path) -> str:

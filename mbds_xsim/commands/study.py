@@ -1,11 +1,11 @@
-"""`mbds-xsim match`, `ablate` and `contact`: studies of a scene, and of contact."""
+"""`mbds-xsim match`, `ablate`, `contact`, `releases`: a scene, contact, an engine's releases."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
-from typer import Exit, Option
+from typer import Argument, Exit, Option
 
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import LIMIT
@@ -207,3 +207,53 @@ def contact(
 
 def _figure_files(folder: Path) -> dict[str, Path]:
     return {name: folder / f"contact-{name}.png" for name in ("restitution", "friction")}
+
+
+@shared.command("study", writes="json csv html opened png markdown")
+def releases(
+    to: shared.Outputs,
+    engines: Annotated[list[str], Argument(metavar="ENGINE…", help="Names of engines.")],
+    since: Annotated[
+        str,
+        Option(metavar="VERSION", help="The first release of one engine; else from what we know."),
+    ] = "",
+    last: Annotated[int | None, Option(help="Only so many releases, the newest.", min=1)] = None,
+    fresh: Annotated[
+        bool, Option("--fresh", help="Measure again what was measured earlier.")
+    ] = False,
+    cache: shared.CacheUse = True,
+    workers: shared.WorkerCount = None,
+) -> None:
+    """Measure every release of an engine on the index, and say which changed what.
+
+    Each is installed into a folder of its own in the cache; what is there is gone on with.
+
+    Examples:
+        mbds-xsim releases mujoco --since 3.7.0
+        mbds-xsim releases dart exudyn --html releases.html --png releases.png
+        mbds-xsim releases mujoco --last 2 --json -
+    """
+    from mbds_xsim.base.isolate import core_count
+    from mbds_xsim.report.files import link, results_json, rows_csv, write_if
+    from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.studies.releases.present import present, to_png
+    from mbds_xsim.studies.releases.steps import history_of
+    from mbds_xsim.studies.releases import ReleaseStudy
+
+    if since and len(engines) > 1:
+        msg = f"--since: got {since} for {len(engines)} engines; name one ENGINE"
+        raise InputError(msg)
+    histories = []
+    for engine in engines:
+        with StudyBar(to.console, workers or core_count(), engine) as meter:
+            how = {"workers": workers, "fresh": fresh, "cache": cache}
+            measured = ReleaseStudy(engine, meter, **how).measured(since, last)
+        histories.append(history_of(measured, shared.command_line()))
+        print_report(present(histories[-1]), to.console)
+    stored = results_json(histories)
+    write_if(to.csv, lambda: rows_csv(row for history in histories for row in history.rows))
+    write_if(to.png, lambda: to_png(histories, stored))
+    pictures = [link(to.png, to.markdown), *[""] * len(histories)]
+    reports = [present(*pair) for pair in zip(histories, pictures, strict=False)]
+    to.give(reports, "Release by release", stored)
+    raise Exit(1 if any(history.verdict == "fail" for history in histories) else 0)

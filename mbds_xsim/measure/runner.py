@@ -1,9 +1,9 @@
 """Cases, and the runner that turns them into rows: kept ones from disk, the others isolated.
 
-A study plans cases and reads rows. What lies between is the same for all and done here: what was
-measured earlier is taken from the store; the rest runs side by side in fresh processes with a time
-limit; a crash becomes a row like any other; every row is kept as soon as it is there, so that a
-study that was interrupted goes on where it stopped. In outline:
+A study plans cases and reads rows. What lies between is done here: what was measured earlier is
+taken from the store; the rest runs side by side in fresh processes with a time limit; a crash
+becomes a row like any other; every row is kept at once, so that a study that was interrupted goes
+on where it stopped. In outline:
 
     class Row(Keyed, frozen=True, kw_only=True): engine: str; error_m: float | None = None
 
@@ -13,11 +13,9 @@ study that was interrupted goes on where it stopped. In outline:
     row = Row(key=row_key(...), engine=name)
     rows = runner.rows([StudyCase(row, name, error, lambda: (scene, start, settings), 30.0)])
 
-`docs/add-a-study.md` has a complete study.
-
-Cases of one `group` follow each other in one process, which spares most of its start. What is left
-of them when that process crashes, hangs, or has used up half of its time is run once more, each
-case by itself: so nothing that goes wrong in one touches another.
+`docs/add-a-study.md` has a complete study. Cases of one `group` follow each other in one process,
+which spares most of its start. What is left of them when that process crashes, hangs, or has used
+up half of its time is run once more, each case by itself: nothing that goes wrong touches another.
 """
 
 from __future__ import annotations
@@ -213,10 +211,12 @@ class Runner(Generic[R]):
     workers: int | None = None
     """Processes at a time; all cores when None, none but this one for 0."""
     fresh: bool = False
-    """Whether rows that were kept earlier are measured again."""
+    """Whether rows kept earlier are measured again."""
     meter: Meter = field(default_factory=Silent)
     forecasts: bool = True
-    """Whether the runner predicts the time that is left, by the cases that are done."""
+    """Whether it predicts the time left by the cases that are done."""
+    packages: Path | None = None
+    """Folder whose packages the processes have in place of this one's."""
     measured: int = 0
     """Rows measured by this runner."""
     kept: int = 0
@@ -258,7 +258,8 @@ class Runner(Generic[R]):
             self._forecast(cases)
 
         self._forecast(cases)
-        run_tasks([_task(group) for group in groups], workers=self.workers, finished=finished)
+        tasks = [_task(group) for group in groups]
+        run_tasks(tasks, workers=self.workers, finished=finished, packages=self.packages)
 
     def _keep(self, case: StudyCase[R], row: R, seconds: float) -> None:
         self._now[row.key] = row

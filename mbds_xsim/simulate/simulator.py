@@ -173,6 +173,8 @@ class EngineMethod(Simulator):
     """Its options; None: those of the engine's profile for the scene."""
     together: int = 1
     """Copies of the start that run at once: times are each one's share."""
+    release: str = ""
+    """Version of the engine where it is run, if that is not here."""
 
     @property
     def family(self) -> str:
@@ -187,7 +189,7 @@ class EngineMethod(Simulator):
     @property
     def version(self) -> str:
         """Version of the engine."""
-        return registry.load_adapter(self.engine).version()
+        return self.release or registry.load_adapter(self.engine).version()
 
     def clock(self, usual: Clock) -> Clock:
         """Give the usual frames."""
@@ -220,7 +222,7 @@ class EngineMethod(Simulator):
         adapter = registry.load_adapter(self.engine)
         options = sorted(self.options(scene).items())
         together = [self.together] if self.together > 1 else []
-        versions = [adapter.version(), adapter.revision]
+        versions = [self.version, adapter.revision]
         return [self.engine, self.method, count, options, *versions, *together]
 
     def simulate(

@@ -1,21 +1,37 @@
 """What an adapter's author runs: the contract suite and the ladder of check cases.
 
-That of learned models is in `mbds_xsim.testing.models`, for it needs torch.
+That of learned models is in `mbds_xsim.testing.models`, for it needs torch. The suites need pytest,
+the cases do not.
 """
 
 from __future__ import annotations
 
-import pytest
+import sys
+from typing import TYPE_CHECKING
 
-# Without it a failing assert in the shipped suite shows no values.
-pytest.register_assert_rewrite(
-    "mbds_xsim.testing.contract",
-    "mbds_xsim.testing.contact_contract",
-    "mbds_xsim.testing.models",
-)
+if "pytest" in sys.modules:
+    # Without it a failing assert in the shipped suites shows no values.
+    sys.modules["pytest"].register_assert_rewrite(
+        "mbds_xsim.testing.contract",
+        "mbds_xsim.testing.contact_contract",
+        "mbds_xsim.testing.models",
+    )
 
-from mbds_xsim.testing.case import Case  # noqa: E402
-from mbds_xsim.testing.cases import CASES  # noqa: E402
-from mbds_xsim.testing.contract import AdapterContract, measured_order  # noqa: E402
+from mbds_xsim.testing.case import Case
+from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.ladder import measured_order
+
+if TYPE_CHECKING:
+    from mbds_xsim.testing.contract import AdapterContract
 
 __all__ = ["CASES", "AdapterContract", "Case", "measured_order"]
+
+
+def __getattr__(name: str) -> object:
+    """Load the suite where it is asked for: it takes pytest."""
+    if name != "AdapterContract":
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    from mbds_xsim.testing.contract import AdapterContract
+
+    return AdapterContract

@@ -12,7 +12,6 @@ Use it in a test file of your own, with a fixture that makes your adapter:
 
 from __future__ import annotations
 
-import dataclasses
 import pickle
 import re
 import subprocess
@@ -24,7 +23,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from mbds_xsim.base import rotation
 from mbds_xsim.base.errors import InputError, UnknownName, Unsupported
 from mbds_xsim.checks.finding import Record
 from mbds_xsim.checks.kinematics import kinematics, velocity_lag
@@ -34,38 +32,16 @@ from mbds_xsim.scene.scene import Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate import readback
 from mbds_xsim.simulate.adapter import Adapter, Settings
-from mbds_xsim.simulate.claims import CONTACTS, RTOL, Feature, Method, check_claims
+from mbds_xsim.simulate.claims import CONTACTS, Feature, Method, check_claims
 from mbds_xsim.testing.case import Case
 from mbds_xsim.testing.cases import CASES
 from mbds_xsim.testing.contact_contract import ContactContract
+from mbds_xsim.testing.ladder import EXACT, case_settings, measured_order
 
-_STEPS_PER_FRAME = (4, 8, 16)
-_TOLERANCES = (1e-5, 1e-7, 1e-9)
 _ORDER_MARGIN = 0.2
 # An adaptive method's error is about in proportion to its tolerance.
 _PROPORTION = 0.8
-# Where a method meets the answer to this, there is no order left to measure (RK4 on a parabola).
-_EXACT = 1e-9
 _NUMBER = re.compile(r"[-+]?\d+\.\d*(?:e[-+]?\d+)?")
-
-
-def measured_order(
-    adapter: Adapter, case: Case, method: str, steps_per_frame: tuple[int, ...] = _STEPS_PER_FRAME
-) -> tuple[float, list[float]]:
-    """Fit the order of convergence of a case's largest error, and give the errors [m or rad].
-
-    That of an adaptive method is by its tolerance, not by its steps.
-    """
-    settings = [_settings(adapter, case, adapter.methods[method], n) for n in steps_per_frame]
-    finer: tuple[float, ...] = steps_per_frame
-    if adapter.methods[method].adaptive:
-        settings = [_tightened(settings[0], rtol) for rtol in _TOLERANCES]
-        finer = tuple(1.0 / rtol for rtol in _TOLERANCES)
-    errors = [_case_error(adapter, case, each) for each in settings]
-    if errors[-1] == 0.0:
-        return np.inf, errors
-    slope = np.polyfit(np.log(finer), -np.log(np.maximum(errors, 1e-300)), 1)[0]
-    return float(slope), errors
 
 
 class AdapterContract(ContactContract):
@@ -90,7 +66,7 @@ class AdapterContract(ContactContract):
                 continue
             order, errors = measured_order(adapter, case, method.name)
             declared = _PROPORTION if method.adaptive else method.order_for(case.scene)
-            assert errors[-1] < _EXACT or order > declared - _ORDER_MARGIN, (
+            assert errors[-1] < EXACT or order > declared - _ORDER_MARGIN, (
                 f"{adapter.name} {method.name} on {case.name}: declared order {declared}, "
                 f"measured {order:.2f} from errors {errors}"
             )
@@ -129,7 +105,7 @@ class AdapterContract(ContactContract):
     def test_the_native_model_reads_back_as_the_scene(self, adapter: Adapter, case: Case) -> None:
         """Mass, inertia, poses, velocities, gravity, step, axes, no damping."""
         for method in _able(adapter, case.scene):
-            batch, settings = draw_batch(case.scene, [0]), _settings(adapter, case, method, 4)
+            batch, settings = draw_batch(case.scene, [0]), case_settings(adapter, case, method, 4)
             with adapter.open(case.scene, settings) as run:
                 found = run.readback(batch)
 
@@ -175,7 +151,7 @@ class AdapterContract(ContactContract):
     def test_same_batch_same_bits(self, adapter: Adapter) -> None:
         """Again in the same run, and in a run loaded afresh."""
         case = _able_cases(adapter)[-1]
-        settings = _settings(adapter, case, _first(adapter, case), 4)
+        settings = case_settings(adapter, case, _first(adapter, case), 4)
         batch = draw_batch(case.scene, [0, 1])
         with adapter.open(case.scene, settings) as run:
             first, second = run.rollout(batch), run.rollout(batch)
@@ -189,7 +165,7 @@ class AdapterContract(ContactContract):
     def test_trajectories_of_a_batch_do_not_touch_each_other(self, adapter: Adapter) -> None:
         """The second of two is what it is alone; the arrays share no memory."""
         case = _able_cases(adapter)[-1]
-        settings = _settings(adapter, case, _first(adapter, case), 4)
+        settings = case_settings(adapter, case, _first(adapter, case), 4)
         with adapter.open(case.scene, settings) as run:
             both = run.rollout(draw_batch(case.scene, [0, 1]))
             alone = run.rollout(draw_batch(case.scene, [1]))
@@ -201,11 +177,11 @@ class AdapterContract(ContactContract):
         """Interleaved runs of two scenes give what each gives alone."""
         first, second = _able_cases(adapter)[0], _able_cases(adapter)[-1]
         with adapter.open(
-            second.scene, _settings(adapter, second, _first(adapter, second), 4)
+            second.scene, case_settings(adapter, second, _first(adapter, second), 4)
         ) as a:
             alone = a.rollout(draw_batch(second.scene, [0]))
             with adapter.open(
-                first.scene, _settings(adapter, first, _first(adapter, first), 4)
+                first.scene, case_settings(adapter, first, _first(adapter, first), 4)
             ) as b:
                 b.rollout(draw_batch(first.scene, [0]))
                 beside = a.rollout(draw_batch(second.scene, [0]))
@@ -255,7 +231,9 @@ class AdapterContract(ContactContract):
         able = _able_cases(adapter)
         case = next((case for case in able if case.scene.springs), able[0])
         batch = draw_batch(case.scene, [0], noise=False, inputs=False)
-        with adapter.open(case.scene, _settings(adapter, case, _first(adapter, case), 2)) as run:
+        with adapter.open(
+            case.scene, case_settings(adapter, case, _first(adapter, case), 2)
+        ) as run:
             text, motion = run.native(batch), run.rollout(batch)
         if text.lstrip().startswith("<"):
             ElementTree.fromstring(text)
@@ -267,7 +245,7 @@ class AdapterContract(ContactContract):
         assert ended.returncode == 0, ended.stderr
         told = np.array([float(number) for number in _NUMBER.findall(ended.stdout)])
         for place in motion.position[0, -1].ravel():
-            assert np.abs(told - place).min(initial=np.inf) < _EXACT, f"{place} is not in the end"
+            assert np.abs(told - place).min(initial=np.inf) < EXACT, f"{place} is not in the end"
 
     def test_the_version_has_a_number(self, adapter: Adapter) -> None:
         """Results name the engine's version."""
@@ -280,7 +258,7 @@ class AdapterContract(ContactContract):
     def test_closing_twice_and_many_opens(self, adapter: Adapter) -> None:
         """Engine memory has one owner, and it lets go."""
         case = _able_cases(adapter)[0]
-        settings = _settings(adapter, case, _first(adapter, case), 1)
+        settings = case_settings(adapter, case, _first(adapter, case), 1)
         for _ in range(40):
             run = adapter.open(case.scene, settings)
             run.close()
@@ -295,38 +273,12 @@ class AdapterContract(ContactContract):
         assert adapter.coordinates in ("reduced", "maximal"), adapter.coordinates
 
 
-def _case_error(adapter: Adapter, case: Case, settings: Settings) -> float:
-    """Largest distance from the exact motion, or angle times the scene's length [m]."""
-    with adapter.open(case.scene, settings) as run:
-        got = run.rollout(draw_batch(case.scene, [0]))
-    assert got.failures == (None,), f"{settings.method} on {case.name}: {got.failures[0]}"
-    error = np.abs(got.position[0] - case.exact(got.time)).max()
-    if case.exact_orientation is not None:
-        turn = rotation.multiply(
-            rotation.conjugate(case.exact_orientation(got.time)), got.orientation[0]
-        )
-        angle = np.linalg.norm(rotation.to_vector(turn), axis=-1).max()
-        error = max(error, angle * case.scene.length)
-    return float(error)
-
-
 def _run(
     adapter: Adapter, case: Case, method: Method, steps_per_frame: int
 ) -> tuple[Batch, Trajectory]:
     batch = draw_batch(case.scene, [0])
-    with adapter.open(case.scene, _settings(adapter, case, method, steps_per_frame)) as run:
+    with adapter.open(case.scene, case_settings(adapter, case, method, steps_per_frame)) as run:
         return batch, run.rollout(batch)
-
-
-def _settings(adapter: Adapter, case: Case, method: Method, steps_per_frame: int) -> Settings:
-    preset = adapter.settings(case.scene, "matched")
-    options = preset.options if preset.method == method.name else {}
-    count = 1 if method.adaptive else steps_per_frame
-    return Settings(method.name, case.scene.clock.frame / count, options)
-
-
-def _tightened(settings: Settings, rtol: float) -> Settings:
-    return dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
 
 
 def _refusing(adapter: Adapter) -> Iterator[tuple[str, Mapping[Feature, str]]]:

@@ -176,7 +176,7 @@ def _diff(old: View, new: View, rtol: float, factor: float) -> Diff:
             )
             raise InputError(msg)
     pairs = {
-        name: _entry_diff(name, old.entries[name], entry, rtol, factor)
+        name: entry_diff(name, old.entries[name], entry, rtol, factor)
         for name, entry in new.entries.items()
         if name in old.entries
     }
@@ -217,7 +217,8 @@ def _only_in(view: View, other: View) -> Iterator[OnlyIn]:
         yield OnlyIn(name, entry.verdict, next(reasons, ""))
 
 
-def _entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
+def entry_diff(name: str, old: Entry, new: Entry, rtol: float, factor: float) -> EntryDiff:
+    """Say what changed of an entry; the thresholds are those of `compare_files`."""
     return EntryDiff(
         name=name,
         old_verdict=old.verdict,

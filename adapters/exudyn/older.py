@@ -1,0 +1,42 @@
+"""What a listing reads like for earlier releases of Exudyn, which have other names for the same."""
+
+from __future__ import annotations
+
+import re
+
+import exudyn
+
+# Before which release, a pattern of today's listing, and what stands in its place.
+_EARLIER = (
+    ((1, 13), r"\.solution\.file\.write", ".solutionSettings.writeSolutionToFile"),
+    ((1, 13), r"\.solution\.sensors\.active", ".solutionSettings.sensorsStoreAndWriteFiles"),
+    ((1, 13), r"\.linearSolver\.solverType", ".linearSolverType"),
+    ((1, 13), r"\.linearSolver\.ignore", ".linearSolverSettings.ignore"),
+    ((1, 13), r"CreateForce(.*?\))", r"AddLoad(items.LoadForceVector\1)"),
+    ((1, 13), r"CreateTorque(.*?\))", r"AddLoad(items.LoadTorqueVector\1)"),
+    ((1, 13), r"itemNumber=", "markerNumber="),
+    ((1, 13), r"itemNumbers=", "bodyNumbers="),
+    ((1, 10), r", TreeLink$", ""),
+    ((1, 9), r"(SpringDamper|Constraint)\(bodyNumbers=", r"\1(bodyList="),
+    ((1, 8), r"bodyList=", "bodyOrNodeList="),
+    ((1, 8), r"CreateGround\(\)", "AddObject(items.ObjectGround())"),
+)
+
+
+def silence() -> None:
+    """Let Exudyn print nothing."""
+    if hasattr(exudyn, "config"):
+        exudyn.config.printToConsole = False
+        exudyn.config.suppressWarnings = True
+    else:  # before 1.10
+        exudyn.SetWriteToConsole(False)
+        exudyn.SuppressWarnings(True)
+
+
+def in_its_words(listing: str) -> str:
+    """Give a listing in the words of the release that is installed."""
+    release = tuple(int(number) for number in exudyn.__version__.split(".")[:2])
+    for until, pattern, earlier in _EARLIER:
+        if release < until:
+            listing = re.sub(pattern, earlier, listing, flags=re.MULTILINE)
+    return listing

@@ -1,0 +1,314 @@
+"""Every release of an engine at the same settings: what is measured, and how it is carried out.
+
+A release stands in a folder of packages (`environments`). Its cases run in processes that have the
+folder's packages in place of this environment's: the ladder of small cases with exact answers, the
+paper's scenes, and a ball's rebound. What is true of them is computed here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from mbds_xsim.base.errors import InputError, UnknownName
+from mbds_xsim.base.isolate import Crash, Task, run_tasks
+from mbds_xsim.base.text import on_a_line
+from mbds_xsim.measure.runner import Keyed, Meter, Runner, Store, StudyCase, machine, row_key
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.scene.scene import Scene
+from mbds_xsim.scene.state import Batch
+from mbds_xsim.simulate.adapter import Adapter, Profile
+from mbds_xsim.simulate.choice import settings_for
+from mbds_xsim.simulate.registry import PAPER_SCENES, engine_names, load_adapter, load_scene
+from mbds_xsim.simulate.simulator import EngineMethod, Simulator
+from mbds_xsim.studies.contact.bench import RESTITUTION, ContactBench, reason
+from mbds_xsim.studies.contact.impacts import rebounds
+from mbds_xsim.studies.releases.environments import installed, releases_of
+from mbds_xsim.studies.releases.known import known_of
+from mbds_xsim.studies.tradeoff.bench import Truth, measure, references
+from mbds_xsim.testing.case import Case
+from mbds_xsim.testing.cases import CASES
+from mbds_xsim.testing.ladder import EXACT, STEPS_PER_FRAME, case_settings, measured_order
+
+SCHEMA = "mbds-xsim/releases/1"
+PROFILES: tuple[Profile, ...] = ("native", "matched")
+
+_VERSION = 1
+"""To be raised when what is measured of a case becomes another."""
+_START = 1  # of the medium interval
+_SPEEDS = (0.5, 2.0)  # at which a ball hits the ground [m/s]
+_BOUNCING = "balldrop"
+_LAST = 10
+"""Releases where neither they nor their number are asked for."""
+_LIMIT = 120.0
+"""Longest that a case, or the cases of a method, may take [s]."""
+_MIDDLE = STEPS_PER_FRAME.index(8)
+
+
+class ReleaseRow(Keyed, frozen=True, kw_only=True):
+    """One release of an engine on one case."""
+
+    release: str
+    case: str
+    way: str
+    """Method on a small case, or profile of settings on a scene."""
+    kind: Literal["done", "failed", "crashed", "timed out", "refused"] = "done"
+    reason: str = ""
+    error_m: float | None = None
+    """Largest on a small case at 8 steps a frame; of the particles at 1 s on a scene [m]."""
+    order: float | None = None
+    """Power of the step with which the error falls, where it is not met to rounding."""
+    gap_m: float | None = None
+    energy: float | None = None
+    restitution: float | None = None
+    """Of a ball's impact for which 0.9332 was asked."""
+    cpu_s: float | None = None
+    """Processor time per simulated second, the least of the repeats."""
+
+    @property
+    def name(self) -> str:
+        """Case and way."""
+        return f"{self.case}, {self.way}"
+
+
+class Release(msgspec.Struct, frozen=True):
+    """One release."""
+
+    version: str
+    reason: str = ""
+    """Why there is nothing of it: it cannot be installed, or driven."""
+
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """All that was measured of an engine."""
+
+    engine: str
+    package: str
+    releases: tuple[Release, ...]
+    """The oldest first."""
+    rows: tuple[ReleaseRow, ...]
+    machine: str
+    python: str
+    wall_s: float
+
+
+@dataclass
+class ReleaseStudy:
+    """An engine, and what its releases are put to.
+
+    Args:
+        engine: Its name.
+        scenes: Names of scenes.
+        workers: Processes at a time; all cores when left out.
+        fresh: Whether what was measured earlier is measured again.
+        cache: Whether stored reference solutions may be used.
+        meter: Where progress is told.
+    """
+
+    engine: str
+    meter: Meter
+    scenes: Sequence[str] = PAPER_SCENES
+    workers: int | None = None
+    fresh: bool = False
+    cache: bool = True
+    _truths: dict[str, tuple[Batch, Truth]] = field(default_factory=dict)
+
+    def measured(self, since: str = "", last: int | None = None) -> Measured:
+        """Measure the releases since one of them, or the last ones.
+
+        Args:
+            since: The first; if left out, where is known to begin.
+            last: How many at most, the newest ones.
+
+        Raises:
+            InputError: There is no such engine or release, or the index cannot be asked.
+        """
+        begin = time.perf_counter()
+        if self.engine not in engine_names():
+            raise UnknownName.of("engine", self.engine, engine_names())
+        since = since or known_of(self.engine).since
+        versions = releases_of(self.adapter.package, since, last or (None if since else _LAST))
+        parts = {version: self._release(version) for version in versions}
+        return Measured(
+            engine=self.engine,
+            package=self.adapter.package,
+            releases=tuple(
+                Release(version, part if isinstance(part, str) else "")
+                for version, part in parts.items()
+            ),
+            rows=tuple(row for part in parts.values() if not isinstance(part, str) for row in part),
+            machine=machine(),
+            python=platform.python_version(),
+            wall_s=time.perf_counter() - begin,
+        )
+
+    @cached_property
+    def adapter(self) -> Adapter:
+        """The engine's, in this environment."""
+        return load_adapter(self.engine)
+
+    @cached_property
+    def _store(self) -> Store[ReleaseRow]:
+        return Store.of("releases", self.engine, ReleaseRow)
+
+    def _release(self, version: str) -> list[ReleaseRow] | str:
+        """Give the rows of a release, or why there are none."""
+        runner = Runner(
+            self._store,
+            crashed=_crashed,
+            workers=self.workers,
+            fresh=self.fresh,
+            meter=self.meter,
+        )
+        cases = [*self._ladder(version), *self._played(version), *self._bounces(version)]
+        if runner.missing(cases):
+            place = installed(self.adapter.package, version)
+            if isinstance(place, str):
+                return place
+            driven = Task(drive, (self.engine, version, place), _LIMIT)
+            (answer,) = run_tasks([driven], packages=place)
+            if isinstance(answer, Crash):
+                return on_a_line(answer.reason)
+            runner.packages = place
+        return runner.rows(cases)
+
+    def _ladder(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
+        """Every method on every small case."""
+        for case in CASES:
+            for name, method in self.adapter.methods.items():
+                if not self.adapter.refusals(case.scene, name) and not method.adaptive:
+                    settings = case_settings(self.adapter, case, method, STEPS_PER_FRAME[-1])
+                    ran = EngineMethod(self.engine, name, given=settings.options, release=version)
+                    start = draw_batch(case.scene, [0])
+                    key = _key("case", case.scene, start, ran, STEPS_PER_FRAME[-1])
+                    row = ReleaseRow(key=key, release=version, case=case.name, way=name)
+                    arguments = (self.engine, case.name, name)
+                    yield _case(row, climb, arguments, (version, "ladder", name))
+
+    def _played(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
+        """Every scene at native and matched settings."""
+        for scene in map(load_scene, self.scenes):
+            for ran, count in self._settled(scene, version):
+                start, truth = self._truth(scene)
+                key = _key("scene", scene, start, ran, count)
+                row = ReleaseRow(key=key, release=version, case=scene.name, way=ran.profile)
+                arguments = (ran, scene, start, count, truth)
+                yield _case(row, play, arguments, (version, "scenes", ran.profile))
+
+    def _bounces(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
+        """A ball's impacts."""
+        scene = load_scene(_BOUNCING)
+        for ran, count in self._settled(scene, version):
+            for speed in _SPEEDS:
+                key = _key(f"rebound {speed}", scene, draw_batch(scene, [0]), ran, count)
+                name = f"rebound at {speed:g} m/s"
+                row = ReleaseRow(key=key, release=version, case=name, way=ran.profile)
+                arguments = (self.engine, ran.profile, speed)
+                yield _case(row, bounce, arguments, (version, "rebounds", ran.profile))
+
+    def _settled(self, scene: Scene, version: str) -> Iterator[tuple[EngineMethod, int]]:
+        """Give the engine at the settings of each profile, and its steps a frame."""
+        able = any(not self.adapter.refusals(scene, name) for name in self.adapter.methods)
+        for profile in PROFILES if able else ():
+            settings = settings_for(scene, self.adapter, profile)
+            if not self.adapter.refusals(scene, settings.method):
+                ran = EngineMethod(
+                    self.engine,
+                    settings.method,
+                    given=settings.options,
+                    profile=profile,
+                    release=version,
+                )
+                yield ran, settings.substeps(scene.clock.frame)
+
+    def _truth(self, scene: Scene) -> tuple[Batch, Truth]:
+        """Give a start of a scene, and what is true of it."""
+        if scene.name not in self._truths:
+            start = draw_batch(scene, [_START])
+            (truth,) = references(scene, start, cache=self.cache, workers=self.workers)
+            self._truths[scene.name] = start, truth
+        return self._truths[scene.name]
+
+
+def _key(what: str, scene: Scene, start: Batch, ran: Simulator, count: int) -> str:
+    words = f"{_VERSION} {what} {row_key(scene, start, ran, count)}"
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def _case(
+    row: ReleaseRow,
+    function: Callable[..., dict[str, Any]],
+    arguments: tuple[Any, ...],
+    group: tuple[str, str, str],
+) -> StudyCase[ReleaseRow]:
+    name = f"{row.release}: {row.name}"
+    pace = row.case, row.way
+    return StudyCase(row, name, function, lambda: arguments, _LIMIT, group, pace)
+
+
+def _crashed(row: ReleaseRow, crash: Crash) -> ReleaseRow:
+    return msgspec.structs.replace(row, kind=crash.kind, reason=on_a_line(crash.reason))
+
+
+# What runs in a process of a release.
+
+
+def drive(engine: str, release: str, packages: Path) -> None:
+    """Let a release move one body.
+
+    Raises:
+        InputError: What moves it is not the release of the folder.
+    """
+    adapter = load_adapter(engine)
+    case = next(case for case in CASES if any(_able(adapter, case)))
+    with adapter.open(case.scene, next(_able(adapter, case))) as run:
+        run.rollout(draw_batch(case.scene, [0]))
+    files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
+    if adapter.version() != release or not any(
+        Path(file).is_relative_to(packages) for file in files if file
+    ):
+        msg = f"what runs is {engine} {adapter.version()}, and not what {packages} has"
+        raise InputError(msg)
+
+
+def _able(adapter: Adapter, case: Case) -> Iterator[Any]:
+    for name, method in adapter.methods.items():
+        if not adapter.refusals(case.scene, name):
+            yield case_settings(adapter, case, method, 1)
+
+
+def climb(engine: str, name: str, method: str) -> dict[str, Any]:
+    """Measure error and order of a method on a small case."""
+    case = next(case for case in CASES if case.name == name)
+    try:
+        order, errors = measured_order(load_adapter(engine), case, method)
+    except Exception as error:  # whatever a release raises is what there is of it
+        return {"kind": "failed", "reason": on_a_line(f"{type(error).__name__}: {error}")}
+    return {"error_m": errors[_MIDDLE], "order": order if errors[-1] > EXACT else None}
+
+
+def play(
+    simulator: Simulator, scene: Scene, start: Batch, count: int, truth: Truth
+) -> dict[str, Any]:
+    """Measure a start of a scene as charts of speed against accuracy do."""
+    found = measure(simulator, scene, start, count, truth)
+    told = ("kind", "reason", "error_m", "gap_m", "energy")
+    return {key: found[key] for key in told if key in found} | {"cpu_s": min(found["cpu_s"])}
+
+
+def bounce(engine: str, profile: Profile, speed: float) -> dict[str, Any]:
+    """Measure the restitution of a ball that hits the ground."""
+    kept, _, motion = rebounds(ContactBench(engine, profile, _BOUNCING), RESTITUTION, speed)
+    if lost := reason(motion):
+        return {"kind": "failed", "reason": lost}
+    return {"restitution": float(np.median(kept))}

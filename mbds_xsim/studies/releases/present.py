@@ -1,0 +1,215 @@
+"""The history of an engine as a report, and its picture."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from mbds_xsim.base.text import counted
+from mbds_xsim.report import blocks, quantity, themed
+from mbds_xsim.report.themed import GREY, INK
+from mbds_xsim.studies.releases.steps import FACTOR, History, Step, comparable, figures_of
+from mbds_xsim.studies.releases import ReleaseRow
+
+_UNEXPLAINED = "unexplained"
+_MOST = 40
+"""Steps that a terminal shows."""
+_SHOWN = {
+    "error": "Error",
+    "order": "Order",
+    "gap": "Gaps of joints",
+    "energy": "Energy from nowhere, or lost",
+    "restitution": "Restitution",
+    "time": "Processor time per simulated second",
+}
+_DECADES = 3.0
+"""Of colours, either way."""
+_CELL, _LINE, _LEFT, _HEAD = 0.27, 0.16, 3.2, 1.5  # [in]
+
+
+def present(history: History, picture: str = "") -> blocks.Report:
+    """Say what changed between releases."""
+    return blocks.Report(
+        title=f"{history.engine}, release by release",
+        what="newest release is worse" if history.verdict == "fail" else "nothing new is worse",
+        conclusion=_conclusion(history),
+        description=_DESCRIPTION,
+        blocks=tuple(_blocks(history)),
+        command=history.command,
+        made=f"{history.machine}, in {quantity.span(history.wall_s)}; "
+        + ", ".join(f"{name} {version}" for name, version in history.versions.items()),
+        picture=picture,
+        verdict=history.verdict,
+    )
+
+
+_DESCRIPTION = (
+    "Each release runs in processes of its own, at the same settings: the ladder of small cases "
+    "with exact answers, a start of each of the paper's scenes, a ball's rebound. A step is a "
+    f"figure that differs by more than a factor of {FACTOR:g} from the release before, or an order "
+    "that differs by more than a half; for restitution it is the distance from what was asked."
+)
+
+
+def _conclusion(history: History) -> str:
+    steps = [step for step in history.steps if step.what != "time"]
+    unexplained = sum(not step.explanation for step in steps)
+    rows = len({step.name for step in steps})
+    newest, regressions = history.releases[-1], len(history.regressions)
+    worse = counted(regressions, "figure is", "figures are") if regressions else "nothing is"
+    told = "it is not driven" if newest.reason else f"{worse} worse without an explanation"
+    return (
+        f"{len(history.driven)} of {counted(len(history.releases), 'release')} driven; "
+        f"{counted(len(steps), 'step')} in {rows} of {counted(len(history.names), 'row')}, "
+        f"{unexplained} of them unexplained, times apart; of {newest.version}, the newest, {told}"
+    )
+
+
+def _blocks(history: History) -> Iterator[blocks.Block]:
+    yield _steps(history)
+    yield blocks.Remarks.of(_remarks(history))
+    page: frozenset[blocks.Place] = frozenset({"page"})
+    if _stepping(history):
+        figure = blocks.Figure(_title(history), lambda f: draw(f, history), size_of(history))
+        yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
+    tables = tuple(table for what in _SHOWN if (table := _figures(history, what)) is not None)
+    yield blocks.Section("All figures", tables, folded=True, on=page)
+
+
+def _steps(history: History) -> blocks.Table:
+    columns = (
+        blocks.Column("release", words=True),
+        blocks.Column("case and method or settings", words=True),
+        blocks.Column("figure", words=True),
+        blocks.Column("before"),
+        blocks.Column("now"),
+        blocks.Column("factor"),
+        blocks.Column("why", "Line of the change log.", words=True),
+    )
+    rows = [_step(step) for step in history.steps if step.what != "time"]
+    return blocks.Table(columns, tuple(rows), title="Steps", most=_MOST, grouped=True)
+
+
+def _step(step: Step) -> blocks.Row:
+    told = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
+    before, now = told.get(step.course) or (value_of(step, step.old), value_of(step, step.new))
+    factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
+    why = step.explanation or " – ".join(filter(None, (_UNEXPLAINED, step.reason)))
+    mark: blocks.Mark = "over" if step.worse else ""
+    cells = (step.release, step.name, step.what, before, now, factor, why)
+    return blocks.Row(tuple(map(blocks.Cell, cells)), mark)
+
+
+def value_of(step: Step, value: float | None) -> str:
+    """Write a figure of a step."""
+    return _written(step.what, value, step.unit)
+
+
+def _written(what: str, value: float | None, unit: str) -> str:
+    if what in ("order", "restitution") and value is not None:
+        return f"{value:.2f}"
+    return quantity.with_unit(value, unit)
+
+
+def _remarks(history: History) -> Iterator[tuple[str, str]]:
+    for release in history.releases:
+        if release.reason:
+            yield f"{release.version} is not driven", release.reason
+    for version, rows in groupby(_lost(history), lambda row: row.release):
+        reasons = Counter(row.reason for row in rows)
+        told = (f"{reason} ({counted(count, 'row')})" for reason, count in reasons.items())
+        yield f"{version} does not do all", "; ".join(told)
+    times = [step for step in history.steps if step.what == "time"]
+    for version, steps in groupby(times, lambda step: step.release):
+        told = (f"{step.name} {quantity.number(step.factor)}×" for step in steps)
+        yield f"{version} takes another time", ", ".join(told)
+    if history.change_log:
+        yield "change log", history.change_log
+
+
+def _lost(history: History) -> Iterator[ReleaseRow]:
+    for version in history.driven:
+        yield from (r for r in history.rows if r.release == version and r.kind != "done")
+
+
+def _figures(history: History, what: str) -> blocks.Table | None:
+    """Lay out one figure of all rows over all releases."""
+    columns = [blocks.Column("case", words=True), *map(blocks.Column, history.driven)]
+    rows = []
+    for name in history.names:
+        found = history.by_release(name)
+        texts = [_cell(found.get(version), what) for version in history.driven]
+        if any(text != quantity.NONE for text in texts):
+            rows.append([name, *texts])
+    return blocks.table_of(columns, rows, title=_SHOWN[what]) if rows else None
+
+
+def _cell(row: ReleaseRow | None, what: str) -> str:
+    return quantity.NONE if row is None else _written(what, *figures_of(row)[what])
+
+
+def to_png(histories: list[History], stored: bytes = b"") -> bytes:
+    """Give a picture of all engines, one below the other.
+
+    Args:
+        histories: What is drawn.
+        stored: Of the file that keeps it.
+    """
+    sizes = [size_of(history) for history in histories]
+
+    def paint(figure: Any) -> None:
+        heights = [height for _, height in sizes]
+        parts = figure.subfigures(len(histories), 1, squeeze=False, height_ratios=heights)
+        for part, history in zip(parts[:, 0], histories, strict=True):
+            draw(part, history)
+
+    size = max(width for width, _ in sizes), sum(height for _, height in sizes)
+    return themed.png(paint, size, stored)
+
+
+def size_of(history: History) -> tuple[float, float]:
+    """Width and height of a picture [in]."""
+    wide = _LEFT + _CELL * max(len(history.driven), 8) + 1.0
+    return wide, _HEAD + _LINE * max(len(_stepping(history)), 4)
+
+
+def _stepping(history: History) -> list[tuple[str, str]]:
+    """Name the rows and figures that have a step, by kind of figure; times are told apart."""
+    # Where motions were lost, the errors of the others are shown.
+    shown = ((s.name, "error" if s.what == "motion" else s.what) for s in history.steps)
+    found = {(name, what) for name, what in shown if what != "time"}
+    order = {name: place for place, name in enumerate(history.names)}
+    kinds = list(_SHOWN)
+    return sorted(found, key=lambda pair: (kinds.index(pair[1]), order[pair[0]]))
+
+
+def _title(history: History) -> str:
+    return f"{history.engine}: figures that changed by more than a factor of {FACTOR:g}, by release"
+
+
+def draw(figure: Any, history: History) -> None:
+    """Draw figures that have a step over releases: each over its best, in decades."""
+    import numpy as np
+
+    pairs, versions = _stepping(history), history.driven
+    values = np.full((max(len(pairs), 1), len(versions)), np.nan)
+    for y, (name, what) in enumerate(pairs):
+        rows = history.by_release(name)
+        for x, version in enumerate(versions):
+            row = rows.get(version)
+            value = None if row is None else figures_of(row)[what][0]
+            if value is not None:
+                values[y, x] = math.log10(max(comparable(what, value), 1e-12))
+    values -= np.nanmin(values, axis=1, keepdims=True) if len(pairs) else 0.0
+    axes = figure.subplots()
+    axes.grid(visible=False)
+    axes.set_facecolor(GREY)
+    shown = axes.imshow(values, aspect="auto", cmap="YlOrRd", vmin=0.0, vmax=_DECADES)
+    axes.set_xticks(range(len(versions)), versions, rotation=90, fontsize=7)
+    axes.set_yticks(range(len(pairs)), [f"{what}: {name}" for name, what in pairs], fontsize=7)
+    bar = figure.colorbar(shown, ax=axes, ticks=range(int(_DECADES) + 1), shrink=0.9, pad=0.01)
+    bar.ax.set_yticklabels(["best", *(f"{10**n}×" for n in range(1, int(_DECADES) + 1))])
+    figure.suptitle(_title(history), fontsize=10, x=0.01, ha="left", color=INK)

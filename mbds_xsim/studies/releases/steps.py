@@ -1,0 +1,180 @@
+"""Where a release differs from the one before it by more than a factor of two, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+
+from mbds_xsim.measure.runner import versions_of
+from mbds_xsim.studies.contact.bench import RESTITUTION
+from mbds_xsim.studies.diff.compare import entry_diff
+from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure
+from mbds_xsim.studies.releases.known import known_of
+from mbds_xsim.studies.releases import SCHEMA, Measured, Release, ReleaseRow
+
+FACTOR = 2.0
+"""Two figures that differ by more are a step."""
+
+_SAME = 1.0 - 1.0 / FACTOR
+_QUARTER = 4.0
+"""Orders are compared by what a quarter of the step makes of the error: half an order is a step."""
+_LEAST = {"error": 1e-9, "gap": 1e-9, "energy": 1e-9, "restitution": 0.01}
+"""Smaller differences are none, in the figures' units."""
+
+
+class Step(msgspec.Struct, frozen=True, kw_only=True):
+    """A figure of a release that is another than in the release before."""
+
+    release: str
+    before: str
+    """The release before, of those that have the row."""
+    name: str
+    """Case and way."""
+    what: str
+    unit: str
+    old: float | None
+    new: float | None
+    factor: float | None
+    """New over old; of an order, what became of the error's fall at a quarter of the step."""
+    course: Literal["worse", "better", "lost", "runs"]
+    reason: str = ""
+    """What the engine says, where the motion was lost."""
+    explanation: str = ""
+    """What the change log says of it; empty: nothing is known."""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the later release is worse, without an explanation."""
+        return self.course in ("worse", "lost") and not self.explanation
+
+
+class History(msgspec.Struct, frozen=True, kw_only=True):
+    """What a study of an engine's releases came to: the documented JSON."""
+
+    schema: str
+    engine: str
+    package: str
+    command: str
+    machine: str
+    versions: dict[str, str]
+    wall_s: float
+    change_log: str
+    """Its address, where it is known."""
+    releases: tuple[Release, ...]
+    steps: tuple[Step, ...]
+    rows: tuple[ReleaseRow, ...]
+
+    @property
+    def driven(self) -> list[str]:
+        """Versions of the releases that were driven."""
+        return [release.version for release in self.releases if not release.reason]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of rows in the order in which they were measured."""
+        return list(dict.fromkeys(row.name for row in self.rows))
+
+    @property
+    def regressions(self) -> list[Step]:
+        """What is worse in the newest release, and nobody explains; times are the machine's."""
+        newest = [step for step in self.steps if step.release == self.releases[-1].version]
+        return [step for step in newest if step.worse and step.what != "time"]
+
+    @property
+    def verdict(self) -> Literal["pass", "fail"]:
+        """Whether the newest release is driven, and nothing of it is worse."""
+        return "fail" if self.releases[-1].reason or self.regressions else "pass"
+
+    def by_release(self, name: str) -> dict[str, ReleaseRow]:
+        """Give the rows of a name by release, in the order of the releases."""
+        return {row.release: row for row in self.rows if row.name == name}
+
+
+def history_of(measured: Measured, command: str) -> History:
+    """Find the steps in what was measured."""
+    known = known_of(measured.engine)
+    return History(
+        schema=SCHEMA,
+        engine=measured.engine,
+        package=measured.package,
+        command=command,
+        machine=measured.machine,
+        versions=versions_of({}),
+        wall_s=measured.wall_s,
+        releases=measured.releases,
+        change_log=known.source,
+        steps=tuple(
+            msgspec.structs.replace(
+                step, explanation=known.explanation(step.release, f"{step.name}: {step.what}")
+            )
+            for step in steps_of(measured)
+        ),
+        rows=measured.rows,
+    )
+
+
+def steps_of(measured: Measured) -> Iterator[Step]:
+    """Compare every row with that of the release before that has it, the oldest first."""
+    last: dict[str, ReleaseRow] = {}
+    for row in measured.rows:
+        if row.name in last:
+            yield from _compared(last[row.name], row)
+        last[row.name] = row
+
+
+def figures_of(row: ReleaseRow) -> dict[str, tuple[float | None, str]]:
+    """Name the figures of a row, each with its unit."""
+    return {
+        "error": (row.error_m, "m"),
+        "order": (row.order, "1"),
+        "gap": (row.gap_m, "m"),
+        "energy": (row.energy, "1"),
+        "restitution": (row.restitution, "1"),
+        "time": (row.cpu_s, "s"),
+    }
+
+
+def comparable(what: str, value: float) -> float:
+    """Give what of a figure is compared: errors as they are, others by what is good in them."""
+    if what == "order":
+        return _QUARTER**-value
+    return abs(value - RESTITUTION) if what == "restitution" else abs(value)
+
+
+def _compared(old: ReleaseRow, new: ReleaseRow) -> Iterator[Step]:
+    at = {"release": new.release, "before": old.release, "name": new.name}
+    if (old.kind == "done") != (new.kind == "done"):
+        lost = new.kind != "done"
+        yield Step(
+            **at, what="motion", unit="1", old=None, new=None, factor=None,
+            course="lost" if lost else "runs", reason=new.reason if lost else old.reason,
+        )  # fmt: skip
+        return
+    before, now = figures_of(old), figures_of(new)
+    changed = entry_diff(new.name, _entry(old), _entry(new), _SAME, FACTOR)
+    for change in (*changed.figures, *changed.timings):
+        if change.ratio is not None:
+            (was, unit), (is_now, _) = before[change.what], now[change.what]
+            course: Literal["worse", "better"] = "worse" if change.ratio > 1.0 else "better"
+            yield Step(
+                **at, what=change.what, unit=unit, old=was, new=is_now, factor=change.ratio,
+                course=course,
+            )  # fmt: skip
+
+
+def _entry(row: ReleaseRow) -> Entry:
+    """See a row as an entry of what `diff` compares."""
+    known = {
+        what: comparable(what, value)
+        for what, (value, _) in figures_of(row).items()
+        if value is not None
+    }
+    time = known.pop("time", None)
+    return Entry(
+        verdict=row.kind,
+        rank=0 if row.kind == "done" else FAILING,
+        figures={w: PhysicalFigure(v, "1", _LEAST.get(w, 0.0) / _SAME) for w, v in known.items()},
+        timings={} if time is None else {"time": time},
+    )

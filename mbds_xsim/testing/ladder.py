@@ -1,0 +1,65 @@
+"""How an adapter does on the cases of the ladder: errors, and the order in which they fall."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from mbds_xsim.base import rotation
+from mbds_xsim.scene.sampling import draw_batch
+from mbds_xsim.simulate.adapter import Adapter, Settings
+from mbds_xsim.simulate.claims import RTOL, Method
+from mbds_xsim.testing.case import Case
+
+STEPS_PER_FRAME = (4, 8, 16)
+EXACT = 1e-9
+"""Error below which a method has met the answer: there is no order left (RK4 on a parabola) [m]."""
+
+_TOLERANCES = (1e-5, 1e-7, 1e-9)
+
+
+def measured_order(
+    adapter: Adapter, case: Case, method: str, steps_per_frame: tuple[int, ...] = STEPS_PER_FRAME
+) -> tuple[float, list[float]]:
+    """Fit the order of convergence of a case's largest error, and give the errors [m or rad].
+
+    That of an adaptive method is by its tolerance, not by its steps.
+    """
+    settings = [case_settings(adapter, case, adapter.methods[method], n) for n in steps_per_frame]
+    finer: tuple[float, ...] = steps_per_frame
+    if adapter.methods[method].adaptive:
+        settings = [_tightened(settings[0], rtol) for rtol in _TOLERANCES]
+        finer = tuple(1.0 / rtol for rtol in _TOLERANCES)
+    errors = [case_error(adapter, case, each) for each in settings]
+    if errors[-1] == 0.0:
+        return np.inf, errors
+    slope = np.polyfit(np.log(finer), -np.log(np.maximum(errors, 1e-300)), 1)[0]
+    return float(slope), errors
+
+
+def case_error(adapter: Adapter, case: Case, settings: Settings) -> float:
+    """Largest distance from the exact motion, or angle times the scene's length [m]."""
+    with adapter.open(case.scene, settings) as run:
+        got = run.rollout(draw_batch(case.scene, [0]))
+    assert got.failures == (None,), f"{settings.method} on {case.name}: {got.failures[0]}"
+    error = np.abs(got.position[0] - case.exact(got.time)).max()
+    if case.exact_orientation is not None:
+        turn = rotation.multiply(
+            rotation.conjugate(case.exact_orientation(got.time)), got.orientation[0]
+        )
+        angle = np.linalg.norm(rotation.to_vector(turn), axis=-1).max()
+        error = max(error, angle * case.scene.length)
+    return float(error)
+
+
+def case_settings(adapter: Adapter, case: Case, method: Method, steps_per_frame: int) -> Settings:
+    """Give the preset options of a method, at a number of steps a frame of the case."""
+    preset = adapter.settings(case.scene, "matched")
+    options = preset.options if preset.method == method.name else {}
+    count = 1 if method.adaptive else steps_per_frame
+    return Settings(method.name, case.scene.clock.frame / count, options)
+
+
+def _tightened(settings: Settings, rtol: float) -> Settings:
+    return dataclasses.replace(settings, options={**settings.options, RTOL: rtol})
