@@ -19,7 +19,7 @@ comma = ,
 	reports-tradeoff reports-stability reports-ablation reports-overhead \
 	reports-learn-speed reports-shift reports-lite reports-models reports-models-in-the-wild \
 	reports-data \
-	reports-data-full reports-paper-tables reports-pages pictures readme
+	reports-data-full reports-paper-tables reports-releases reports-pages pictures readme
 
 validate: $(VENV)/ready
 	$(BIN)/mbds-xsim validate $(SCENE) --json out/$(SCENE).json --html out/$(SCENE).html
@@ -229,6 +229,14 @@ reports-data-full: $(VENV)/ready
 reports-paper-tables: $(VENV)/ready
 	$(BIN)/python -m benchmarks.paper_tables $(REPORTS)/shift $(REPORTS)/lite \
 		> $(REPORTS)/paper-tables.md
+
+# Every release of the engines on the index since one of each; what was measured is gone on with.
+# A newest release that is worse (exit code 1) is a result too.
+RELEASED ?= mujoco dart exudyn pybullet
+reports-releases: $(VENV)/ready
+	$(BIN)/mbds-xsim releases $(RELEASED) --json $(REPORTS)/releases.json.gz \
+		--markdown $(REPORTS)/releases.md --png $(REPORTS)/releases.png \
+		--html out/releases.html || [ $$? -eq 1 ]
 
 # What is told of the reports: how near the validations come to the budgets, and the page of all.
 reports-pages: $(VENV)/ready

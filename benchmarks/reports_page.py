@@ -20,6 +20,7 @@ CHAPTERS = (
     ("What published models lose", "make reports-models-in-the-wild", "wild/*.md"),
     ("No more than a scene needs", "make reports-ablation", "ablation.md"),
     ("Data sets", "make reports-data reports-data-full", "data.md"),
+    ("Release by release", "make reports-releases", "releases.md"),
     ("What the adapters cost", "make reports-overhead", "adapter-overhead.md"),
     ("Models under a change of engine", "make reports-shift", "shift/*.md"),
     ("Models trained until level", "make reports-lite", "lite/*.md"),

@@ -19,7 +19,8 @@ _FLOORS = (
     ("measure",),
     ("dataset",),
     ("learn",),
-    ("studies", "testing"),
+    ("testing",),
+    ("studies",),
     ("api", "__init__", "commands", "__main__"),
 )
 """Packages, and modules beside them, from the bottom; one imports those of its own and below."""

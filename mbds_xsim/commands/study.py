@@ -236,9 +236,9 @@ def releases(
     from mbds_xsim.base.isolate import core_count
     from mbds_xsim.report.files import link, results_json, rows_csv, write_if
     from mbds_xsim.report.terminal import StudyBar, print_report
+    from mbds_xsim.studies.releases import ReleaseStudy
     from mbds_xsim.studies.releases.present import present, to_png
     from mbds_xsim.studies.releases.steps import history_of
-    from mbds_xsim.studies.releases import ReleaseStudy
 
     if since and len(engines) > 1:
         msg = f"--since: got {since} for {len(engines)} engines; name one ENGINE"

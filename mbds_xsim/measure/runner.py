@@ -6,7 +6,6 @@ becomes a row like any other; every row is kept at once, so that a study that wa
 on where it stopped. In outline:
 
     class Row(Keyed, frozen=True, kw_only=True): engine: str; error_m: float | None = None
-
     def error(scene, start, settings): ...  # runs in its process; gives {"error_m": 0.01}
 
     runner = Runner(Store.of("my-study", scene.name, Row), crashed=lambda row, crash: row)

@@ -14,11 +14,11 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Silent
 from mbds_xsim.report.files import to_html, to_markdown
 from mbds_xsim.simulate.registry import PAPER_SCENES, load_adapter
+from mbds_xsim.studies.releases import Measured, Release, ReleaseRow, ReleaseStudy
 from mbds_xsim.studies.releases.environments import installed, releases_of
 from mbds_xsim.studies.releases.known import known_of
 from mbds_xsim.studies.releases.present import present, to_png
 from mbds_xsim.studies.releases.steps import History, Step, history_of, steps_of
-from mbds_xsim.studies.releases import Measured, Release, ReleaseRow, ReleaseStudy
 from mbds_xsim.testing import CASES
 from tests import plugins
 from tests.command_line import CommandLine

@@ -31,7 +31,7 @@ from mbds_xsim.simulate.adapter import Adapter, Profile
 from mbds_xsim.simulate.choice import settings_for
 from mbds_xsim.simulate.registry import PAPER_SCENES, engine_names, load_adapter, load_scene
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
-from mbds_xsim.studies.contact.bench import RESTITUTION, ContactBench, reason
+from mbds_xsim.studies.contact import RESTITUTION, ContactBench, reason
 from mbds_xsim.studies.contact.impacts import rebounds
 from mbds_xsim.studies.releases.environments import installed, releases_of
 from mbds_xsim.studies.releases.known import known_of

@@ -19,7 +19,7 @@ class LogLine(msgspec.Struct, frozen=True):
     line: str
 
 
-class Known(msgspec.Struct, frozen=True):
+class KnownReleases(msgspec.Struct, frozen=True):
     """What is known of an engine's releases."""
 
     since: str = ""
@@ -34,12 +34,12 @@ class Known(msgspec.Struct, frozen=True):
         return next(found, "")
 
 
-def known_of(engine: str) -> Known:
+def known_of(engine: str) -> KnownReleases:
     """Give what is known of an engine."""
-    return _known().get(engine, Known())
+    return _known().get(engine, KnownReleases())
 
 
 @cache
-def _known() -> dict[str, Known]:
+def _known() -> dict[str, KnownReleases]:
     text = (files(__package__ or "") / "changes.toml").read_text("utf-8")
-    return msgspec.convert(tomllib.loads(text), dict[str, Known])
+    return msgspec.convert(tomllib.loads(text), dict[str, KnownReleases])

@@ -11,8 +11,8 @@ from typing import Any
 from mbds_xsim.base.text import counted
 from mbds_xsim.report import blocks, quantity, themed
 from mbds_xsim.report.themed import GREY, INK
-from mbds_xsim.studies.releases.steps import FACTOR, History, Step, comparable, figures_of
 from mbds_xsim.studies.releases import ReleaseRow
+from mbds_xsim.studies.releases.steps import FACTOR, History, Step, comparable, figures_of
 
 _UNEXPLAINED = "unexplained"
 _MOST = 40

@@ -8,11 +8,11 @@ from typing import Literal
 import msgspec
 
 from mbds_xsim.measure.runner import versions_of
-from mbds_xsim.studies.contact.bench import RESTITUTION
+from mbds_xsim.studies.contact import RESTITUTION
+from mbds_xsim.studies.diff import FAILING, Entry, PhysicalFigure
 from mbds_xsim.studies.diff.compare import entry_diff
-from mbds_xsim.studies.diff.view import FAILING, Entry, PhysicalFigure
-from mbds_xsim.studies.releases.known import known_of
 from mbds_xsim.studies.releases import SCHEMA, Measured, Release, ReleaseRow
+from mbds_xsim.studies.releases.known import known_of
 
 FACTOR = 2.0
 """Two figures that differ by more are a step."""
