@@ -246,8 +246,8 @@ def releases(
     histories = []
     for engine in engines:
         with StudyBar(to.console, workers or core_count(), engine) as meter:
-            how = {"workers": workers, "fresh": fresh, "cache": cache}
-            measured = ReleaseStudy(engine, meter, **how).measured(since, last)
+            study = ReleaseStudy(engine, meter, workers=workers, fresh=fresh, cache=cache)
+            measured = study.measured(since, last)
         histories.append(history_of(measured, shared.command_line()))
         print_report(present(histories[-1]), to.console)
     stored = results_json(histories)

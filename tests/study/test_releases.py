@@ -6,6 +6,7 @@ import re
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -167,9 +168,9 @@ def test_a_slip_is_one_line(run: CommandLine, words: list[str], told: str) -> No
     assert told in run("releases", *words).refusal
 
 
-def _row(release: str, name: str = "tumbling, RK4", **figures: object) -> ReleaseRow:
+def _row(release: str, name: str = "tumbling, RK4", **figures: Any) -> ReleaseRow:
     case, way = name.split(", ")
-    return ReleaseRow(key=f"{release} {name}", release=release, case=case, way=way, **figures)  # type: ignore[arg-type]
+    return ReleaseRow(key=f"{release} {name}", release=release, case=case, way=way, **figures)
 
 
 def _measured(*rows: ReleaseRow, engine: str = "mujoco") -> Measured:
@@ -180,7 +181,7 @@ def _measured(*rows: ReleaseRow, engine: str = "mujoco") -> Measured:
     )  # fmt: skip
 
 
-def _step(old: dict[str, object], new: dict[str, object]) -> Step | None:
+def _step(old: dict[str, Any], new: dict[str, Any]) -> Step | None:
     steps = list(steps_of(_measured(_row("1", **old), _row("2", **new))))
     assert len(steps) <= 1
     return steps[0] if steps else None
@@ -206,7 +207,7 @@ def _step(old: dict[str, object], new: dict[str, object]) -> Step | None:
     ],
 )
 def test_a_step_is_more_than_a_factor_of_two(
-    old: dict[str, object], new: dict[str, object], course: str | None
+    old: dict[str, Any], new: dict[str, Any], course: str | None
 ) -> None:
     step = _step(old, new)
 
