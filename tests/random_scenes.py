@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
+from hypothesis import strategies as st
 
 from mbds_xsim.scene.joint_space import LinkStates
 from mbds_xsim.scene.mechanism import Mechanism
-from mbds_xsim.scene.scene import Body, DistanceLink, Inertia, Joint, Scene
+from mbds_xsim.scene.scene import Body, Clock, DistanceLink, Inertia, Joint, Scene
 
 Kind = Literal["fixed", "hinge", "slider", "ball", "free"]
+SEEDS = st.integers(0, 10**6)
+MOVED = st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=3)
+"""Kinds of joints with one coordinate."""
+
+
+def ruled_tree(seed: int, kinds: Sequence[Kind], clock: Clock, **law: Any) -> Scene:
+    """Make a tree whose joints all have the same springs, friction, limits or rates."""
+    scene = random_tree(np.random.default_rng(seed), kinds)
+    joints = (msgspec.structs.replace(joint, **law) for joint in scene.joints)
+    return msgspec.structs.replace(scene, joints=tuple(joints), clock=clock)
 
 
 def random_tree(rng: np.random.Generator, kinds: Sequence[Kind], *, links: int = 0) -> Scene:

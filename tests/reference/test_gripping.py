@@ -17,27 +17,18 @@ from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import Clock, Scene
 from mbds_xsim.simulate.registry import load_scene
-from tests.random_scenes import Kind, random_tree
+from tests.random_scenes import MOVED, SEEDS, Kind, ruled_tree
 
 _STILL = 1e-12
 
 
 def _rubbing(seed: int, kinds: list[Kind], friction: float) -> Scene:
-    scene = random_tree(np.random.default_rng(seed), kinds)
-    joints = (
-        msgspec.structs.replace(joint, friction=friction, rate=0.5, stiffness=9.0)
-        for joint in scene.joints
-    )
-    clock = Clock(frame=0.005, steps=100)
-    return msgspec.structs.replace(scene, joints=tuple(joints), clock=clock)
+    law = {"friction": friction, "rate": 0.5, "stiffness": 9.0}
+    return ruled_tree(seed, kinds, Clock(frame=0.005, steps=100), **law)
 
 
 @settings(max_examples=5, deadline=None)
-@given(
-    st.integers(0, 10**6),
-    st.lists(st.sampled_from(["hinge", "slider"]), min_size=1, max_size=3),
-    st.sampled_from([0.5, 5.0]),
-)
+@given(SEEDS, MOVED, st.sampled_from([0.5, 5.0]))
 def test_friction_takes_what_the_ways_of_joints_cost(
     seed: int, kinds: list[Kind], friction: float
 ) -> None:
