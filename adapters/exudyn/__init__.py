@@ -40,7 +40,6 @@ _NATIVE_OPTIONS: dict[str, float | int | bool | str] = {
 # With fewer steps an impact is not resolved.
 _SHORTEST_IMPACT = 4
 _CONSTRAINTS = LOOPS | {Feature.DISTANCE_LINK}
-_NODES = "coordinates of nodes, and joints of rigid bodies have none"
 _NO_FRICTION = dict.fromkeys(
     CONTACTS,
     "friction in an impact is too stiff for Exudyn's explicit solvers, which then create energy",
@@ -54,6 +53,10 @@ _ONLY_A_TREE = {
     "ball joint are singular when the second turns by 90°",
     Feature.FIXED: "a kinematic tree has hinges and sliders only; make the two bodies one",
     Feature.FREE_BODY: "a kinematic tree stands on the world",
+    **dict.fromkeys(
+        (Feature.JOINT_FRICTION, Feature.JOINT_LIMITS, Feature.COUPLING),
+        "Exudyn's friction, stops and gears are of markers, and coordinates of its trees have none",
+    ),
     **_NO_FRICTION,
     **dict.fromkeys(_CONSTRAINTS, "Exudyn's explicit solvers take no constraints"),
 }
@@ -66,7 +69,12 @@ class Exudyn(Adapter):
     revision = 2
     package = "exudyn"
     methods: ClassVar = {
-        "trapezoidal": Method("trapezoidal", "trapezoidal", 2),
+        "trapezoidal": Method(
+            "trapezoidal",
+            "trapezoidal",
+            2,
+            {Feature.COUPLING: "on gears, noise of 1e-8 rad in angles of joints hides its order"},
+        ),
         "generalised-alpha": Method("generalised-alpha", "generalised-alpha", 2),
         "RK44": Method("RK44", "RK4", 4, _NO_JOINTS),
         "RK67": Method("RK67", "Runge-Kutta 6(7)", 6, _NO_JOINTS),
@@ -105,9 +113,8 @@ class Exudyn(Adapter):
     }
     limits: ClassVar[dict[Feature, str]] = {
         Feature.ARMATURE: "Exudyn has no inertia of a joint beside those of its bodies",
-        Feature.JOINT_FRICTION: f"Exudyn has dry friction of {_NODES}",
-        Feature.JOINT_LIMITS: f"Exudyn has stops of {_NODES}",
-        Feature.COUPLING: f"Exudyn constrains {_NODES}",
+        Feature.JOINT_REBOUND: "Exudyn's stops are springs and dampers, whose rebound goes by what "
+        "they move",
     }
     coordinates = "maximal"
     contact_law = CONTACT_LAW
@@ -120,8 +127,9 @@ class Exudyn(Adapter):
             step = nearest_step(frame, _USUAL_STEP)
             return Settings("generalised-alpha", step, _NATIVE_OPTIONS)
         # Newton's method does not end for the trapezoidal rule where constraints are redundant.
-        redundant = has_redundant_constraints(Mechanism.of(scene))
-        method = "generalised-alpha" if redundant else "trapezoidal"
+        mechanism = Mechanism.of(scene)
+        damped = has_redundant_constraints(mechanism) or mechanism.couplings
+        method = "generalised-alpha" if damped else "trapezoidal"
         # A Jacobian that is kept leaves an error of 2e-8 m that does not fall with the step.
         options: dict[str, bool | float] = {"modified_newton": False}
         if scene.contacts:
@@ -143,7 +151,7 @@ class Exudyn(Adapter):
             division=self.option(settings, "contact_substeps") if scene.contacts else 0,
         )
         mechanism = Mechanism.of(scene)
-        model = _MODELS.get(settings.method, RigidBodies)(mechanism)
+        model = _MODELS.get(settings.method, RigidBodies)(mechanism, settings.step)
         return ExudynRun(mechanism, model, stepping, self._contact(settings))
 
     def _contact(self, settings: Settings) -> PenaltyContact:
@@ -152,4 +160,4 @@ class Exudyn(Adapter):
         return PenaltyContact(duration, self.option(settings, "slip_speed"))
 
 
-_MODELS: dict[str, Callable[[Mechanism], Formulation]] = {"tree-RK44": KinematicTree}
+_MODELS: dict[str, Callable[[Mechanism, float], Formulation]] = {"tree-RK44": KinematicTree}

@@ -19,6 +19,8 @@ from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.shapes import THIN, shapes
 
+from .brakes import brakes_listing, couplings_listing
+
 # Exudyn wants names that no other item has, so the scene's names are comments.
 HEAD = """\
 import exudyn as exu
@@ -29,7 +31,8 @@ from exudyn.utilities import RigidBodyInertia, TreeLink
 container = exu.SystemContainer()
 mbs = container.AddSystem()
 ground = mbs.CreateGround()
-bodies, joints, frames, springs, laws, forces, torques = [], [], [], [], [], [], []"""
+bodies, joints, frames, springs, laws, brakes = [], [], [], [], [], []
+couplings, forces, torques = [], [], []"""
 _CALLS = {
     "fixed": "CreateGenericJoint",
     "hinge": "CreateRevoluteJoint",
@@ -62,8 +65,10 @@ class Formulation(ABC):
     markers at the centres of mass, parallel to the native frames.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Mechanism, step: float) -> None:
         self.mechanism = mechanism
+        self.step = step
+        """Of the solver [s]."""
 
     @final
     def statements(self) -> Iterator[str]:
@@ -134,6 +139,8 @@ class RigidBodies(Formulation):
             yield f"mbs.CreateDistanceConstraint({self.ends(link)}, distance={link.length!r})"
         for joint in mechanism.compliant:
             yield (_turning_law if joint.kind == "hinge" else _sliding_law)(joint)
+        yield from brakes_listing(mechanism, self.step)
+        yield from couplings_listing(mechanism)
 
     def ends(self, pair: PointPair) -> str:
         first, second = (point.tolist() for point in pair.in_body)

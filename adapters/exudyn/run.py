@@ -10,7 +10,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.joint_space import BodyStates
-from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.adapter import (
     ModelSize,
@@ -22,6 +22,7 @@ from mbds_xsim.simulate.adapter import (
     too_fast,
 )
 
+from .brakes import held
 from .contact import PenaltyContact, TouchingSpheres, contact_listing
 from .model import HEAD, Formulation
 from .older import in_its_words, silence
@@ -33,6 +34,7 @@ start = exu.ConfigurationType.Initial
 mbs.systemData.SetODE2Coordinates({coordinates!r}, start)
 mbs.systemData.SetODE2Coordinates_t({velocities!r}, start)
 """
+_LIMITS = ("limitStopsLower", "limitStopsUpper")
 _MEMORY = "mbs.systemData.SetDataCoordinates({memory!r}, start)\n"
 _RUN = """
 # To watch it: container.renderer.Start(); container.renderer.DoIdleTasks()
@@ -166,7 +168,19 @@ class ExudynRun(Run):
             anchor=self._model.anchors(self._names, com, turn),
             spring=self._springs(),
             law=self._model.laws(self._names),
+            coupling=np.array([self._coupling(number) for number in self._names["couplings"]]),
+            friction=self._held("dynamicFrictionForce", self._mechanism.frictional),
+            limits=np.column_stack(
+                [self._held(key, self._mechanism.limited) for key in _LIMITS]
+            ).reshape(-1, 2),
         )
+
+    def _coupling(self, number: Any) -> tuple[float, float]:
+        tie = self._mbs.GetObject(number)
+        return 1.0 / tie["factor1"], tie["offset"] / tie["factor1"]
+
+    def _held(self, key: str, joints: tuple[PlacedJoint, ...]) -> Array:
+        return held(self._names, self._mechanism, key, joints)
 
     def _springs(self) -> Array:
         mbs, length = self._mbs, exudyn.OutputVariableType.Distance

@@ -25,8 +25,8 @@ class KinematicTree(Formulation):
     type serves every axis.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
-        super().__init__(mechanism)
+    def __init__(self, mechanism: Mechanism, step: float) -> None:
+        super().__init__(mechanism, step)
         self._order = [link.body for link in mechanism.links]
 
     def bodies(self) -> Iterator[str]:

@@ -11,7 +11,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.scene.assembly import assemble, inverse_mass_root
 from mbds_xsim.scene.constraints import constraint_rows, dense_jacobian
 from mbds_xsim.scene.joint_space import BodyStates, rate_row
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PointPair
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint, PointPair
 from mbds_xsim.scene.scene import Scene
 
 # Of the largest singular value: constraint rows that say nothing new.
@@ -45,18 +45,9 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
     if not (mechanism.springs or mechanism.compliant):
         return 0.0, 0.0
     start = assemble(mechanism)
-    root = inverse_mass_root(mechanism, start.native).toarray()
-    still = np.zeros_like(start.position)
-    rows = constraint_rows(mechanism, start.position, start.native, still, still)
     pairs = [_apart(mechanism, start, spring) for spring in mechanism.springs]
-    turns = [
-        rate_row(mechanism, joint, start.position, start.native).toarray()
-        for joint in mechanism.compliant
-    ]
-    apart = np.concatenate([*pairs, *turns])
-    loops = [joint.index for joint in mechanism.loops]
-    tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
-    free = _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, apart @ root)
+    turns = _turning(mechanism, start, mechanism.compliant)
+    free = _free(mechanism, start, np.concatenate([*pairs, *turns]))
     stiffness, damping = (
         np.concatenate(
             [
@@ -67,6 +58,36 @@ def spring_rates(scene: Scene) -> tuple[float, float]:
         for key in ("stiffness", "damping")
     )
     return float(np.sqrt(_largest(stiffness, free))), _largest(damping, free)
+
+
+def moved_inertias(mechanism: Mechanism, joints: tuple[PlacedJoint, ...]) -> Array:
+    """Give what coordinates of joints move at the scene's start [kg·m² or kg], shape (joint,).
+
+    A torque or force on the coordinate accelerates it by so much less, as in `spring_rates`.
+    """
+    if not joints:
+        return np.empty(0)
+    start = assemble(mechanism)
+    rows = np.concatenate([*_turning(mechanism, start, joints)])
+    return np.asarray(1.0 / np.sum(_free(mechanism, start, rows) ** 2, axis=1))
+
+
+def _turning(
+    mechanism: Mechanism, start: BodyStates, joints: tuple[PlacedJoint, ...]
+) -> list[Array]:
+    """Rows that give the rates of joints, (1, 6 · body) each."""
+    place = start.position, start.native
+    return [rate_row(mechanism, joint, *place).toarray() for joint in joints]
+
+
+def _free(mechanism: Mechanism, start: BodyStates, apart: Array) -> Array:
+    """Weigh rows by inverse masses, and take out of them what joints of the tree hold."""
+    root = inverse_mass_root(mechanism, start.native).toarray()
+    still = np.zeros_like(start.position)
+    rows = constraint_rows(mechanism, start.position, start.native, still, still)
+    loops = [joint.index for joint in mechanism.loops]
+    tree = (rows.owner < len(mechanism.joints)) & ~np.isin(rows.owner, loops)
+    return _without(dense_jacobian(rows, mechanism.body_count)[tree] @ root, apart @ root)
 
 
 def _apart(mechanism: Mechanism, start: BodyStates, spring: PointPair) -> Array:

@@ -1,0 +1,95 @@
+"""What acts on coordinates of joints in Exudyn's terms: dry friction, stops and gears.
+
+Friction and stops are as hard as a step h resolves, by what a coordinate moves at the scene's
+start, m. A stop is a spring of m/4h² and a damper of m/h, which come to rest in each other soonest;
+as the damper also pulls, there is no rebound. Friction is in proportion to the rate up to F h/m, at
+which it would stop the joint in a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array
+from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.stiffness import moved_inertias
+
+_FIXED = (
+    "fixed = mbs.AddMarker(items.MarkerNodeCoordinate("
+    "nodeNumber=mbs.AddNode(items.NodePointGround()), coordinate=0))"
+)
+_KINDS = {"hinge": "Rotation", "slider": "Translation"}
+
+
+def braked(mechanism: Mechanism) -> tuple[PlacedJoint, ...]:
+    """Give the joints with friction or limits, in scene order."""
+    return tuple(joint for joint in mechanism.joints if joint.friction or joint.limits)
+
+
+def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
+    """Lines that make `brakes`, one a braked joint; none where there is none.
+
+    Args:
+        mechanism: Of the scene.
+        step: Of the solver [s].
+    """
+    joints = braked(mechanism)
+    if joints:
+        yield _FIXED
+    for joint, moved in zip(joints, moved_inertias(mechanism, joints).tolist(), strict=True):
+        yield (
+            f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
+            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, moved, step)})))"
+        )
+
+
+def couplings_listing(mechanism: Mechanism) -> Iterator[str]:
+    """Lines that make `couplings`."""
+    for each in mechanism.couplings:
+        ends = f"{_coordinate(each.leader)}, {_coordinate(each.follower)}"
+        yield (
+            f"couplings.append(mbs.AddObject(items.CoordinateConstraint(markerNumbers=[{ends}], "
+            f"factor1={1.0 / each.ratio!r}, offset={each.offset / each.ratio!r})))"
+        )
+
+
+def held(names: Mapping[str, Any], mechanism: Mechanism, key: str, joints: Any) -> Array:
+    """Read a value of the brakes of some joints back."""
+    objects = zip(braked(mechanism), names["brakes"], strict=True)
+    found = {joint.index: names["mbs"].GetObject(number)[key] for joint, number in objects}
+    return np.array([found[joint.index] for joint in joints])
+
+
+def _coordinate(joint: PlacedJoint) -> str:
+    bodies = ", ".join(
+        "ground" if body == WORLD_INDEX else f"bodies[{body}]"
+        for body in (joint.parent, joint.child)
+    )
+    turns = f"nodeNumber={_data(1)}, " if joint.kind == "hinge" else ""
+    return (
+        f"mbs.AddMarker(items.MarkerBodiesRelative{_KINDS[joint.kind]}Coordinate("
+        f"bodyNumbers=[{bodies}], {turns}localPosition0={joint.in_parent.tolist()!r}, "
+        f"localPosition1={joint.in_child.tolist()!r}, axis0={joint.axis.tolist()!r}))"
+    )
+
+
+def _data(count: int) -> str:
+    return (
+        f"mbs.AddNode(items.NodeGenericData(numberOfDataCoordinates={count}, "
+        f"initialCoordinates={[0] * count}))"
+    )
+
+
+def _law(joint: PlacedJoint, moved: float, step: float) -> str:
+    law: dict[str, float | bool] = {}
+    if joint.friction:
+        law["dynamicFrictionForce"] = joint.friction
+        law["frictionProportionalZone"] = joint.friction * step / moved
+    if joint.limits:
+        law |= {"useLimitStops": True, "limitStopsStiffness": moved / (4.0 * step**2)}
+        law |= {"limitStopsDamping": moved / step}
+        law |= dict(zip(("limitStopsLower", "limitStopsUpper"), joint.limits, strict=True))
+    return ", ".join(f"{key}={value!r}" for key, value in law.items())
