@@ -29,6 +29,7 @@ LIMIT = 3600.0
 _POLL = 0.01
 _START_UP = 600.0  # longest that a process may import what its task names [s]
 _SHARE = 0.8  # of the machine's memory, for all processes together
+_KEPT = 2**29  # bytes of an array, up to which its memory is used again
 _TAIL = 400  # characters of an engine's last words
 
 
@@ -182,6 +183,9 @@ class _Starter:
         threads = {key: "1" for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         windows = {"MUJOCO_GL": "disable"}  # a toolkit for windows takes as long as MuJoCo itself
         first = {} if packages is None else {"PYTHONPATH": _before(packages)}
+        # Arrays of megabytes come and go; memory that the system gives anew each time costs more
+        # than what most checks do with it.
+        memory = f"glibc.malloc.mmap_threshold={_KEPT}:glibc.malloc.trim_threshold={4 * _KEPT}"
         self.folder, self.log = folder, folder / "starter.log"
         with self.log.open("wb") as log:
             self._popen = subprocess.Popen(
@@ -189,7 +193,7 @@ class _Starter:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
-                env=windows | os.environ | threads | first,
+                env={"GLIBC_TUNABLES": memory} | windows | os.environ | threads | first,
                 cwd=folder,  # engines drop log files where they stand
                 bufsize=0,
             )

@@ -25,6 +25,7 @@ from mbds_xsim.checks.conservation import (
     flights_of,
     gain_of,
     input_work,
+    work_of_forces,
 )
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
@@ -165,11 +166,10 @@ def _work(record: Record, shift: int) -> Array:
     """Work of the inputs of other frames in each step [J], shape (trajectory, step)."""
     if shift == 0:
         return np.diff(input_work(record), axis=1)
-    frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
-    shifted = np.asfortranarray(record.force[:, frames])
-    work = np.einsum("tsbi,tsbi->ts", shifted, record.moved)
+    work = work_of_forces(record)[1 + shift]
     if record.mechanism.hinges:
-        work += np.einsum("tsh,tsh->ts", record.batch.torque[:, frames], hinge_turns(record))
+        frames = np.clip(np.arange(record.steps) + shift, 0, record.steps - 1)
+        work = work + np.einsum("tsh,tsh->ts", record.batch.torque[:, frames], hinge_turns(record))
     return work
 
 

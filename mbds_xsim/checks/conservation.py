@@ -9,15 +9,15 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
+from mbds_xsim.checks.balances import Balance, balances_of
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_turns
-from mbds_xsim.checks.finding import Figures, Record, check, summed
+from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.flights import summed
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
-from mbds_xsim.scene.groups import connected
 from mbds_xsim.scene.joint_space import joint_rate
-from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.mechanism import WORLD_INDEX
 
 _FLOOR = 1e-3  # of Σ m·g·length, and of Σ m·√(g·length)
-_SAME = 1e-9
 
 
 class Energy:
@@ -70,12 +70,7 @@ def energy_balance(record: Record) -> Figures | None:
 @functools.lru_cache(maxsize=1)
 def energy_of(record: Record) -> Energy:
     """Compute kinetic and potential energy at every frame."""
-    mechanism, bodies = record.mechanism, record.bodies
-    gravity = np.array(record.scene.gravity)
-    moving = np.einsum("tfbi,tfbi->tfb", bodies.velocity, bodies.velocity)
-    turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
-    kinetic = 0.5 * (mechanism.mass * moving + turning)
-    weight = -mechanism.mass * (bodies.position @ gravity)
+    mechanism = record.mechanism
     stored = np.zeros(record.finite.shape)
     if mechanism.springs:
         stretch = pair_distance(record.world, mechanism.springs)
@@ -87,7 +82,24 @@ def energy_of(record: Record) -> Energy:
     rotors = np.zeros(record.finite.shape)
     for joint in mechanism.rotors:
         rotors += 0.5 * joint.armature * joint_rate(joint, record.world) ** 2
-    return Energy(np.concatenate([kinetic, weight], axis=-1), rotors, stored, floor)
+    return Energy(_of_bodies(record), rotors, stored, floor)
+
+
+def _of_bodies(record: Record) -> Array:
+    """Kinetic, then gravitational energies [J], shape (trajectory, frame, 2 · body)."""
+    if record.many:
+        from mbds_xsim.checks.balance_kernel import find_energies  # imports a compiler
+
+        motion = record.motion
+        found = np.empty((2 * motion.bodies, motion.frames, motion.rows))
+        find_energies(motion, record.masses, found.reshape(-1))
+        return np.asarray(found.T)[: len(record.batch)]
+    mechanism, bodies = record.mechanism, record.bodies
+    moving = np.einsum("tfbi,tfbi->tfb", bodies.velocity, bodies.velocity)
+    turning = np.einsum("tfbi,tfbi->tfb", record.spin, record.turning)
+    kinetic = 0.5 * (mechanism.mass * moving + turning)
+    weight = -mechanism.mass * rotation.dot(bodies.position, np.array(record.scene.gravity))
+    return record.by_frame([*np.moveaxis(kinetic, -1, 0), *np.moveaxis(weight, -1, 0)])
 
 
 @functools.lru_cache(maxsize=1)
@@ -96,10 +108,30 @@ def input_work(record: Record) -> Array:
 
     Inputs are constant over a step, so a step's work is exactly F·Δx + τ·Δθ.
     """
-    work = np.einsum("tsbi,tsbi->ts", record.force, record.moved)
+    work = work_of_forces(record)[1].copy()
     if record.mechanism.hinges:
         work += np.sum(record.batch.torque[:, : record.steps] * hinge_turns(record), axis=2)
     return np.concatenate([np.zeros((len(work), 1)), np.cumsum(work, axis=1)], axis=1)
+
+
+@functools.lru_cache(maxsize=1)
+def work_of_forces(record: Record) -> tuple[Array, Array, Array]:
+    """Work in each step of the forces of the one before, its own and the next [J].
+
+    Shapes (trajectory, step); at the ends the forces of the step itself are taken.
+    """
+    if record.many:
+        from mbds_xsim.checks.balance_kernel import find_work  # imports a compiler
+
+        found = np.empty((3, record.steps, record.motion.rows))
+        find_work(record.motion, found.reshape(-1))
+        before, here, after = (work.T[: len(record.batch)] for work in found)
+        return before, here, after
+    before, here, after = (
+        np.einsum("tsbi,tsbi->ts", np.asfortranarray(record.force[:, steps]), record.moved)
+        for steps in (np.clip(np.arange(record.steps) + k, 0, record.steps - 1) for k in (-1, 0, 1))
+    )
+    return before, here, after
 
 
 @functools.lru_cache(maxsize=1)
@@ -200,6 +232,8 @@ class Gain:
 @functools.lru_cache(maxsize=4)
 def gain_of(record: Record, balance: Balance) -> Gain:
     """Take momenta, inputs and gravity of a group together."""
+    if balance.angular and record.many:
+        return _turned(record, balance)
     bodies = _rows(balance)
     state, scale = (_angular if balance.angular else _linear)(record, balance)
     force, mass = record.force[:, :, bodies], record.mechanism.mass[bodies]
@@ -211,6 +245,25 @@ def gain_of(record: Record, balance: Balance) -> Gain:
     left = np.diff(state, axis=1) - given - weight
     across = balance.directions.T
     return Gain(left @ across, given @ across, blur, scale)
+
+
+def _turned(record: Record, balance: Balance) -> Gain:
+    """Do so with angular momentum, by compiled kernels."""
+    from mbds_xsim.checks import balance_kernel as kernel  # imports a compiler
+    from mbds_xsim.reference.compiled import lines
+
+    motion, bodies = record.motion, np.array(balance.bodies)
+    about = np.zeros(3) if balance.about is None else balance.about
+    group = kernel.Spinning(bodies, about, balance.about is not None, record.frame, record.lag)
+    found = np.zeros((kernel.FOUND, motion.frames, motion.rows))
+    work = lines(kernel.BODY * len(bodies))
+    kernel.find_momenta(motion, record.masses, group, work, found.reshape(-1))
+    rows = found.T[: len(record.batch)]
+    state, size, given, weight, blur = np.split(rows, [3, 4, 7, 10], axis=-1)
+    given = given[:, 1:] + record.frame * _driving(record, balance)
+    left, across = np.diff(state, axis=1) - given - weight[:, 1:], balance.directions.T
+    scale = _floored(record, balance, size[..., 0], record.scene.length)
+    return Gain(left @ across, given @ across, blur[:, 1:, 0], scale)
 
 
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:
@@ -244,7 +297,10 @@ def _scale(record: Record, balance: Balance, each: Array, arm: float) -> Array:
 
     At least 1e-3 of what the group has at the speed of a fall through the scene's length.
     """
-    sizes = rotation.norm(each).sum(axis=2)
+    return _floored(record, balance, rotation.norm(each).sum(axis=2), arm)
+
+
+def _floored(record: Record, balance: Balance, sizes: Array, arm: float) -> Array:
     speed = np.sqrt(record.usual_pull * record.scene.length)
     floor = _FLOOR * float(record.mechanism.mass[_rows(balance)].sum()) * speed * arm
     return np.maximum(np.nanmax(sizes, axis=1, initial=0.0), floor)
@@ -310,91 +366,3 @@ def _total(each: Array) -> Array:
 
 def _mean(mass: Array, values: Array) -> Array:
     return np.einsum("b,tfbi->tfi", mass / mass.sum(), values)[:, :, None]
-
-
-@dataclass(frozen=True, eq=False)
-class Balance:
-    """Components of a group's momentum that only forces, gravity and torques change."""
-
-    name: str
-    bodies: tuple[int, ...]
-    directions: Array
-    """Unit, in W, shape (component, 3)."""
-    about: Array | None = None
-    """Point of the world that angular momentum is about, shape (3,); None: the centre of mass."""
-    angular: bool = False
-
-
-@functools.lru_cache(maxsize=64)
-def balances_of(mechanism: Mechanism) -> list[Balance]:
-    """Find the balances that the scene's supports leave.
-
-    A free group has all of them, angular ones about its centre of mass. Ball joints, distance
-    links and springs to the world pull at points, and have no moment about a line through all of
-    them; nor has a hinge along it. Sliders leave the momentum along them. Where a joint to the
-    world has a spring, damper or rotor none is looked for.
-    """
-    found: list[Balance] = []
-    for group in _groups(mechanism):
-        name = mechanism.scene.bodies[group[0]].name
-        joints, points = _supports(mechanism, set(group))
-        if any(joint.is_loaded for joint in joints):
-            continue
-        sliders = [joint for joint in joints if joint.kind == "slider"]
-        if not joints and not points:
-            found.append(Balance(f"linear momentum, {name}", group, np.eye(3)))
-            found.append(Balance(f"angular momentum, {name}", group, np.eye(3), angular=True))
-        elif sliders:
-            if len(sliders) == len(joints) and not points and _parallel(sliders):
-                along = sliders[0].axis[None]
-                found.append(Balance(f"linear momentum, {name}", group, along))
-        elif all(joint.kind != "fixed" for joint in joints):
-            points += [joint.anchor for joint in joints]
-            free = _directions(points, [joint for joint in joints if joint.kind == "hinge"])
-            if len(free):
-                title = f"angular momentum, {name}"
-                found.append(Balance(title, group, free, points[0], angular=True))
-    return found
-
-
-def _groups(mechanism: Mechanism) -> list[tuple[int, ...]]:
-    """Bodies that joints, distance links and springs connect, the world left out."""
-    pairs = [(joint.parent, joint.child) for joint in mechanism.joints]
-    pairs += [pair.bodies for pair in (*mechanism.distances, *mechanism.springs)]
-    return connected(mechanism.body_count, pairs)
-
-
-def _supports(mechanism: Mechanism, group: set[int]) -> tuple[list[PlacedJoint], list[Array]]:
-    """Joints that hold a group on the world, and points of the world that pull at it."""
-    joints = [
-        joint
-        for joint in mechanism.joints
-        if WORLD_INDEX in (joint.parent, joint.child) and group & {joint.parent, joint.child}
-    ]
-    points = [
-        pair.in_body[pair.bodies.index(WORLD_INDEX)]
-        for pair in (*mechanism.distances, *mechanism.springs)
-        if WORLD_INDEX in pair.bodies and group & set(pair.bodies)
-    ]
-    return joints, points
-
-
-def _directions(points: list[Array], hinges: list[PlacedJoint]) -> Array:
-    """Directions, through the first point, about which no support has a moment, shape (any, 3)."""
-    apart = np.array(points) - points[0]
-    lengths = np.linalg.norm(apart, axis=1)
-    far = int(lengths.argmax())
-    if hinges:
-        line = hinges[0].axis
-    elif lengths[far] > _SAME:
-        line = apart[far] / lengths[far]
-    else:
-        return np.eye(3)
-    aligned = _parallel(hinges) and (np.linalg.norm(np.cross(apart, line), axis=1) < _SAME).all()
-    return line[None] if aligned else np.empty((0, 3))
-
-
-def _parallel(joints: list[PlacedJoint]) -> bool:
-    return all(
-        bool(np.linalg.norm(np.cross(joint.axis, joints[0].axis)) < _SAME) for joint in joints
-    )

@@ -48,18 +48,14 @@ def displacement(record: Record) -> Figures | None:
     """
     if record.steps < 1:
         return None
-    parts, names = [], []
-    bodies = tuple(body.name for body in record.scene.bodies)
+    if record.many:
+        return Figures(_of_many(record), _names(record))
+    parts, names = [], _names(record)
     place, turn = _Residual.of_places(record), _Residual.of_turns(record)
-    for kind, residual in (("place", place), ("turn", turn)):
+    for residual in (place, turn):
         parts += [residual.by_frame, residual.drift(residual.left)]
-        names += [f"{kind} of {name}" for name in bodies]
-        names += [f"mean {kind} of {name}" for name in bodies]
     own = rotation.rotate(rotation.conjugate(record.bodies.native[:, :-1]), turn.left)
-    parts.append(turn.drift(own))
-    names += [f"mean turn of {name} about its own axes" for name in bodies]
-    parts.append(_delay(record, place, turn))
-    names.append("delay of places")
+    parts += [turn.drift(own), _delay(record, place, turn)]
     for push in pushes_of(record):
         parts.append(_of_group(record, push, place.left))
         names.append(f"centre of mass, {push.name}")
@@ -68,6 +64,42 @@ def displacement(record: Record) -> Figures | None:
     found[:, 0] = np.where(record.finite[:, :1], np.nan_to_num(found[:, 0]), np.nan)
     allowed = np.nanmedian(turn.allowed) if record.finite[:, 1:].any() else np.nan
     return Figures(found, names, f"turns are known to {allowed:.2g} rad/s in half of the frames")
+
+
+def _names(record: Record) -> list[str]:
+    """Of the parts that every body has, and of the delay."""
+    kinds = ["place of {}", "mean place of {}", "turn of {}", "mean turn of {}"]
+    kinds.append("mean turn of {} about its own axes")
+    names = [kind.format(body.name) for kind in kinds for body in record.scene.bodies]
+    return [*names, "delay of places"]
+
+
+def _of_many(record: Record) -> Array:
+    """Compute the same parts by compiled kernels."""
+    # They are loaded by a compiler, which takes long to import.
+    from mbds_xsim.checks.displacement_kernel import STEP, Rule, displace
+    from mbds_xsim.reference.compiled import lines
+
+    share, late = (record.step or 0.0) / record.frame, record.lag / record.frame
+    speed = record.frame * record.usual_pull
+    rule = Rule(
+        frame=record.frame,
+        lag=late,
+        bend=_BEND + min(_METHOD * share**2, _BEND),
+        late=_LAG * abs(late),
+        share=share,
+        least=(speed, speed / record.scene.length),
+        floor=_FLOOR,
+        systematic=_SYSTEMATIC,
+        errors=_ERRORS,
+        steady=_STEADY,
+        slope=_LATE,
+    )
+    motion = record.motion
+    found = np.full((5 * motion.bodies + 1, motion.frames, motion.rows), np.nan)
+    found[:, 0] = 0.0
+    displace(motion, rule, lines(STEP * record.steps), found.reshape(-1))
+    return np.asarray(found.T)[: len(record.batch)]
 
 
 @dataclass(frozen=True, eq=False)

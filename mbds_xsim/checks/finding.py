@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,16 @@ from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.text import apart
 from mbds_xsim.checks.clearance import clear_of_stops
 from mbds_xsim.checks.mismatch import EVERY_SECOND, Mismatch, mismatch_of, steady
+from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.scene import Ground, Scene
 from mbds_xsim.scene.state import Batch, Trajectory
 from mbds_xsim.simulate.claims import Method
+
+if TYPE_CHECKING:
+    from mbds_xsim.checks.balance_kernel import Masses
+    from mbds_xsim.checks.motion_kernel import FlatMotion
 
 _EARTH = 9.81
 
@@ -39,6 +44,9 @@ class Record:
     """Over which the engine declares to spread an impact [s]; None: unknown."""
     steps_compared: tuple[int, int] = EVERY_SECOND
     """First step, and every how many, over which displacements are held against velocities."""
+    many: bool = False
+    """Whether compiled kernels do what they can, which pays over thousands of trajectories; these
+    have finite numbers only, and nothing meets the ground or a stop."""
 
     @functools.cached_property
     def mechanism(self) -> Mechanism:
@@ -48,6 +56,8 @@ class Record:
     @functools.cached_property
     def finite(self) -> Mask:
         """Frames before the first number that is not finite, shape (trajectory, frame)."""
+        if self.trajectory.finite.all():
+            return np.ones(self.trajectory.position.shape[:2], dtype=bool)
         each = [np.isfinite(field).all(axis=(2, 3)) for field in vars(self._states).values()]
         return np.logical_and.accumulate(np.logical_and.reduce(each), axis=1)
 
@@ -65,6 +75,28 @@ class Record:
             return self._states
         keep = self.finite[:, :, None, None]
         return self._states.each(lambda values: np.where(keep, values, np.nan))
+
+    @functools.cached_property
+    def motion(self) -> FlatMotion:
+        """The same as kernels read it, of eight trajectories at least, some of them repeated."""
+        from mbds_xsim.checks.motion_kernel import FlatMotion  # imports a compiler
+        from mbds_xsim.reference.lanes import LANES
+
+        fields, count = [*vars(self.bodies).values(), self.force], len(self.batch)
+        if count < LANES:
+            rows = np.resize(np.arange(count), LANES)
+            fields, count = [np.asfortranarray(values[rows]) for values in fields], LANES
+        frames, bodies = fields[0].shape[1:3]
+        flat = (values.T.reshape(-1) for values in fields)
+        return FlatMotion._make([*flat, bodies, frames, count])
+
+    @property
+    def masses(self) -> Masses:
+        """What resists, as kernels read it."""
+        from mbds_xsim.checks.balance_kernel import Masses  # imports a compiler
+
+        mechanism = self.mechanism
+        return Masses(mechanism.mass, mechanism.inertia, np.array(self.scene.gravity))
 
     @functools.cached_property
     def world(self) -> BodyStates:
@@ -137,6 +169,7 @@ class Record:
             frame=self.frame,
             lag=self.lag,
             steps=self.steps_compared,
+            many=self.many,
         )
 
     def by_step(self, parts: Sequence[Array]) -> Array:
@@ -358,43 +391,3 @@ class Finding:
         excess: NDArray[Any] = self.figure - self.uncertainty
         excess = np.where(np.isnan(excess), np.inf, excess)
         return int(np.where(self.applies, excess, -np.inf).argmax())
-
-
-@dataclass(frozen=True, eq=False)
-class Spheres:
-    """Contact spheres over the ground, each array of shape (…, sphere)."""
-
-    gap: Array
-    """Between the sphere and the ground [m]."""
-    climb: Array
-    """Rate of the gap [m/s]."""
-    slip: Array
-    """Horizontal velocity of the lowest point [m/s], shape (…, sphere, 2)."""
-
-    def of(self, group: Index) -> Spheres:
-        """Take some of the spheres."""
-        return Spheres(self.gap[..., group], self.climb[..., group], self.slip[..., group, :])
-
-
-def spheres_of(mechanism: Mechanism, bodies: BodyStates) -> Spheres:
-    """Compute gaps, their rates and slips of all contact spheres, from states (…, body, …)."""
-    carrier = mechanism.sphere_body
-    arm = bodies.arms(carrier, mechanism.sphere_offset)
-    gap = bodies.position[..., carrier, 2] + arm[..., 2] - mechanism.sphere_radius
-    down = mechanism.sphere_radius[:, None] * np.array([0.0, 0.0, -1.0])
-    swing = rotation.cross(bodies.angular_velocity[..., carrier, :], arm + down)
-    speed = bodies.velocity[..., carrier, :] + swing
-    return Spheres(gap, speed[..., 2], speed[..., :2])
-
-
-def summed(values: Array, flights: Mask) -> Array:
-    """Sum over the steps of each flight up to each step; NaN where there is none.
-
-    Shape (trajectory, step, component), as the values.
-    """
-    total = np.cumsum(np.where(flights[..., None], values, 0.0), axis=1)
-    steps = np.arange(1, values.shape[1] + 1)
-    landed = np.maximum.accumulate(np.where(flights, 0, steps), axis=1)
-    padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
-    before = np.take_along_axis(padded, landed[..., None], axis=1)
-    return np.where(flights[..., None], total - before, np.nan)

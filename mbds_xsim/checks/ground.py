@@ -15,8 +15,9 @@ import numpy as np
 
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index, Mask
-from mbds_xsim.checks.conservation import balances_of
-from mbds_xsim.checks.finding import Figures, Record, Spheres, check, spheres_of
+from mbds_xsim.checks.balances import balances_of
+from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.spheres import Spheres, spheres_of
 from mbds_xsim.scene.joint_space import BodyStates
 from mbds_xsim.scene.mechanism import Mechanism
 

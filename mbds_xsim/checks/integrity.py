@@ -10,7 +10,7 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.coordinates import coupling_errors
 from mbds_xsim.checks.finding import Figures, Record, check
-from mbds_xsim.scene.joint_space import BodyStates
+from mbds_xsim.scene.joint_space import BodyStates, taken
 from mbds_xsim.scene.mechanism import Mechanism, PlacedJoint, PointPair
 
 _UNIT = 1e-9
@@ -30,7 +30,7 @@ _STATE = ("position", "orientation", "velocity", "angular_velocity")
 @check("finite", _UNIT)
 def finite(record: Record) -> Figures:
     """Find numbers that are not finite (figure ∞) and quaternions that are not unit."""
-    length = rotation.norm(record.trajectory.orientation)
+    length = rotation.norm(record.bodies.native)
     off = np.where(record.finite[:, :, None], np.abs(length - 1.0), np.inf)
     reasons = [failure.reason for failure in record.trajectory.failures if failure is not None]
     return Figures(off, _body_names(record), "; ".join(reasons[:3]))
@@ -50,10 +50,11 @@ def precision(record: Record) -> Figures:
     parts = np.zeros((len(batch), len(found.time), len(_STATE)))
     for k, name in enumerate(_STATE):
         values = getattr(found, name)
-        single = ~_bits(values, _SINGLE) & _bits(values, _ROUND)
+        single = ~_bits(values, _SINGLE)
         single[:, 0] = False
         if not single.any():
             continue
+        single &= _bits(values, _ROUND)
         moving = np.zeros(values.shape, dtype=bool)
         moving[:, 1:] = (values[:, 1:] != values[:, :-1]) & _bits(values[:, 1:], _ROUND)
         floor = 1.0 if name in ("orientation", "angular_velocity") else record.scene.length
@@ -135,10 +136,10 @@ def gap(record: Record) -> Figures:
     Of a slider it is the distance of the child's anchor from the parent's axis, of a distance
     link the change of its length, of a coupling how far a slider is from where it should follow.
     """
-    apart, slid = _of_kinds(record, _apart(record))
+    slid = _apart(record, slides=True)
     links = record.mechanism.distances
     parts = [
-        rotation.norm(apart),
+        _opened(record)[0],
         rotation.norm(rotation.cross(_axes(record), slid)),
         np.abs(pair_distance(record.world, links) - [link.length for link in links]),
         np.abs(coupling_errors(record, "slider")[0]),
@@ -153,11 +154,11 @@ def gap_rate(record: Record) -> Figures:
     It may open the gap's budget in a frame. Velocities that lag as the method declares keep to
     joints as they were a step before; what places that turn make of that is left out.
     """
-    parting, sliding = _of_kinds(record, _parting(record))
-    carried = record.world.angular_velocity[..., _ends(_parted(record.mechanism)[1])[0], :]
-    sliding = sliding - rotation.cross(carried, _of_kinds(record, _apart(record))[1])
+    carried = taken(record.world.angular_velocity, _ends(_parted(record.mechanism)[1])[0])
+    sliding = _parting(record, slides=True)
+    sliding = sliding - rotation.cross(carried, _apart(record, slides=True))
     parts = [
-        rotation.norm(parting),
+        _opened(record)[1],
         rotation.norm(rotation.cross(_axes(record), sliding)),
         np.abs(pair_rate(record.world, record.mechanism.distances)),
         np.abs(coupling_errors(record, "slider")[1]),
@@ -246,10 +247,25 @@ def _parted(mechanism: Mechanism) -> tuple[list[PlacedJoint], list[PlacedJoint]]
     return [j for j in joints if j.kind != "slider"], [j for j in joints if j.kind == "slider"]
 
 
-def _of_kinds(record: Record, values: Array) -> tuple[Array, Array]:
-    """Take values of all joints apart, shape (…, joint, 3)."""
-    count = len(_parted(record.mechanism)[0])
-    return values[..., :count, :], values[..., count:, :]
+def _opened(record: Record) -> tuple[Array, Array]:
+    """Distances [m] and speeds [m/s] of anchors that both bodies share, (…, joint)."""
+    if record.many:
+        return _opened_of_many(record)
+    kinds = _apart(record, slides=False), _parting(record, slides=False)
+    return rotation.norm(kinds[0]), rotation.norm(kinds[1])
+
+
+@functools.lru_cache(maxsize=1)
+def _opened_of_many(record: Record) -> tuple[Array, Array]:
+    from mbds_xsim.checks.balance_kernel import Ends, part_joints  # imports a compiler
+
+    joints, motion = _parted(record.mechanism)[0], record.motion
+    points = [_vectors([getattr(j, key) for j in joints]) for key in ("in_parent", "in_child")]
+    ends = Ends(np.array(_ends(joints)).reshape(2, -1), np.array(points))
+    found = np.empty((2, len(joints), motion.frames, motion.rows))
+    part_joints(motion, ends, found.reshape(-1))
+    gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in found)
+    return gap, rate
 
 
 def _columns(parts: list[Array]) -> list[Array]:
@@ -281,32 +297,31 @@ def _attached(pairs: tuple[PointPair, ...]) -> list[tuple[list[int], Array]]:
     ]
 
 
-@functools.lru_cache(maxsize=1)
-def _arms(record: Record) -> tuple[list[int], Array, list[int], Array]:
-    """Bodies of all joints' ends and arms of their anchors [m]; sliders are the last."""
-    joints = [joint for kind in _parted(record.mechanism) for joint in kind]
-    parent, child = _ends(joints)
-    return (
-        parent,
-        record.world.arms(parent, _vectors([joint.in_parent for joint in joints])),
-        child,
-        record.world.arms(child, _vectors([joint.in_child for joint in joints])),
-    )
+@functools.lru_cache(maxsize=2)
+def _arms(record: Record, slides: bool) -> list[tuple[list[int], Array]]:
+    """Bodies of the two ends of sliders, or of other joints, and arms of their anchors [m]."""
+    joints = _parted(record.mechanism)[slides]
+    points = ([joint.in_parent for joint in joints], [joint.in_child for joint in joints])
+    return [
+        (bodies, record.world.arms(bodies, _vectors(end)))
+        for bodies, end in zip(_ends(joints), points, strict=True)
+    ]
 
 
-def _apart(record: Record) -> Array:
+def _apart(record: Record, *, slides: bool) -> Array:
     """Place of the child's anchor from the parent's, in W [m], shape (…, joint, 3)."""
-    parent, begin, child, end = _arms(record)
     places = record.world.position
-    return (places[..., child, :] + end) - (places[..., parent, :] + begin)
+    near, far = (taken(places, bodies) + arm for bodies, arm in _arms(record, slides))
+    return far - near
 
 
-def _parting(record: Record) -> Array:
+def _parting(record: Record, *, slides: bool) -> Array:
     """Velocity of the child's anchor from the parent's, in W [m/s], shape (…, joint, 3)."""
-    parent, begin, child, end = _arms(record)
     speeds, spins = record.world.velocity, record.world.angular_velocity
-    far = speeds[..., child, :] + rotation.cross(spins[..., child, :], end)
-    near = speeds[..., parent, :] + rotation.cross(spins[..., parent, :], begin)
+    near, far = (
+        taken(speeds, bodies) + rotation.cross(taken(spins, bodies), arm)
+        for bodies, arm in _arms(record, slides)
+    )
     return far - near
 
 

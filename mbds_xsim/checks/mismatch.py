@@ -95,7 +95,8 @@ class Mismatch:
     def inner(self, one: Array, other: Array) -> Array:
         """Scalar product averaged over mass and points, shape (trajectory, step)."""
         share = self.mechanism.mass / (4.0 * self.mechanism.mass.sum())
-        return np.asarray(np.einsum("...bpi,...bpi,b->...", one, other, share, optimize=True))
+        weighed = share[:, None, None] * one  # einsum of three takes several times as long
+        return np.asarray(np.einsum("...bpi,...bpi->...", weighed, other))
 
 
 class _Points(NamedTuple):
@@ -118,6 +119,7 @@ def mismatch_of(
     frame: float,
     lag: float,
     steps: tuple[int, int],
+    many: bool = False,
 ) -> Mismatch:
     """Compare positions and velocities over some steps, outside contact.
 
@@ -130,10 +132,11 @@ def mismatch_of(
         frame: Interval of the frames [s].
         lag: Recorded velocities belong to frame time + lag [s].
         steps: First step, and every how many; every second takes in all frames.
+        many: As in `Record`.
     """
     first = np.arange(steps[0], bodies.position.shape[1] - 1, steps[1])
     force, torque = force[:, first], torque[:, first]
-    flow = Flow(mechanism, _MOMENT * frame)
+    flow = Flow(mechanism, _MOMENT * frame, many)
     free = flying[:, first]
     # Both ends of all steps at once: calls cost as much as numbers here.
     both, count = np.concatenate([first, first + 1]), len(first)
@@ -200,23 +203,30 @@ def _points_at(
     lag: float,
 ) -> _Points:
     known = known_states(states) & free
-    count = flow.mechanism.body_count
-    points = np.full((len(_Points._fields), *known.shape, count, 4, 3), np.nan)
-    if known.any():
-        kept = states[known]
-        near = flow.closed(kept)
-        if lag:
-            rates = flow.accelerations(near, force[known], torque[known])
-            gain = flow.of_rates(near, *rates)
-            kept = _faster(kept, *gain, -lag)
-            near = flow.closed(_faster(near, *gain, -lag))
-        points[:, known] = _derivatives(flow, kept, near, force[known], torque[known])
-    return _Points(*points)
+    kept = states[known].each(np.asfortranarray)  # components apart, as in `Record`
+    near = flow.closed(kept)
+    if lag:
+        rates = flow.accelerations(near, force[known], torque[known])
+        gain = flow.of_rates(near, *rates)
+        kept = _faster(kept, *gain, -lag)
+        near = flow.closed(_faster(near, *gain, -lag))
+    points = _derivatives(flow, kept, near, force[known], torque[known])
+    return _Points(*(_placed(known, values) for values in points))
+
+
+def _placed(known: Mask, values: Array) -> Array:
+    """Put values of known states where these are, NaN elsewhere."""
+    shape = *known.shape, *values.shape[1:]
+    if known.all():
+        return values.reshape(shape)
+    found = np.full(shape, np.nan)
+    found[known] = values
+    return found
 
 
 def _derivatives(
     flow: Flow, states: BodyStates, closed: BodyStates, force: Array, torque: Array
-) -> Array:
+) -> _Points:
     mechanism = flow.mechanism
     rates = flow.accelerations(closed, force, torque)
     later = flow.closed(flow.later(closed, *rates))
@@ -225,15 +235,8 @@ def _derivatives(
     change = _carried(mechanism, later, *then)[2] - _carried(mechanism, closed, *rates)[2]
     pull, push = flow.of_rates(closed, *rates)
     gained = dataclasses.replace(states, velocity=pull, angular_velocity=push)
-    return np.stack(
-        [
-            position,
-            velocity,
-            acceleration,
-            change / flow.moment,
-            _carried(mechanism, gained, *rates)[1],
-        ]
-    )
+    swung = _carried(mechanism, gained, *rates)[1]
+    return _Points(position, velocity, acceleration, change / flow.moment, swung)
 
 
 def _faster(states: BodyStates, pull: Array, push: Array, time: float) -> BodyStates:
@@ -297,13 +300,14 @@ class Flow:
     mechanism: Mechanism
     moment: float
     """Over which rates are differences [s]."""
+    many: bool = False
 
     def accelerations(self, states: BodyStates, force: Array, torque: Array) -> tuple[Array, Array]:
         """Linear and angular accelerations, shapes (state, body, 3)."""
         # The reference loads the compiled parts of scipy, which most uses do without.
         from mbds_xsim.reference import accelerations
 
-        return accelerations(self.mechanism, states, force, torque)
+        return accelerations(self.mechanism, states, force, torque, many=self.many)
 
     def later(self, states: BodyStates, pull: Array, push: Array) -> BodyStates:
         """Give states a moment later, by their linear and angular accelerations."""

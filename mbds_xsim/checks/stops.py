@@ -6,7 +6,8 @@ import numpy as np
 
 from mbds_xsim.checks.conservation import damper_loss, energy_of, input_work
 from mbds_xsim.checks.coordinates import coordinate_of
-from mbds_xsim.checks.finding import Figures, Record, check, summed
+from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.flights import summed
 
 
 @check("past limits", "penetration")

@@ -167,7 +167,7 @@ def judge_rows(
             verdict.ended[row] = True
             verdict.reasons[row].append(f"ended at frame {failure.frame}: {failure.reason}")
     evidence = []
-    for group, rows in _groups(scene, batch.index):
+    for group, rows, sound in _groups(scene, batch.index, trajectory):
         record = Record(
             scene,
             batch[_view(rows)],
@@ -176,6 +176,7 @@ def judge_rows(
             making.step,
             making.contact_time,
             _steps_compared(scene, group),
+            many=sound and not Mechanism.of(scene).has_impacts,
         )
         verdict.add(rows, audited(record))
         evidence.append(_evidence_of(record))
@@ -193,10 +194,17 @@ def _evidence_of(record: Record) -> BalanceEvidence | None:
         return evidence_of(record)
 
 
-def _groups(scene: Scene, index: Index) -> Iterator[tuple[int, Index]]:
+def _groups(
+    scene: Scene, index: Index, trajectory: Trajectory
+) -> Iterator[tuple[int, Index, bool]]:
+    """Give groups of trajectories that are checked at once, and whether all numbers are finite."""
     size = max(1, _BODY_FRAMES // ((scene.clock.steps + 1) * len(scene.bodies)))
+    sound = trajectory.finite
     for group in np.unique(index // size):
-        yield int(group), np.flatnonzero(index // size == group)
+        for kind in (True, False):
+            rows = np.flatnonzero((index // size == group) & (sound == kind))
+            if len(rows):
+                yield int(group), rows, kind
 
 
 def _view(rows: Index) -> slice | list[int]:

@@ -35,8 +35,7 @@ _PHYSICS = (
     "bodies", "joints", "distance_links", "springs", "gravity", "contacts", "ground", "length",
     "dimension",
 )  # fmt: skip
-_KERNELS = ("tree", "load", "row", "closure", "march")
-_SOURCES = ("lanes", "elimination", "tree", *(f"{n}_kernel" for n in _KERNELS))
+_SOURCES = ("lanes", "lane_algebra", "elimination", "tree")
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -102,7 +101,10 @@ def kernel_folder() -> Path:
 
     The folder's own time is that of its last use.
     """
-    text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _SOURCES)
+    here = Path(__file__)
+    sources = [here.with_name(f"{name}.py") for name in _SOURCES]
+    sources += sorted(here.parents[1].glob("*/*_kernel.py"))
+    text = b"".join(path.read_bytes() for path in sources)
     text += str(Path(__file__).parent).encode()
     folder = _home() / "kernels" / hashlib.sha256(text).hexdigest()[:16]
     with suppress(OSError):  # it is not there yet, or is another's

@@ -15,28 +15,30 @@ from __future__ import annotations
 import numpy as np
 
 from mbds_xsim.reference.elimination import BOTH, SECOND
-from mbds_xsim.reference.lanes import (
+from mbds_xsim.reference.lane_algebra import (
     add,
     add_to3,
     apply,
     apply_even,
-    compiled,
     cross,
     dot,
-    entered,
-    larger,
-    load,
     load3,
     load6,
     load9,
+    store3,
+    sub,
+    times,
+)
+from mbds_xsim.reference.lanes import (
+    compiled,
+    entered,
+    larger,
+    load,
     positive,
     root,
     size,
     spread,
     store,
-    store3,
-    sub,
-    times,
 )
 from mbds_xsim.reference.load_kernel import act, still, weigh
 from mbds_xsim.reference.row_kernel import ROW, along, contradiction, put_rows

@@ -14,9 +14,10 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.reference import marching
-from mbds_xsim.reference.closure_kernel import accelerate_once, project_once, resist
+from mbds_xsim.reference.closure_kernel import project_once, resist
 from mbds_xsim.reference.dynamics import maximal_of, pose_of
 from mbds_xsim.reference.elimination import with_short_loops
+from mbds_xsim.reference.evaluation_kernel import accelerate_all
 from mbds_xsim.reference.lanes import LANES
 from mbds_xsim.reference.march_kernel import BLOCK, REACHED, Lane, Problems, Scheme
 from mbds_xsim.reference.march_kernel import march as march_lanes
@@ -34,7 +35,7 @@ from mbds_xsim.reference.tree import (
     tree_of,
     with_rows,
 )
-from mbds_xsim.reference.tree_kernel import PLACES, A, R, V, W, Workspace, X, move_once
+from mbds_xsim.reference.tree_kernel import PLACES, R, V, W, Workspace, X, move_once
 from mbds_xsim.scene.mechanism import Mechanism
 
 _FOLLOWS = 1e-4
@@ -85,20 +86,15 @@ def body_accelerations(mechanism: Mechanism, states: Array, force: Array, torque
         Of the centres of mass [m/s²] and angular [rad/s²] in W, shape (batch, body, 6).
     """
     tree, spanned, _ = chosen(mechanism)
-    coordinates = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
-    found, work = np.empty((len(states), mechanism.body_count, 6)), workspace(tree)
-    rate, worlds = lines(tree.size), len(tree.kind) + 1
-    joints = spanned.frictional
-    fast = [tree.speed_at[link_number(spanned, joint)] for joint in joints]
-    law = [spanned.counted.index(joint) for joint in joints]
-    most = np.array([[joint.friction] for joint in joints]).reshape(-1, 1)
-    for rows, y in _in_lanes(coordinates):
-        work.grip[law] = most * np.sign(y[fast])
-        work.load.reshape(-1, 6, LANES)[:-1, :3] = np.moveaxis(force[rows][:, tree.body], 0, -1)
-        work.torque[: torque.shape[1]] = torque[rows].T
-        accelerate_once(tree, work, y, rate)
-        link = work.link.reshape(worlds, PLACES, LANES)[:-1, A : A + 6]
-        found[rows[:, None], tree.body] = np.moveaxis(link, -1, 0)
+    y = to_tree(spanned, maximal_of(mechanism).unpack(states), states)
+    found = np.empty((len(states), mechanism.body_count, 6))
+    grip = np.zeros((len(states), len(tree.law)))
+    for joint in spanned.frictional:
+        rate = y[:, tree.speed_at[link_number(spanned, joint)]]
+        grip[:, spanned.counted.index(joint)] = joint.friction * np.sign(rate)
+    force, torque = (np.require(load, float, ["C", "W"]) for load in (force, torque))
+    lane = lines(tree.size), lines(tree.size)
+    accelerate_all(tree, workspace(tree), lane, (y, force, torque, grip), found)
     return found
 
 

@@ -45,7 +45,7 @@ class _Compiled:
 
 
 def accelerations(
-    mechanism: Mechanism, bodies: BodyStates, force: Array, torque: Array
+    mechanism: Mechanism, bodies: BodyStates, force: Array, torque: Array, *, many: bool = False
 ) -> tuple[Array, Array]:
     """Evaluate the equations of motion at any states, without contact.
 
@@ -54,6 +54,7 @@ def accelerations(
         bodies: States that keep the joints together, with any leading axes.
         force: In W on the centres of mass [N], shape (…, body, 3).
         torque: About the hinges of `Mechanism.hinges` [N·m], shape (…, hinge).
+        many: Whether it pays to load compiled kernels, where these have the same equations.
 
     Returns:
         Of the centres of mass in W [m/s²] and angular in W [rad/s²], shapes (…, body, 3).
@@ -64,7 +65,16 @@ def accelerations(
     force = np.broadcast_to(force, shape).reshape(-1, *shape[-2:])
     hinges = len(mechanism.hinges)
     torque = np.broadcast_to(torque, (*shape[:-2], hinges)).reshape(len(state), hinges)
+    if many and _turns_bodies_alone(mechanism):
+        found = _Compiled(mechanism).accelerations(state, force, torque)
+        return found[..., :3].reshape(shape), found[..., 3:].reshape(shape)
     parts = [slice(k, k + _AT_ONCE) for k in range(0, len(state), _AT_ONCE)]
     rates = [dynamics.derivative(state[part], force[part], torque[part]) for part in parts]
     rate = dynamics.unpack(np.concatenate([*rates, state[:0]]))
     return rate.velocity.reshape(shape), rate.angular_velocity.reshape(shape)
+
+
+def _turns_bodies_alone(mechanism: Mechanism) -> bool:
+    """Whether accelerations follow from how bodies turn, wherever gaps leave their places."""
+    closes = mechanism.loops or mechanism.distances or mechanism.springs
+    return not closes and all(joint.kind == "ball" for joint in mechanism.joints)

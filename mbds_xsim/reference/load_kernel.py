@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from mbds_xsim.reference.lanes import (
+from mbds_xsim.reference.lane_algebra import (
     add,
     add_to3,
     apply,
     apply_even,
-    compiled,
     cross,
     dot,
-    load,
     load3,
     load9,
     number3,
-    root,
-    spread,
     store3,
     store6,
     store9,
     sub,
     times,
 )
+from mbds_xsim.reference.lanes import compiled, load, root, spread
 from mbds_xsim.reference.tree import SLIDER, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, F, H, J, M, N, R, V, W, Workspace, X, zero
 
@@ -32,6 +29,16 @@ def still(t: Tree, work: Workspace):
     for i in range(len(t.kind) + 1):
         store3(work.link, i * PLACES + F, zero())
         store3(work.link, i * PLACES + N, zero())
+
+
+@compiled
+def hold(t: Tree, work: Workspace, k, force, torque):
+    """Let forces on bodies (body, 3) and torques about hinges act in a lane."""
+    for i in range(len(t.kind)):
+        for j in range(3):
+            work.load[6 * i + j, k] = force[t.body[i], j]
+    for j in range(len(t.hinge_axis)):
+        work.torque[j, k] = torque[j]
 
 
 @compiled

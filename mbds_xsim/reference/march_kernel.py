@@ -13,6 +13,7 @@ import numpy as np
 
 from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.reference.closure_kernel import accelerate, project
+from mbds_xsim.reference.lane_algebra import hamilton
 from mbds_xsim.reference.lanes import (
     LANES,
     compiled,
@@ -24,6 +25,7 @@ from mbds_xsim.reference.lanes import (
     spread,
     store,
 )
+from mbds_xsim.reference.load_kernel import hold
 from mbds_xsim.reference.tree import BALL, FREE, HINGE, Tree
 from mbds_xsim.reference.tree_kernel import PLACES, V, W, Workspace, X
 
@@ -157,7 +159,8 @@ def _start_frames(t, work, lane, task):
                 for j in range(t.size):
                     lane.y[j, k] = lane.new[j, k]
                 if lane.at[k] < task.force.shape[1]:
-                    _load(t, work, lane, task, k)
+                    row, at = lane.row[k], lane.at[k]
+                    hold(t, work, k, task.force[row, at], task.torque[row, at])
     accelerate(t, work, lane.y, lane.stages, np.int64(0))
     store(lane.worst, 0, load(work.share, 0))
     store(lane.worst, 1, load(work.share, 1))
@@ -165,16 +168,6 @@ def _start_frames(t, work, lane, task):
         if lane.due[k]:
             _record(t, work, lane, k, task.states[lane.row[k], lane.at[k]])
             lane.due[k] = False
-
-
-@compiled
-def _load(t, work, lane, task, k):
-    row, at = lane.row[k], lane.at[k]
-    for i in range(len(t.kind)):
-        for j in range(3):
-            work.load[6 * i + j, k] = task.force[row, at, t.body[i], j]
-    for j in range(len(t.hinge_axis)):
-        work.torque[j, k] = task.torque[row, at, j]
 
 
 @compiled
@@ -198,19 +191,9 @@ def _record(t, work, lane, k, out):
         turn = (out[parent, 3], out[parent, 4], out[parent, 5], out[parent, 6])
         if kind == HINGE:
             c, s = y[at, k], y[at + 1, k]
-            turn = _turned(turn, (c, s * t.axis[i, 0], s * t.axis[i, 1], s * t.axis[i, 2]))
-        turn = _turned(turn, (t.still[i, 0], t.still[i, 1], t.still[i, 2], t.still[i, 3]))
+            turn = hamilton(turn, (c, s * t.axis[i, 0], s * t.axis[i, 1], s * t.axis[i, 2]))
+        turn = hamilton(turn, (t.still[i, 0], t.still[i, 1], t.still[i, 2], t.still[i, 3]))
         out[body, 3], out[body, 4], out[body, 5], out[body, 6] = turn
-
-
-@compiled
-def _turned(p, q):
-    return (
-        p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-        p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-        p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-        p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-    )
 
 
 @compiled

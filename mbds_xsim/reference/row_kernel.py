@@ -5,25 +5,19 @@ Rows are those of `mbds_xsim.scene.constraints`, and behind them couplings.
 
 from __future__ import annotations
 
-from mbds_xsim.reference.lanes import (
+from mbds_xsim.reference.lane_algebra import (
     add,
     apply,
-    compiled,
     cross,
     dot,
-    larger,
-    load,
     load3,
     load9,
     number3,
-    root,
-    size,
-    spread,
-    store,
     store3,
     sub,
     times,
 )
+from mbds_xsim.reference.lanes import compiled, larger, load, root, size, spread, store
 from mbds_xsim.reference.tree import ALONG, COUPLED, DISTANCE, NORMAL
 from mbds_xsim.reference.tree_kernel import ALPHA, MI, PLACES, A, R, V, W, X, zero
 

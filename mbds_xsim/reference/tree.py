@@ -187,7 +187,8 @@ def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
         states: The same as the reference has them, shape (batch, body + world, 13).
     """
     tree = tree_of(mechanism)
-    links = to_links(mechanism, bodies)
+    single = np.isin(tree.kind, (HINGE, SLIDER)).any()
+    links = to_links(mechanism, bodies) if single else None
     y = np.zeros((len(states), tree.size))
     for k, (kind, body) in enumerate(zip(tree.kind, tree.body, strict=True)):
         at, fast = tree.at[k], tree.speed_at[k]
@@ -195,6 +196,8 @@ def to_tree(mechanism: Mechanism, bodies: BodyStates, states: Array) -> Array:
             y[:, at : at + 7], y[:, fast : fast + 6] = states[:, body, :7], states[:, body, 7:]
         elif kind == BALL:
             y[:, at : at + 4], y[:, fast : fast + 3] = states[:, body, 3:7], states[:, body, 10:]
+        elif links is None:
+            continue
         elif kind == HINGE:
             half = 0.5 * links.coordinate[:, k]
             y[:, at], y[:, at + 1], y[:, fast] = np.cos(half), np.sin(half), links.rate[:, k]

@@ -18,29 +18,24 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.reference.lanes import (
+from mbds_xsim.reference.lane_algebra import (
     add,
     add_to3,
     apply,
     apply_even,
     apply_turned,
-    compiled,
     cross,
     cross_matrix,
     crossed_even,
     dot,
-    entered,
     even_product,
     inverse_even,
-    load,
     load3,
     load6,
     load9,
     number3,
     product,
     rotation_of,
-    spread,
-    store,
     store3,
     store6,
     store9,
@@ -48,6 +43,7 @@ from mbds_xsim.reference.lanes import (
     times,
     transposed,
 )
+from mbds_xsim.reference.lanes import compiled, entered, load, spread, store
 from mbds_xsim.reference.tree import BALL, FIXED, FREE, HINGE, SLIDER, Tree
 
 # Kinematics: place, matrix, angular and linear velocity; axis; arms from the centre of mass and

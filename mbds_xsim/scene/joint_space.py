@@ -54,28 +54,35 @@ class BodyStates:
 
     def with_world(self) -> BodyStates:
         """Append the world as a last body at rest, so that index −1 finds it."""
-        zero = np.zeros((*self.position.shape[:-2], 1, 3))
-        still = np.broadcast_to(rotation.IDENTITY, (*zero.shape[:-1], 4))
-        worlds = (zero, still, zero, zero)
-        return BodyStates(
-            *(
-                np.concatenate([values, world], axis=-2)
-                for values, world in zip(vars(self).values(), worlds, strict=True)
-            )
-        )
+        zero = np.zeros(3)
+        still = BodyStates(zero, rotation.IDENTITY, zero, zero)
+        return BodyStates(*map(_followed, vars(self).values(), vars(still).values()))
 
     def arms(self, body: Bodies, offset: Array) -> Array:
         """Turn vectors from centres of mass to points of bodies into W [m], (…, point, 3)."""
-        return rotation.rotate(self.native[..., body, :], offset)
+        return rotation.rotate(taken(self.native, body), offset)
 
     def points(self, body: Bodies, offset: Array) -> Array:
         """Place points that are fixed in bodies [m], shape (…, point, 3)."""
-        return self.position[..., body, :] + self.arms(body, offset)
+        return taken(self.position, body) + self.arms(body, offset)
 
     def speeds(self, body: Bodies, offset: Array) -> Array:
         """Give the velocities of such points [m/s], shape (…, point, 3)."""
-        spin = self.angular_velocity[..., body, :]
-        return self.velocity[..., body, :] + rotation.cross(spin, self.arms(body, offset))
+        spin = taken(self.angular_velocity, body)
+        return taken(self.velocity, body) + rotation.cross(spin, self.arms(body, offset))
+
+
+def taken(values: Array, body: Bodies) -> Array:
+    """Take some bodies' values, whose components stay apart in memory where they are."""
+    return np.asarray(values.T[:, body].T)
+
+
+def _followed(values: Array, last: Array) -> Array:
+    """Append a body's values, in memory as the others."""
+    shape = *values.shape[:-2], values.shape[-2] + 1, values.shape[-1]
+    found = np.empty_like(values, shape=shape)
+    found[..., :-1, :], found[..., -1, :] = values, last
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.scene.sampling_terms import INTERVALS, Interval
 from mbds_xsim.scene.scene import Scene
@@ -124,6 +124,15 @@ class Trajectory:
         for row, failure in zip(rows, other.failures, strict=True):
             failures[row] = failure
         return Trajectory(self.time, **arrays, failures=tuple(failures))
+
+    @property
+    def finite(self) -> Mask:
+        """Whether all numbers of a trajectory are finite, shape (trajectory,)."""
+        fields = [getattr(self, key) for key in STATES]
+        with np.errstate(over="ignore", invalid="ignore"):
+            if all(np.isfinite(field.sum()) for field in fields):  # as most are
+                return np.ones(len(self), dtype=bool)
+        return np.logical_and.reduce([np.isfinite(field).all(axis=(1, 2, 3)) for field in fields])
 
     def cut_at_failures(self) -> Trajectory:
         """Put NaN into all frames from each failure on, the last one at least.

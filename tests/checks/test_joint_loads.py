@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.conservation import balances_of, energy_balance, energy_of
+from mbds_xsim.checks.balances import balances_of
+from mbds_xsim.checks.conservation import energy_balance, energy_of
 from mbds_xsim.checks.coordinates import coordinate_of
 from mbds_xsim.checks.finding import Check
 from mbds_xsim.checks.integrity import angle_gap, gap

@@ -10,7 +10,8 @@ import pytest
 
 from mbds_xsim.base import rotation
 from mbds_xsim.checks import Record
-from mbds_xsim.checks.conservation import balances_of, momentum
+from mbds_xsim.checks.balances import balances_of
+from mbds_xsim.checks.conservation import momentum
 from mbds_xsim.scene.mechanism import Mechanism
 from mbds_xsim.scene.sampling import draw_batch
 from mbds_xsim.scene.scene import (

@@ -1,0 +1,20 @@
+"""Sums over flights, the steps in which nothing meets the ground or a stop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbds_xsim.base.arrays import Array, Mask
+
+
+def summed(values: Array, flights: Mask) -> Array:
+    """Sum over the steps of each flight up to each step; NaN where there is none.
+
+    Shape (trajectory, step, component), as the values.
+    """
+    total = np.cumsum(np.where(flights[..., None], values, 0.0), axis=1)
+    steps = np.arange(1, values.shape[1] + 1)
+    landed = np.maximum.accumulate(np.where(flights, 0, steps), axis=1)
+    padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
+    before = np.take_along_axis(padded, landed[..., None], axis=1)
+    return np.where(flights[..., None], total - before, np.nan)
