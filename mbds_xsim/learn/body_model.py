@@ -1,11 +1,11 @@
 """Models of bodies: what an engine does beside smooth rigid motion, frame by frame.
 
-A frame begins with smooth motion on the joints under the known inputs (`BodyMechanics.smooth`), which
-flies bodies exactly. A network adds what that lacks, from what it sees of the frame (`BodyView`):
-of each body a displacement and a change of its twist, of each contact sphere two impulses on its
-body, one that displaces it and one that changes its twist. What joints forbid of it is taken away
-by the least mass-weighted change, so that rods keep their lengths; nothing is asked of a GPU on
-the way.
+A frame begins with smooth motion on the joints under the known inputs (`BodyMechanics.smooth`),
+which flies bodies exactly. A network adds what that lacks, from what it sees of the frame
+(`BodyView`): of each body a displacement and a change of its twist, of each contact sphere two
+impulses on its body, one that displaces it and one that changes its twist. What joints forbid of it
+is taken away by the least mass-weighted change, so that rods keep their lengths; nothing is asked
+of a GPU on the way.
 
 The loss holds displacement and twist against the teacher's, body by body, not particle by particle:
 an impact of a disc is one wrench, not nineteen accelerations.

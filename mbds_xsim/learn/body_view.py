@@ -1,8 +1,8 @@
 """What networks of bodies are shown of a frame: vectors and scalars of bodies, joints, contacts.
 
-Beside the state stands what smooth motion would make of it (`BodyMechanics.smooth`): the twists that
-it ends with, and the gaps that contact spheres would have then. Vectors are in W and turn with the
-whole; scalars stay. Velocities are in units of the deviation of displacements over a frame,
+Beside the state stands what smooth motion would make of it (`BodyMechanics.smooth`): the twists
+that it ends with, and the gaps that contact spheres would have then. Vectors are in W and turn with
+the whole; scalars stay. Velocities are in units of the deviation of displacements over a frame,
 changes of them in units of that of second differences; spins count by their body's radius of
 gyration about its joint.
 """
