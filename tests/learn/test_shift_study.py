@@ -166,7 +166,7 @@ def test_without_the_cache_all_is_done_anew(
     question = study.question_of(folder / "models", folder / "data", SCENE)
     again = study.study(question, cache=False, workers=0).shift
     assert len(tested) == 3 * (len(TRAININGS) * SEEDS + 3)
-    assert len(gone_on) == 2 * 3
+    assert len({(job.engine.name, job.domain.name) for job, *_ in gone_on}) == 2 * 3
     assert again.cells == shift.cells
     assert again.gaps == shift.gaps
 
@@ -178,15 +178,15 @@ def test_restarts_that_were_interrupted_go_on(
     rollouts.Restart(one, two, shift.horizon).path.unlink()
     predicted, done = rollouts._predicted, []
 
-    def noted(job: rollouts.Restart, motions: Motions, inputs: Batch) -> torch.Tensor:
+    def noted(job: rollouts.Restart, motions: Motions, inputs: Batch, *part: int) -> torch.Tensor:
         done.append((job.engine.name, job.domain.name))
-        return predicted(job, motions, inputs)
+        return predicted(job, motions, inputs, *part)
 
     monkeypatch.setattr(rollouts, "_predicted", noted)
     again = study.study(
         study.question_of(folder / "models", folder / "data", SCENE), workers=0
     ).shift
-    assert done == [(one.name, two.name)]
+    assert set(done) == {(one.name, two.name)}
     assert again.gaps == shift.gaps
 
 
@@ -368,9 +368,14 @@ def test_restarted_engines_keep_their_own_motion(shift: Shift) -> None:
     assert len(found) == 2 * 3
     for (first, test), cell in found.items():
         assert cell.mse[1] is not None
+        assert cell.mse[0] is not None
+        assert cell.one_step is not None
         if first == test:
             assert cell.mse[1] < 1e-12
-        assert cell.one_step == pytest.approx(cell.mse[0])
+            assert cell.one_step < 1e-12
+        else:  # of the same size from windows all over the motion, not the same as from the first
+            assert 0.1 < cell.one_step / cell.mse[0] < 10.0
+            assert cell.one_step != cell.mse[0]
     apart = next(
         c for c in shift.cells
         if (c.model, c.training, c.test, c.interval)

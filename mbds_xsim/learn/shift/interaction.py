@@ -37,6 +37,7 @@ INTERACTION = "interaction"
 FALSE = 0.05
 """Share of the resolved that may be chance."""
 _ROUNDING = 1e-9  # of a logarithm
+_SEVERAL = 2  # changes that are put side by side
 
 
 def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
@@ -109,16 +110,52 @@ def _kept(chances: Array) -> Array:
 
 
 def answers_of_interactions(
-    found: Sequence[Interaction], place: int, frame: int
+    found: Sequence[Interaction], place: int, frame: int, since: str = ""
 ) -> Iterator[Answer]:
-    """Say of each change, of engine or settings, what it costs whatever else differs."""
-    changes = [_changed(each.first, each.second) for each in found]
-    for change, where in dict.fromkeys(each for each in changes if each):
-        own = [e for e, what in zip(found, changes, strict=True) if what == (change, where)]
+    """Say of each change, of engine or settings, what it costs whatever else differs.
+
+    `since` are words for where frames are counted from, if not from the last known one.
+    """
+    for (change, where), own in _by_change(found).items():
         models = dict.fromkeys(each.model for each in own)
         parts = [_told([e for e in own if e.model == model], model, place) for model in models]
-        question = f"What does a change of {change} cost {where}?"
-        yield Answer(INTERACTION, question, f"At t = {frame} {where} {'; '.join(parts)}")
+        question = f"What does a change of {change} cost {where}{since}?"
+        yield Answer(INTERACTION, question, f"At t = {frame}{since} {where} {'; '.join(parts)}")
+
+
+def answer_of_factors(
+    found: Sequence[Interaction], place: int, frame: int, since: str = ""
+) -> Iterator[Answer]:
+    """Put the costs of all changes side by side in one sentence, where there are several."""
+    changes = _by_change(found)
+    if len(changes) < _SEVERAL:
+        return
+    parts = []
+    for model in dict.fromkeys(each.model for each in found):
+        costs = [
+            f"{_most(own, place)} by {change} {where}"
+            for (change, where), whole in changes.items()
+            if (own := [each for each in whole if each.model == model])
+        ]
+        parts.append(f"of {model} {', '.join(costs)}")
+    text = f"At t = {frame}{since} the squared error grows by at most: {'; '.join(parts)}"
+    yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
+
+
+def _by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
+    changes: dict[tuple[str, str], list[Interaction]] = {}
+    for each in found:
+        change = _changed(each.first, each.second)
+        if change is not None:
+            changes.setdefault(change, []).append(each)
+    return changes
+
+
+def _most(own: Sequence[Interaction], place: int) -> str:
+    """The largest of some interactions, and how many of them are told from chance."""
+    largest = max((each.value[place] or 0.0 for each in own), default=0.0)
+    losses = sum(each.resolved[place] and (each.value[place] or 0.0) > 1.0 for each in own)
+    return f"{largest:.3g} times ({losses} of {len(own)} told from 1)"
 
 
 def _told(own: Sequence[Interaction], model: str, place: int) -> str:

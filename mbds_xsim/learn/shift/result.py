@@ -48,6 +48,8 @@ class TrainedFacts(msgspec.Struct, frozen=True, omit_defaults=True):
     """Of the starts that it was trained on; all when left out."""
     bodies: bool = False
     """Whether it starts from the bodies' states, not from the particles' positions alone."""
+    to_floor_s: float | None = None
+    """Processor time of its training until it was as near its engine as the nearest other one."""
 
 
 class ErrorCell(msgspec.Struct, frozen=True):
@@ -213,6 +215,11 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     agreements: tuple[Agreement, ...]
     answers: tuple[Answer, ...]
     interactions: tuple[Interaction, ...] = ()
+    contact_frames: tuple[int, ...] = ()
+    """Frames from the first contact on, of `after_contact`; none without contact in flight."""
+    contact_trajectories: int = 0
+    after_contact: tuple[Interaction, ...] = ()
+    """As `interactions`, at these frames."""
     wall_s: float
     kept: int = 0
     """How many of the models had been tested before, in no time of this."""

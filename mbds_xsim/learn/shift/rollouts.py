@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 import torch
 
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
 from mbds_xsim.base.isolate import Crash, Silent, Task, run_tasks
 from mbds_xsim.base.versions import MODELS
@@ -43,6 +44,7 @@ from mbds_xsim.simulate.timed import simulate
 _TIMEOUT = 4 * 3600.0  # of the work of a process [s]
 _MODELS = 6  # a process: starting one takes seconds
 _RESTARTS = 3  # a process: one engine may take longest by far
+_STRIDE = 8  # frames from a start of one-step predictions to the next
 Paths = dict[tuple[TrainedModel, str], Path]
 """Where the figures of a model on a domain are kept."""
 
@@ -66,7 +68,7 @@ class RolloutPlan:
 
     horizon: int
     """Frames of a rollout."""
-    stride: int = 8
+    stride: int = _STRIDE
     """Frames from a window of the teacher-forced prediction to the next."""
     device: str = "cpu"
     """Of the models."""
@@ -174,7 +176,7 @@ class Restart:
         """Where its figures are kept."""
         adapter = load_adapter(self.engine.engine)
         versions = (adapter.version(), adapter.revision)
-        return _path(self.domain, self.engine.content, versions, self.horizon)
+        return _path(self.domain, self.engine.content, versions, self.horizon, _STRIDE)
 
 
 def restarted(
@@ -248,16 +250,34 @@ def _shares(restarts: Sequence[Restart]) -> Iterator[list[Restart]]:
 def _go_on(inputs: Batch, restarts: Sequence[Restart]) -> None:
     for restart in restarts:
         motions = restart.domain.motions(torch.float64)
-        figures = measure(motions, _predicted(restart, motions, inputs))
-        dataclasses.replace(figures, one_step=figures.error[:, 0]).write(restart.path)
+        figures = measure(motions, _predicted(restart, motions, inputs, restart.horizon))
+        whole = dataclasses.replace(figures, one_step=_one_step(restart, motions, inputs))
+        whole.write(restart.path)
 
 
-def _predicted(restart: Restart, motions: Motions, inputs: Batch) -> torch.Tensor:
-    """Positions from frame `HISTORY` on, shape (trajectory, frame, particle, 3)."""
+def _one_step(restart: Restart, motions: Motions, inputs: Batch) -> Array:
+    """Error of going on by one frame from all over the motions, as models do, (trajectory,) [m²].
+
+    The first windows alone would have no contact in them.
+    """
+    errors = []
+    for last in range(HISTORY - 1, HISTORY - 1 + restart.horizon, _STRIDE):
+        after = _predicted(restart, motions, inputs, 1, last)[:, 0]
+        apart = (after - motions.position[:, last + 1]).square().sum(-1).mean(-1)
+        errors.append(apart.numpy())
+    whole = np.stack(errors)
+    known = np.isfinite(whole)
+    return np.where(known, whole, 0.0).sum(axis=0) / known.sum(axis=0)
+
+
+def _predicted(
+    restart: Restart, motions: Motions, inputs: Batch, frames: int, last: int = HISTORY - 1
+) -> torch.Tensor:
+    """Positions of so many frames behind the last known one, (trajectory, frame, particle, 3)."""
     assert motions.body is not None
-    state, last = motions.body[:, HISTORY - 1].numpy(), HISTORY - 1
+    state = motions.body[:, last].numpy()
     known = np.flatnonzero(np.isfinite(state).all(axis=(1, 2)))
-    steps = slice(last, last + restart.horizon)
+    steps = slice(last, last + frames)
     placed, turned, moving, spinning = np.split(state[known], (3, 7, 10), axis=-1)
     acting = inputs.force[known, steps], inputs.torque[known, steps]
     start = Batch(inputs.index[known], placed, turned, moving, spinning, *acting)
@@ -266,7 +286,7 @@ def _predicted(restart: Restart, motions: Motions, inputs: Batch) -> torch.Tenso
     trajectory = simulate(scene, start, restart.engine.engine, settings).trajectory
     position, _ = Points.of(scene).motion(trajectory)
     whole = motions.position.new_full(
-        (len(state), restart.horizon, motions.graph.particle_count, 3), torch.nan
+        (len(state), frames, motions.graph.particle_count, 3), torch.nan
     )
     whole[known] = motions.graph.embed(torch.from_numpy(position[:, 1:]))
     return whole

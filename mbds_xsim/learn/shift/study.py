@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from mbds_xsim.base.errors import InputError
 from mbds_xsim.learn.model import refusal, rollout, trainable
 from mbds_xsim.learn.particles import EXPLODED, LOST
 from mbds_xsim.learn.shift.answers import answers_by_interval, answers_of
+from mbds_xsim.learn.shift.contact import from_contact
 from mbds_xsim.learn.shift.domains import (
     REFERENCE,
     Domain,
@@ -28,6 +30,7 @@ from mbds_xsim.learn.shift.domains import (
     read_reference,
     solve_domain,
 )
+from mbds_xsim.learn.shift.effort import seconds_to_floor
 from mbds_xsim.learn.shift.evaluation import (
     RESTART,
     Evaluation,
@@ -38,8 +41,20 @@ from mbds_xsim.learn.shift.evaluation import (
     oracles,
 )
 from mbds_xsim.learn.shift.gaps import DRAWS, Draws, agreements_of, gaps_of
-from mbds_xsim.learn.shift.interaction import answers_of_interactions, interactions_of
-from mbds_xsim.learn.shift.result import FRAMES, INTERVALS, DomainFacts, Shift, TrainedFacts
+from mbds_xsim.learn.shift.interaction import (
+    answer_of_factors,
+    answers_of_interactions,
+    interactions_of,
+)
+from mbds_xsim.learn.shift.result import (
+    FRAMES,
+    INTERVALS,
+    Answer,
+    DomainFacts,
+    Interaction,
+    Shift,
+    TrainedFacts,
+)
 from mbds_xsim.learn.shift.rollouts import SILENT, RolloutMeter, RolloutPlan, evaluate, restarted
 from mbds_xsim.learn.trained import (
     WHOLE,
@@ -54,6 +69,7 @@ from mbds_xsim.measure.runner import machine
 from mbds_xsim.simulate.registry import package_version
 
 _AT = 10
+_SINCE = " after the first contact"
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +159,7 @@ def study(
             **{f"{RESTART} {name}": why for name, why in refused.items()},
             **_left_out(evaluation),
         },
-        models=tuple(
-            msgspec.convert(model, TrainedFacts, from_attributes=True) for model in models
-        ),
+        models=tuple(_facts(evaluation, model) for model in models),
         kept=len(models) - figures.tested,
     )
     return ShiftStudy(
@@ -157,6 +171,8 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
     """Say what was measured and what follows from it."""
     test, draws = evaluation.test, Draws(evaluation)
     gaps, interactions = tuple(gaps_of(draws)), interactions_of(draws)
+    later = from_contact(evaluation)
+    touched = interactions_of(Draws(later)) if later else ()
     return Shift(
         scene=test.scene.name,
         description=test.scene.description,
@@ -179,14 +195,32 @@ def _shift(evaluation: Evaluation, plan: RolloutPlan, at: int, **facts: Any) -> 
         gaps=gaps,
         agreements=tuple(agreements_of(draws)),
         interactions=interactions,
+        contact_frames=later.frames if later else (),
+        contact_trajectories=len(later.test.index) if later else 0,
+        after_contact=touched,
         answers=(
-            *answers_of_interactions(interactions, evaluation.frames.index(at), at),
+            *_changes(interactions, evaluation.frames, at),
+            *(_changes(touched, later.frames, at, _SINCE) if later else ()),
             *answers_of(draws, gaps, at),
             *answers_by_interval(evaluation, at),
         ),
         wall_s=0.0,
         **facts,
     )
+
+
+def _changes(
+    found: Sequence[Interaction], frames: Sequence[int], at: int, since: str = ""
+) -> Iterator[Answer]:
+    """What changes cost: all side by side, then each."""
+    place = max(k for k, frame in enumerate(frames) if frame <= at)
+    yield from answer_of_factors(found, place, frames[place], since)
+    yield from answers_of_interactions(found, place, frames[place], since)
+
+
+def _facts(evaluation: Evaluation, model: TrainedModel) -> TrainedFacts:
+    facts = msgspec.convert(model, TrainedFacts, from_attributes=True)
+    return msgspec.structs.replace(facts, to_floor_s=seconds_to_floor(evaluation, model))
 
 
 def _frame_of(frames: tuple[int, ...], chosen: int | None) -> int:

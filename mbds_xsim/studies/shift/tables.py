@@ -11,7 +11,7 @@ from mbds_xsim.learn.shift.domains import REFERENCE
 from mbds_xsim.learn.shift.evaluation import ENGINE, RESTART
 from mbds_xsim.learn.shift.gaps import PAPER, paper_errors
 from mbds_xsim.learn.shift.interaction import FALSE
-from mbds_xsim.learn.shift.result import INTERVALS, Gap, Shift
+from mbds_xsim.learn.shift.result import INTERVALS, Gap, Interaction, Shift
 from mbds_xsim.learn.trained import TRIVIAL
 from mbds_xsim.report.blocks import Column, Table, table_of
 from mbds_xsim.report.quantity import NONE, number, with_unit
@@ -33,12 +33,13 @@ def tables(shift: Shift) -> Iterator[Table]:
 def _tables(shift: Shift) -> Iterator[Table]:
     frame, models = shift.at, trained_models(shift)
     place = shift.frames.index(frame)
-    yield _interactions(shift, place)
+    yield from _interactions(shift, place)
     yield from (_errors(shift, model, place) for model in models)
     yield from (_one_step(shift, model) for model in models)
     yield _transfer(shift, frame)
     yield _gaps(shift, place)
     yield _costs(shift, place)
+    yield _effort(shift)
     yield _floors(shift)
     yield _by_interval(shift, frame)
     if any(facts.interval for facts in shift.models):
@@ -55,7 +56,16 @@ def _table(title: str, note: str, heading: Sequence[str], rows: Iterable[tuple[s
     return table_of(columns, tuple(rows), title=title, note=note)
 
 
-def _interactions(shift: Shift, place: int) -> Table:
+def _interactions(shift: Shift, place: int) -> Iterator[Table]:
+    """From the last known frame on, and from the first contact on."""
+    yield _changes(shift.interactions, place, f"at t = {shift.frames[place]}")
+    if shift.after_contact:
+        frames = [frame for frame in shift.contact_frames if frame <= shift.frames[place]]
+        when = f"{frames[-1]} frames after the first contact, {shift.contact_trajectories} of them"
+        yield _changes(shift.after_contact, len(frames) - 1, when)
+
+
+def _changes(found: Sequence[Interaction], place: int, when: str) -> Table:
     rows = (
         (
             f"{each.model}, {each.first} ↔ {each.second}",
@@ -64,10 +74,10 @@ def _interactions(shift: Shift, place: int) -> Table:
             f"{number(each.low[place])} … {number(each.high[place])}",
             "told from chance" if each.resolved[place] else "",
         )
-        for each in shift.interactions
+        for each in found
     )
     return _table(
-        f"What a change of engine or settings costs at t = {shift.frames[place]}",
+        f"What a change of engine or settings costs {when}",
         "√(R_ij R_ji / (R_ii R_jj)), R_ij the mean squared error of the training on i, tested on "
         "j: 1 is no loss by the change, 2 twice the squared error. 95 % by paired bootstrap over "
         "trajectories and seeds; told from chance: of all pairs together, by the rule of Benjamini "
@@ -220,6 +230,26 @@ def _costs(shift: Shift, place: int) -> Table:
         "[m²], against the independent reference, of each model that was trained on it alone: the "
         "first row from which on dearer data bring no less error tells how good data must be",
         ("trained on", "a trajectory", *models),
+        rows,
+    )
+
+
+def _effort(shift: Shift) -> Table:
+    """How long models learned until they were as near their engine as other engines are."""
+    single = [facts for facts in shift.models if len(facts.engines) == 1]
+    rows = []
+    for model, training in dict.fromkeys((facts.model, facts.training) for facts in single):
+        own = [f.to_floor_s for f in single if (f.model, f.training) == (model, training)]
+        reached = [seconds for seconds in own if seconds is not None]
+        if reached:
+            seeds = f"{len(reached)} of {len(own)}"
+            rows.append((f"{model}, {training}", seeds, *map(number, (min(reached), max(reached)))))
+    return _table(
+        "Processor time to the engine floor",
+        "Seconds of training, validations included, until the validation error, a mean over ten "
+        "frames, was below the distance of the nearest other engine that goes on from the same "
+        "frame",
+        ("trained on", "seeds that reached it", "first", "last"),
         rows,
     )
 

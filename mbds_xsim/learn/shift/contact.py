@@ -1,0 +1,78 @@
+"""Horizons that are counted from the first contact.
+
+Ten frames behind the last known one most balls are still in the air, where engines differ by steps
+and damping alone. What contact does is seen from where it begins: frame 1 is then the first at
+which a contact sphere has touched the ground, in whichever domain it does so first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+
+from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.learn.particles import RolloutFigures
+from mbds_xsim.learn.shift.domains import Paired
+from mbds_xsim.learn.shift.evaluation import Evaluation
+from mbds_xsim.learn.window import HISTORY
+
+_LEAST = 10
+"""Trajectories that a study from the first contact on is made of, and frames that they have."""
+
+
+def first_contact(test: Paired, horizon: int) -> Index:
+    """Give the predicted frame, counted from 0, at which each trajectory first touches the ground.
+
+    −1 of those that touch it in the frames that are given, `horizon` of those that never do.
+    """
+    mechanism, earliest = test.graph.mechanism, np.full(len(test.index), horizon)
+    if not len(mechanism.sphere_radius):
+        return earliest
+    for domain in test.domains:
+        body = domain.motions(torch.float64).body
+        assert body is not None
+        states = body[:, : HISTORY + horizon].numpy()
+        native = mechanism.native_rotation(states[..., 3:7])
+        gap = mechanism.sphere_heights(states[..., :3], native) - mechanism.sphere_radius
+        touches = np.any(gap <= 0.0, axis=-1)
+        first = np.where(touches.any(axis=1), touches.argmax(axis=1) - HISTORY, horizon)
+        earliest = np.minimum(earliest, first)
+    return np.maximum(earliest, -1)
+
+
+def from_contact(evaluation: Evaluation) -> Evaluation | None:
+    """Count frames from the first contact on, of the trajectories that have it early enough.
+
+    None where fewer than ten do, as where there is no ground or a body starts on it.
+    """
+    horizon = max(evaluation.frames)
+    first = first_contact(evaluation.test, horizon)
+    last = horizon - _LEAST
+    rows = np.flatnonzero((first >= 0) & (first <= last))
+    if len(rows) < _LEAST:
+        return None
+    length = horizon - int(first[rows].max())
+    place = first[rows, None] + np.arange(length)
+
+    def later(figures: RolloutFigures) -> RolloutFigures:
+        def moved(values: Array) -> Array:
+            return np.take_along_axis(values[rows], place, axis=1)
+
+        return RolloutFigures(
+            error=moved(figures.error),
+            energy=moved(figures.energy),
+            gap=moved(figures.gap),
+            one_step=figures.one_step[rows],
+        )
+
+    return dataclasses.replace(
+        evaluation,
+        test=dataclasses.replace(evaluation.test, index=evaluation.test.index[rows]),
+        frames=tuple(frame for frame in evaluation.frames if frame <= length),
+        figures={key: later(figures) for key, figures in evaluation.figures.items()},
+        oracles={key: later(figures) for key, figures in evaluation.oracles.items()},
+        restarted={key: later(figures) for key, figures in evaluation.restarted.items()},
+        floors={},
+    )

@@ -1,0 +1,125 @@
+"""Horizons from the first contact: where it is, and that figures are moved there alike."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from mbds_xsim.learn.curves import LearningCurve, write_curve
+from mbds_xsim.learn.model import load_model
+from mbds_xsim.learn.shift import contact
+from mbds_xsim.learn.shift.effort import nearest_engine, seconds_to_floor
+from mbds_xsim.learn.shift.gaps import Draws
+from mbds_xsim.learn.shift.interaction import (
+    answer_of_factors,
+    answers_of_interactions,
+    interactions_of,
+)
+from mbds_xsim.learn.train import CurvePoint
+from mbds_xsim.learn.window import HISTORY, Motions
+from mbds_xsim.simulate.registry import load_scene
+from mbds_xsim.testing.models import motions_of
+
+from .evaluations import COUNT, entry_of, evaluation, figures_of, paired
+
+_LONG = 40
+
+
+@dataclasses.dataclass(frozen=True)
+class _Made:
+    """A domain whose motions are given."""
+
+    made: Motions
+
+    def motions(self, dtype: torch.dtype) -> Motions:
+        assert dtype == torch.float64
+        return self.made
+
+
+def _falling(*touches: int) -> _Made:
+    """Discs that come down evenly, and touch the ground at so many frames from the first."""
+    motions = motions_of(load_model("gns+"), load_scene("balldrop"), rows=len(touches), frames=30)
+    assert motions.body is not None
+    body, frame = motions.body.clone(), torch.arange(motions.body.shape[1])
+    radius = motions.graph.mechanism.sphere_radius[0]
+    for row, touch in enumerate(touches):
+        body[row, :, 0, 2] = radius + 0.1 * (touch - 0.5 - frame)
+    return _Made(dataclasses.replace(motions, body=body))
+
+
+def test_the_first_contact_is_that_of_the_earliest_domain() -> None:
+    ball = dataclasses.replace(paired(("a",)), scene=load_scene("balldrop"), index=np.arange(3))
+    domains: Any = (_falling(12, 20, 99), _falling(14, 18, 99))
+    found = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
+    assert found.tolist() == [12 - HISTORY, 18 - HISTORY, 20]
+    inside: Any = (_falling(2, 12, 12),)
+    found = contact.first_contact(dataclasses.replace(ball, domains=inside), 20)
+    assert found[0] == -1
+
+
+def test_scenes_without_a_ground_have_none() -> None:
+    assert contact.first_contact(paired(("a",)), 7).tolist() == [7] * COUNT
+    assert contact.from_contact(evaluation(lambda *_: np.ones((COUNT, 5)), floor=0.0)) is None
+
+
+def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the trajectories that touch early enough: an error that rises by the frame is the contact's frame larger."""
+    rising = 0.1 * np.arange(1.0, _LONG + 1) + np.zeros((COUNT, 1))
+    board = evaluation(lambda *_: rising, floor=0.0)
+    board = dataclasses.replace(board, frames=(1, 10, 20, _LONG), oracles={})
+    first = np.array([*range(5, 16), _LONG])
+    monkeypatch.setattr(contact, "first_contact", lambda *_: first)
+    later = contact.from_contact(board)
+    assert later is not None
+    assert later.frames == (1, 10, 20)
+    assert later.test.index.tolist() == board.test.index[:-1].tolist()
+    errors = later.errors(later.entries[0], "a-native")
+    there = first[:-1, None] + np.array([1.0, 10.0, 20.0])
+    np.testing.assert_allclose(errors[0], 0.1 * there)
+
+
+def test_changes_stand_side_by_side_in_one_sentence() -> None:
+    """The answer says where frames are counted from."""
+    found = interactions_of(Draws(evaluation(lambda i, j, _: _loss(i, j), floor=0.0)))
+    (answer,) = answers_of_interactions(found, 0, 1, " after the first contact")
+    assert answer.question.endswith("on native data after the first contact?")
+    assert list(answer_of_factors(found, 0, 1)) == []  # there is one change
+    other = [_matched(each) for each in found]
+    (both,) = answer_of_factors([*found, *other], 0, 1)
+    assert both.answer == (
+        "At t = 1 the squared error grows by at most: of gns 4 times (3 of 3 told from 1) by engine"
+        " on native data, 4 times (3 of 3 told from 1) by engine on matched data"
+    )
+
+
+def _matched(each: Any) -> Any:
+    """The same pair at matched settings."""
+    names = (name.replace("native", "matched") for name in (each.first, each.second))
+    return msgspec.structs.replace(each, **dict(zip(("first", "second"), names, strict=True)))
+
+
+def _loss(training: str, engine: str) -> np.ndarray:
+    hard = np.random.default_rng(ord(engine)).random((COUNT, 1)) + 1.0
+    return np.tile(hard * (1.0 if training == engine else 4.0), (1, 5))
+
+
+def test_the_engine_floor_is_reached_at_a_share_of_the_processor_time(tmp_path: Path) -> None:
+    board = evaluation(lambda *_: np.ones((COUNT, 5)), floor=0.0)
+    near, far = (figures_of(np.full((COUNT, 5), value)) for value in (0.2, 0.7))
+    apart = {("b-native", "a-native"): far, ("c-native", "a-native"): near}
+    board = dataclasses.replace(board, restarted=apart)
+    assert nearest_engine(board, "a-native") == pytest.approx(0.2)
+    run = entry_of("a", 0, ("a",))
+    run = dataclasses.replace(run, path=tmp_path / "a-s0.pt", facts={"cpu_s": "60"})
+    assert seconds_to_floor(board, run) is None  # no curve beside it
+    fell = ((10, 0.5), (20, 0.1), (40, 0.05))
+    points = [CurvePoint(step, 1.0, error, 1e-3) for step, error in fell]
+    curve = LearningCurve("a", 40, "steps", points)
+    (tmp_path / "a-s0.curve.json").write_bytes(write_curve(curve))
+    assert seconds_to_floor(board, run) == pytest.approx(30.0)
