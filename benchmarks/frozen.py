@@ -20,16 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from mbds_xsim.base.errors import InputError
+from mbds_xsim.commands import app
 from mbds_xsim.dataset.read import load_dataset
 from mbds_xsim.studies.diff.compare import compare_files
 
 _SCENES = (
     "5pendulum", "6pendulum", "2ladder", "3ladder",
     "ballscroll", "balldrop", "particlecar", "simplecubli",
-)  # fmt: skip
-_HELP = (
-    "", "scenes", "engines", "show", "validate", "tradeoff", "match", "stability", "ablate",
-    "contact", "diff", "plan", "generate", "verify", "inspect", "export", "audit", "train", "shift",
 )  # fmt: skip
 _SMALL = "1pendulum --engines mujoco,pybullet --settings native"
 _COMMANDS = {
@@ -67,11 +64,16 @@ def _make(folder: Path) -> None:
         if not (folder / f"{name}.json").exists():
             print(name, flush=True)
             _run(folder, *words.split(), "--json", f"{name}.json")
-    for command in _HELP:
+    for command in ("", *_names()):
         text = _run(folder, *command.split(), "--help")
         (folder / f"help-{command}.txt").write_text(text, "utf-8")
     sums = "".join(f"{line}\n" for line in _checksums(folder / "data"))
     (folder / "data.txt").write_text(sums, "utf-8")
+
+
+def _names() -> list[str]:
+    calls = ((command.name, command.callback) for command in app.registered_commands)
+    return [name or call.__name__ for name, call in calls if call is not None]
 
 
 def _run(folder: Path, *words: str) -> str:
