@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbds_xsim.base.arrays import Array
-from mbds_xsim.scene.groups import connected
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.spanning import connected
 
 _SAME = 1e-9
 

@@ -11,8 +11,8 @@ from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import SceneError
 from mbds_xsim.scene import sampling_terms as terms
-from mbds_xsim.scene.groups import connected
 from mbds_xsim.scene.mechanism import WORLD_INDEX, Mechanism, PlacedJoint
+from mbds_xsim.scene.spanning import connected
 
 
 @dataclass

@@ -1,8 +1,9 @@
-"""Which joints carry bodies, and which close loops."""
+"""Which joints carry bodies, which close loops, and which bodies hang together."""
 
 from __future__ import annotations
 
 from collections import defaultdict, deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -65,3 +66,15 @@ def spanning_tree(
                 seen.add(outwards.child)
                 queue.append(outwards.child)
     return links, tuple(sorted(loops, key=lambda joint: joint.index))
+
+
+def connected(body_count: int, pairs: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Group the bodies that pairs connect, directly or by way of others but not of the world."""
+    label = list(range(body_count))
+    for a, b in pairs:
+        if _WORLD not in (a, b):
+            old, new = label[b], label[a]
+            label = [new if one == old else one for one in label]
+    return [
+        tuple(k for k, one in enumerate(label) if one == group) for group in dict.fromkeys(label)
+    ]
