@@ -67,6 +67,20 @@ def tensors(scene: Scene, result: Trajectory) -> Array:
     return np.asarray(turn @ mechanism.inertia[0] @ np.swapaxes(turn, -1, -2))
 
 
+def spins(scene: Scene, result: Trajectory) -> tuple[Array, Array]:
+    """Angular momentum about the centre of mass [N·m·s], (frame, 3), and kinetic energy [J]."""
+    rate = result.angular_velocity[0, :, 0]
+    own = np.einsum("fij,fj->fi", tensors(scene, result), rate)
+    return own, 0.5 * np.sum(own * rate + MASS * result.velocity[0, :, 0] ** 2, axis=-1)
+
+
+def rolling(spin: Array, friction: float, steps: int) -> tuple[Scene, Trajectory]:
+    """Let a ball begin without slip."""
+    velocity = np.cross(DOWN, spin)
+    scene = ball((*velocity.tolist(),), tuple(spin), friction=friction, steps=steps)
+    return scene, run(scene)
+
+
 def slips(result: Trajectory) -> Array:
     return result.velocity[0, :, 0] + np.cross(result.angular_velocity[0, :, 0], DOWN)
 
@@ -106,29 +120,19 @@ def test_slides_by_newton_and_euler() -> None:
 
 def test_rolls_as_chaplygins_ball() -> None:
     """Its angular momentum about the contact point is constant in space, as is its energy."""
-    spin = np.array([8.0, 5.0, 3.0])
-    velocity = np.cross(DOWN, spin)
-    scene = ball((*velocity.tolist(),), tuple(spin), friction=5.0, steps=40)
-    result = run(scene)
-    tensor, rate = tensors(scene, result), result.angular_velocity[0, :, 0]
-    own = np.einsum("fij,fj->fi", tensor, rate)
+    scene, result = rolling(np.array([8.0, 5.0, 3.0]), friction=5.0, steps=40)
+    own, energy = spins(scene, result)
     momentum = own + MASS * np.cross(-DOWN, result.velocity[0, :, 0])
-    energy = 0.5 * np.sum(own * rate + MASS * result.velocity[0, :, 0] ** 2, axis=-1)
     assert np.abs(slips(result)).max() < 1e-11
-    assert np.ptp(rate, axis=0).min() > 0.5  # it does tumble
+    assert np.ptp(result.angular_velocity[0, :, 0], axis=0).min() > 0.5  # it does tumble
     np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), rtol=1e-10)
     np.testing.assert_allclose(energy, energy[0], rtol=1e-11)
 
 
 def test_tumbling_breaks_the_grip() -> None:
     """Where rolling would need more friction than there is, it slips; energy only falls."""
-    spin = np.array([30.0, 18.0, 12.0])
-    velocity = np.cross(DOWN, spin)
-    scene = ball((*velocity.tolist(),), tuple(spin), friction=0.05, steps=15)
-    result = run(scene)
-    rate = result.angular_velocity[0, :, 0]
-    own = np.einsum("fij,fj->fi", tensors(scene, result), rate)
-    energy = 0.5 * np.sum(own * rate + MASS * result.velocity[0, :, 0] ** 2, axis=-1)
+    scene, result = rolling(np.array([30.0, 18.0, 12.0]), friction=0.05, steps=15)
+    _, energy = spins(scene, result)
     assert np.linalg.norm(slips(result), axis=-1).max() > 1e-2
     assert np.diff(energy).max() < 1e-12 * energy[0]
     force = MASS * np.diff(result.velocity[0, :, 0, :2], axis=0) / 0.02
@@ -183,9 +187,7 @@ def test_bounces_and_tumbles() -> None:
     """Through flight, impacts and contact: energy never rises, and rests of neither kind."""
     scene = ball((2.0, 1.0, 0.0), (3.0, -6.0, 9.0), height=0.02, steps=60)
     result = run(scene)
-    rate = result.angular_velocity[0, :, 0]
-    own = np.einsum("fij,fj->fi", tensors(scene, result), rate)
-    energy = 0.5 * np.sum(own * rate + MASS * result.velocity[0, :, 0] ** 2, axis=-1)
+    _, energy = spins(scene, result)
     energy += MASS * G * result.position[0, :, 0, 2]
     assert np.diff(energy).max() < 1e-12 * energy[0]
     assert (result.velocity[0, -1, 0, 2], result.position[0, -1, 0, 2]) == (0.0, RADIUS)
