@@ -69,7 +69,7 @@ def test_scenes_without_a_ground_have_none() -> None:
 
 
 def test_all_figures_count_from_the_first_contact(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the trajectories that touch early enough: an error that rises by the frame is the contact's frame larger."""
+    """Of the trajectories that touch early enough: a rising error is larger by the frame there."""
     rising = 0.1 * np.arange(1.0, _LONG + 1) + np.zeros((COUNT, 1))
     board = evaluation(lambda *_: rising, floor=0.0)
     board = dataclasses.replace(board, frames=(1, 10, 20, _LONG), oracles={})
