@@ -9,8 +9,29 @@ from typing import NamedTuple
 
 from mbds_xsim.base.arrays import Array, Index
 from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, held, spread3, vector
-from mbds_xsim.reference.lane_algebra import add, cross, dot, load3, rotated, store3, sub, times
-from mbds_xsim.reference.lanes import LANES, compiled, entered, put_eight, root, spread
+from mbds_xsim.reference.lane_algebra import (
+    add,
+    add_to,
+    add_to3,
+    cross,
+    dot,
+    load3,
+    rotated,
+    store3,
+    sub,
+    times,
+)
+from mbds_xsim.reference.lanes import (
+    LANES,
+    compiled,
+    eight,
+    entered,
+    load,
+    put_eight,
+    root,
+    spread,
+    store,
+)
 
 
 class Masses(NamedTuple):
@@ -51,25 +72,23 @@ def _turning(masses, b, own):
 
 @entered
 def find_work(m: FlatMotion, found: Array) -> None:
-    """Write the work of the forces of the step before, of each step and of the one after.
+    """Add up the work of the forces of the step before, of each step and of the one after.
 
-    Shape (3, step, trajectory), flat; at the ends the forces of the step itself are taken.
+    Shape (3, step, trajectory), flat; at the ends the forces of the step itself.
     """
     steps = m.frames - 1
-    for s in range(steps):
-        for first in range(0, m.rows, LANES):
-            t = min(first, m.rows - LANES)
-            before = here = after = spread(0.0)
-            for b in range(m.bodies):
+    size = steps * m.rows
+    for b in range(m.bodies):  # one after the other, as they lie far apart in memory
+        for s in range(steps):
+            for first in range(0, m.rows, LANES):
+                t = min(first, m.rows - LANES)
                 x = vector(m, m.position, b, s, t)
-                moved = sub(vector(m, m.position, b, s + 1, t), x)
-                before = before + dot(held(m, b, max(s - 1, 0), t), moved)
-                here = here + dot(held(m, b, s, t), moved)
-                after = after + dot(held(m, b, min(s + 1, steps - 1), t), moved)
-            at = s * m.rows + t
-            put_eight(found, at, before)
-            put_eight(found, steps * m.rows + at, here)
-            put_eight(found, 2 * steps * m.rows + at, after)
+                moved, at = sub(vector(m, m.position, b, s + 1, t), x), s * m.rows + t
+                work = dot(held(m, b, max(s - 1, 0), t), moved)
+                _add_eight(found, at, work, b)
+                _add_eight(found, size + at, dot(held(m, b, s, t), moved), b)
+                work = dot(held(m, b, min(s + 1, steps - 1), t), moved)
+                _add_eight(found, 2 * size + at, work, b)
 
 
 class Spinning(NamedTuple):
@@ -84,72 +103,77 @@ class Spinning(NamedTuple):
     lag: float
 
 
-# Rows of lanes that a body has, of the frame before: arm, speed, what a parabola leaves.
-ARM, SPEED, BEND = 0, 3, 6
-BODY = 9
-# Rows of what is found of each frame or of the step to it: momentum, sum of sizes, moments of
-# forces, of gravity, error.
+# Rows of lanes of each frame, or of the step to it: momentum, sum of its sizes, moments of forces
+# and of gravity, error; then the point that momentum is about, and its velocity.
 MOMENTUM, SIZE, GIVEN, WEIGHT, BLUR = 0, 3, 4, 7, 10
 FOUND = 11
+_CENTRE, _DRIFT = FOUND, FOUND + 3
+FRAME = FOUND + 6
 
 
 @entered
 def find_momenta(m: FlatMotion, masses: Masses, group: Spinning, work: Array, found: Array) -> None:
-    """Write shape (`FOUND`, frame, trajectory), flat, zeros at first; work has `BODY` a body."""
+    """Write shape (`FOUND`, frame, trajectory), flat; work has `FRAME` rows a frame."""
+    g = masses.gravity
     for first in range(0, m.rows, LANES):
         t = min(first, m.rows - LANES)
+        for row in range(FRAME * m.frames):
+            store(work, row, spread(0.0))
+        _place(m, masses, group, work, t)
+        for k in range(len(group.bodies)):
+            _add_body(m, masses, group, work, t, group.bodies[k])
         for f in range(m.frames):
-            centre, drift = _about(m, masses, group, f, t)
-            momentum, size = spread3(0.0, 0.0, 0.0), spread(0.0)
-            moment, fall, blur, early = momentum, momentum, size, size
-            for k in range(len(group.bodies)):
-                b, at = group.bodies[k], BODY * k
-                mass = masses.mass[b]
-                arm = sub(vector(m, m.position, b, f, t), centre)
-                speed = sub(vector(m, m.velocity, b, f, t), drift)
-                one = add(_spinning(m, masses, b, f, t), cross(arm, times(mass, speed)))
-                momentum, size = add(momentum, one), size + root(dot(one, one))
-                if f > 0:
-                    before = load3(work, at), load3(work, at + SPEED)
-                    swept, bend = _swept(group, before, (arm, speed))
-                    change = sub(bend, load3(work, at + BEND))
-                    off = root(dot(change, change))
-                    push = held(m, b, f - 1, t)
-                    moment, fall = add(moment, cross(swept, push)), add(fall, times(mass, swept))
-                    if f > 1 or m.frames == 2:
-                        blur = blur + off * _loaded(masses, mass, push)
-                    if f == 2:  # the first step has no other before it
-                        early = early + off * _loaded(masses, mass, held(m, b, 0, t))
-                    store3(work, at + BEND, bend)
-                else:
-                    store3(work, at + BEND, spread3(0.0, 0.0, 0.0))
-                store3(work, at + ARM, arm)
-                store3(work, at + SPEED, speed)
-            _put3(m, found, MOMENTUM, f, t, momentum)
-            _put(m, found, SIZE, f, t, size)
-            _put3(m, found, GIVEN, f, t, moment)
-            g = masses.gravity
-            _put3(m, found, WEIGHT, f, t, cross(fall, spread3(g[0], g[1], g[2])))
-            _put(m, found, BLUR, f, t, group.frame / 60 * blur)
-            if f == 2:
-                _put(m, found, BLUR, 1, t, group.frame / 60 * early)
+            fall = cross(load3(work, FRAME * f + WEIGHT), spread3(g[0], g[1], g[2]))
+            store3(work, FRAME * f + WEIGHT, fall)
+            for k in range(FOUND):
+                put_eight(found, (k * m.frames + f) * m.rows + t, load(work, FRAME * f + k))
 
 
 @compiled
-def _about(m, masses, group, f, t):
-    """Give the point that momentum is about, and its velocity."""
-    still = spread3(0.0, 0.0, 0.0)
-    if group.fixed:
-        return spread3(group.about[0], group.about[1], group.about[2]), still
-    place, speed, total = still, still, 0.0
+def _place(m, masses, group, work, t):
+    """Put in the point that momentum is about, and its velocity."""
+    total = 0.0
     for k in range(len(group.bodies)):
         total += masses.mass[group.bodies[k]]
-    for k in range(len(group.bodies)):
+    for f in range(m.frames):
+        if group.fixed:
+            point = spread3(group.about[0], group.about[1], group.about[2])
+            store3(work, FRAME * f + _CENTRE, point)
+    for k in range(0 if group.fixed else len(group.bodies)):
         b = group.bodies[k]
         share = masses.mass[b] / total
-        place = add(place, times(share, vector(m, m.position, b, f, t)))
-        speed = add(speed, times(share, vector(m, m.velocity, b, f, t)))
-    return place, speed
+        for f in range(m.frames):
+            at = FRAME * f
+            add_to3(work, at + _CENTRE, times(share, vector(m, m.position, b, f, t)))
+            add_to3(work, at + _DRIFT, times(share, vector(m, m.velocity, b, f, t)))
+
+
+@compiled
+def _add_body(m, masses, group, work, t, b):
+    """Add what a body has."""
+    mass, h = masses.mass[b], group.frame / 60
+    before = begin = left = spread3(0.0, 0.0, 0.0)
+    for f in range(m.frames):
+        at = FRAME * f
+        arm = sub(vector(m, m.position, b, f, t), load3(work, at + _CENTRE))
+        speed = sub(vector(m, m.velocity, b, f, t), load3(work, at + _DRIFT))
+        one = add(_spinning(m, masses, b, f, t), cross(arm, times(mass, speed)))
+        add_to3(work, at + MOMENTUM, one)
+        add_to(work, at + SIZE, root(dot(one, one)))
+        if f > 0:
+            swept, bend = _swept(group, (before, begin), (arm, speed))
+            push = held(m, b, f - 1, t)
+            add_to3(work, at + GIVEN, cross(swept, push))
+            add_to3(work, at + WEIGHT, times(mass, swept))
+            change = sub(bend, left)
+            off = h * root(dot(change, change))
+            if f > 1 or m.frames == 2:
+                add_to(work, at + BLUR, off * _loaded(masses, mass, push))
+            if f == 2:  # the first step has no other before it
+                more = off * _loaded(masses, mass, held(m, b, 0, t))
+                add_to(work, FRAME + BLUR, more)
+            left = bend
+        before, begin = arm, speed
 
 
 @compiled
@@ -176,14 +200,9 @@ def _loaded(masses, mass, push):
 
 
 @compiled
-def _put(m, found, row, f, t, value):
-    put_eight(found, (row * m.frames + f) * m.rows + t, value)
-
-
-@compiled
-def _put3(m, found, row, f, t, value):
-    for k in range(3):
-        _put(m, found, row + k, f, t, value[k])
+def _add_eight(found, at, more, body):
+    """Add to what bodies before have, the first to nothing."""
+    put_eight(found, at, more if body == 0 else eight(found, at) + more)
 
 
 class Ends(NamedTuple):

@@ -30,6 +30,7 @@ from mbds_xsim.checks.conservation import (
 from mbds_xsim.checks.coordinates import coordinate_of, hinge_rates, hinge_turns
 from mbds_xsim.checks.eccentric import Pool, Shown, shown_of
 from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.integrity import pair_distance, pair_rate
 from mbds_xsim.checks.mismatch import steady
 from mbds_xsim.scene.joint_space import joint_rate
@@ -134,7 +135,7 @@ def _weighed(left: Array) -> tuple[Array, Array]:
 
 def _part(name: str, products: Array, squares: Array, errors: float) -> BalancePart:
     """Sum up a part's products with what is left, and its squares, of all steps."""
-    products, squares = np.nan_to_num(products), np.nan_to_num(squares)
+    products, squares = numbers(products), numbers(squares)
     total = np.maximum(squares.sum(axis=1), np.finfo(float).tiny)
     share = -products.sum(axis=1) / total
     rest = np.sqrt(np.sum((products + share[:, None] * squares) ** 2, axis=1))

@@ -255,15 +255,18 @@ def _turned(record: Record, balance: Balance) -> Gain:
     motion, bodies = record.motion, np.array(balance.bodies)
     about = np.zeros(3) if balance.about is None else balance.about
     group = kernel.Spinning(bodies, about, balance.about is not None, record.frame, record.lag)
-    found = np.zeros((kernel.FOUND, motion.frames, motion.rows))
-    work = lines(kernel.BODY * len(bodies))
+    found = np.empty((kernel.FOUND, motion.frames, motion.rows))
+    work = lines(kernel.FRAME * motion.frames)
     kernel.find_momenta(motion, record.masses, group, work, found.reshape(-1))
-    rows = found.T[: len(record.batch)]
-    state, size, given, weight, blur = np.split(rows, [3, 4, 7, 10], axis=-1)
-    given = given[:, 1:] + record.frame * _driving(record, balance)
-    left, across = np.diff(state, axis=1) - given - weight[:, 1:], balance.directions.T
-    scale = _floored(record, balance, size[..., 0], record.scene.length)
-    return Gain(left @ across, given @ across, blur[:, 1:, 0], scale)
+    state, given, weight = (
+        (balance.directions @ found[k : k + 3].reshape(3, -1)).reshape(-1, *found.shape[1:]).T
+        for k in (kernel.MOMENTUM, kernel.GIVEN, kernel.WEIGHT)
+    )
+    count = len(record.batch)
+    given = given[:count, 1:] + record.frame * _driving(record, balance) @ balance.directions.T
+    left = np.diff(state[:count], axis=1) - given - weight[:count, 1:]
+    size, blur = (found[k].T[:count] for k in (kernel.SIZE, kernel.BLUR))
+    return Gain(left, given, blur[:, 1:], _floored(record, balance, size, record.scene.length))
 
 
 def _unbalanced(record: Record, balance: Balance, flights: Mask) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ import numpy as np
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array, Mask
 from mbds_xsim.checks.finding import Figures, Record, check
+from mbds_xsim.checks.flights import numbers
 from mbds_xsim.checks.ground import Push, pushes_of, responses
 
 _BEND = 0.5  # of second differences: 1/12 in smooth motion, ½ where a jump is anywhere in the frame
@@ -156,7 +157,7 @@ class _Residual:
         """Weighted mean over the trajectory of what is left over what it may be, at its end."""
         known = np.isfinite(left[..., 0])
         share = self.weight / np.maximum(self.weight.sum(axis=1, keepdims=True), _TINY)
-        left, bends = _numbers(left), _numbers(self.bend)
+        left, bends = numbers(left), numbers(self.bend)
         mean = np.einsum("tsb,tsbi->tbi", share, left)[:, None]
         scatter = share * rotation.norm(left - mean)
         error = np.sqrt(np.einsum("tsb,tsb->tb", scatter, scatter))
@@ -285,7 +286,7 @@ def _delay(record: Record, place: _Residual, turn: _Residual) -> Array:
     known = record.finite[:, 1:] & record.finite[:, :-1]
     squares, products = (
         [
-            _numbers(each.weight * rotation.dot(each.gained, other)).sum(axis=2)
+            numbers(each.weight * rotation.dot(each.gained, other)).sum(axis=2)
             for each, other in pairs
         ]
         for pairs in (
@@ -305,11 +306,6 @@ def _framed(values: Array) -> Array:
     found = np.empty_like(values, shape=(len(values), values.shape[1] + 1, values.shape[2]))
     found[:, 0], found[:, 1:] = np.nan, values
     return found
-
-
-def _numbers(values: Array) -> Array:
-    """Let what is unknown be 0."""
-    return values if np.isfinite(values).all() else np.nan_to_num(values)
 
 
 def _at_end(known: Mask, values: Array) -> Array:

@@ -12,6 +12,7 @@ from mbds_xsim.base.arrays import Array
 from mbds_xsim.checks.motion_kernel import FlatMotion, conjugate, facing, vector
 from mbds_xsim.reference.lane_algebra import (
     add,
+    add_to,
     cross,
     dot,
     hamilton,
@@ -219,8 +220,8 @@ def _judge(m, rule, work, found, t, turns, b, floor):
         mean = add(mean, times(weight, left))
         if turns:
             own = add(own, times(weight, load3(work, at + OWN)))
-        _add_to(work, at + SQUARE + turns, weight * dot(gain, gain))
-        _add_to(work, at + PRODUCT + turns, weight * dot(gain, left))
+        add_to(work, at + SQUARE + turns, weight * dot(gain, gain))
+        add_to(work, at + PRODUCT + turns, weight * dot(gain, left))
     some = 1.0 / larger(weights, spread(_TINY))
     part = ((2 * turns + 1) * m.bodies + b + 1) * m.frames - 1
     drift = _drift(m, rule, work, LEFT, times(some, mean), some, some * bends, floor)
@@ -228,11 +229,6 @@ def _judge(m, rule, work, found, t, turns, b, floor):
     if turns:
         drift = _drift(m, rule, work, OWN, times(some, own), some, some * bends, floor)
         put_eight(found, (part + m.bodies * m.frames) * m.rows + t, drift)
-
-
-@compiled
-def _add_to(work, at, more):
-    store(work, at, load(work, at) + more)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Sums over flights, the steps in which nothing meets the ground or a stop."""
+"""Sums over what is known: over flights, steps in which nothing meets the ground or a stop."""
 
 from __future__ import annotations
 
@@ -18,3 +18,8 @@ def summed(values: Array, flights: Mask) -> Array:
     padded = np.concatenate([np.zeros_like(total[:, :1]), total], axis=1)
     before = np.take_along_axis(padded, landed[..., None], axis=1)
     return np.where(flights[..., None], total - before, np.nan)
+
+
+def numbers(values: Array) -> Array:
+    """Let what is unknown be 0."""
+    return values if np.isfinite(values).all() else np.nan_to_num(values)

@@ -73,6 +73,12 @@ def add_to3(a, k, v):
 
 
 @compiled
+def add_to(a, k, more):
+    """Add to numbers in an array."""
+    store(a, k, load(a, k) + more)
+
+
+@compiled
 def sub(a, b):
     """Subtract vectors."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]

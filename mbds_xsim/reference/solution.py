@@ -172,15 +172,17 @@ def _trajectory(scene: Scene, batch: Batch, ready: list[entries.Arrays]) -> Traj
     shape, dynamics = (len(ready), len(time), mechanism.body_count), dynamics_of(mechanism)
     position, velocity, spin = (np.empty((*shape, 3)) for _ in range(3))
     orientation = np.empty((*shape, 4))
-    for row, entry in enumerate(ready):  # one at a time, whose states are still at hand
+    failures = []
+    for row in range(len(ready)):  # one at a time, whose states are at hand, and then let go
+        entry, ready[row] = ready[row], {}
+        failures.append(_decoded(entry["failure"]))
         bodies = dynamics.unpack(entry["states"])
         position[row], velocity[row] = bodies.position, bodies.velocity
         orientation[row] = mechanism.body_orientation(bodies.native)
         spin[row] = bodies.angular_velocity
     # Frame 0 is the start, bit by bit.
     orientation[:, 0] = batch.orientation
-    failures = tuple(_decoded(entry["failure"]) for entry in ready)
-    return Trajectory(time, position, orientation, velocity, spin, failures)
+    return Trajectory(time, position, orientation, velocity, spin, tuple(failures))
 
 
 def _encoded(failure: Failure | None) -> NDArray[np.str_]:
