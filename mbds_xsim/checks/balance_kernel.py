@@ -24,7 +24,6 @@ from mbds_xsim.reference.lane_algebra import (
 from mbds_xsim.reference.lanes import (
     LANES,
     compiled,
-    eight,
     entered,
     load,
     put_eight,
@@ -72,23 +71,25 @@ def _turning(masses, b, own):
 
 @entered
 def find_work(m: FlatMotion, found: Array) -> None:
-    """Add up the work of the forces of the step before, of each step and of the one after.
+    """Write the work of the forces of the step before, of each step and of the one after.
 
-    Shape (3, step, trajectory), flat; at the ends the forces of the step itself.
+    Shape (3, step, trajectory), flat; at the ends the forces of the step itself are taken.
     """
     steps = m.frames - 1
-    size = steps * m.rows
-    for b in range(m.bodies):  # one after the other, as they lie far apart in memory
-        for s in range(steps):
-            for first in range(0, m.rows, LANES):
-                t = min(first, m.rows - LANES)
+    for s in range(steps):
+        for first in range(0, m.rows, LANES):
+            t = min(first, m.rows - LANES)  # the last eight overlap others
+            before = here = after = spread(0.0)
+            for b in range(m.bodies):
                 x = vector(m, m.position, b, s, t)
-                moved, at = sub(vector(m, m.position, b, s + 1, t), x), s * m.rows + t
-                work = dot(held(m, b, max(s - 1, 0), t), moved)
-                _add_eight(found, at, work, b)
-                _add_eight(found, size + at, dot(held(m, b, s, t), moved), b)
-                work = dot(held(m, b, min(s + 1, steps - 1), t), moved)
-                _add_eight(found, 2 * size + at, work, b)
+                moved = sub(vector(m, m.position, b, s + 1, t), x)
+                before = before + dot(held(m, b, max(s - 1, 0), t), moved)
+                here = here + dot(held(m, b, s, t), moved)
+                after = after + dot(held(m, b, min(s + 1, steps - 1), t), moved)
+            at = s * m.rows + t
+            put_eight(found, at, before)
+            put_eight(found, steps * m.rows + at, here)
+            put_eight(found, 2 * steps * m.rows + at, after)
 
 
 class Spinning(NamedTuple):
@@ -197,12 +198,6 @@ def _loaded(masses, mass, push):
     g = masses.gravity
     load = push[0] + mass * g[0], push[1] + mass * g[1], push[2] + mass * g[2]
     return root(dot(load, load))
-
-
-@compiled
-def _add_eight(found, at, more, body):
-    """Add to what bodies before have, the first to nothing."""
-    put_eight(found, at, more if body == 0 else eight(found, at) + more)
 
 
 class Ends(NamedTuple):

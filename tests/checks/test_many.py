@@ -53,7 +53,7 @@ def assert_alike(one: Finding, other: Finding) -> None:
 @settings(max_examples=15, deadline=None)
 @given(
     steps=st.sampled_from([1, 2, 3, 4, 17, 40]),
-    rows=st.integers(1, 3),
+    rows=st.sampled_from([1, 3, 8, 10, 19]),  # the kernels take eight at once
     size=st.sampled_from([0.0, 1e-8, 1e-3, 1.0]),
     still=st.integers(1, 40),
     method=st.sampled_from(METHODS),
@@ -62,8 +62,9 @@ def assert_alike(one: Finding, other: Finding) -> None:
 def test_kernels_agree_with_numpy(
     case: Any, steps: int, rows: int, size: float, still: int, method: Method, seed: int
 ) -> None:
-    motion = frames(shaken(case.exact, size, min(still, steps), seed), steps)[slice(rows)]
-    record = Record(case.scene, case.batch[:rows].truncated(steps), motion, method, 0.005)
+    picks = np.resize(np.arange(len(case.batch)), rows).tolist()
+    motion = frames(shaken(case.exact[picks], size, min(still, steps), seed), steps)
+    record = Record(case.scene, case.batch[picks].truncated(steps), motion, method, 0.005)
 
     one, other = audited(record), audited(dataclasses.replace(record, many=True))
 
