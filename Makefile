@@ -152,7 +152,7 @@ WAYS = each,leave-one-out,all
 # A change of speed, to hold one of engine against.
 SPEEDS = mujoco-low,mujoco-medium,mujoco-high
 SEEDS ?= 1
-SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli
+SHIFTED ?= 6pendulum 6pendulum-matched balldrop 3ladder simplecubli balldrop-factors 6pendulum-factors
 drawn = $(BIN)/mbds-xsim generate $(1) --settings $(2) --trajectories $(DRAWN) --out $(STUDY) \
 	|| [ $$? -eq 1 ]
 trained = $(BIN)/mbds-xsim train $(STUDY)/$(1) --on $(2) --steps $(STEPS) --out $(MODELS) \
@@ -188,6 +188,21 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call drawn,$*,native$(comma)matched)
 	$(call trained,$*,each --seeds $(SEEDS),$*-matched)
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
+
+# Which factor of a change of engine costs how much, by a model of bodies, in an hour of one core: engines as they
+# are, matched, at one step without damping; and alone another step, and no damping.
+FACTORS ?= out/factors
+FACTORED = equal coarse undamped
+shift-balldrop-factors: PROFILES = native,matched
+shift-6pendulum-factors: PROFILES = native --engines mujoco$(comma)pybullet$(comma)dart
+shift-balldrop-factors: STEPS = 500
+shift-6pendulum-factors: STEPS = 200
+shift-balldrop-factors shift-6pendulum-factors: shift-%-factors: $(VENV)/ready
+	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
+		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)$(PROFILES)
+	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models sgnn+ --steps $(STEPS) --out $(FACTORS)/models \
+		--png $(REPORTS)/shift/$*-factors-curves.png
+	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)
 
 # All four models until more steps bring no more, on each engine's data: two and a half core-hours.
 reports-lite: $(VENV)/ready
