@@ -261,7 +261,7 @@ def _opened_of_many(record: Record) -> tuple[Array, Array]:
 
     joints, motion = _parted(record.mechanism)[0], record.motion
     points = [_vectors([getattr(j, key) for j in joints]) for key in ("in_parent", "in_child")]
-    ends = Ends(np.array(_ends(joints)).reshape(2, -1), np.array(points))
+    ends = Ends(np.array(_ends(joints), dtype=np.int64).reshape(2, -1), np.array(points))
     found = np.empty((2, len(joints), motion.frames, motion.rows))
     part_joints(motion, ends, found.reshape(-1))
     gap, rate = (np.asarray(values.T)[: len(record.batch)] for values in found)

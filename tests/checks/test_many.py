@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,7 +19,16 @@ from mbds_xsim.simulate.claims import Method
 METHODS = (Method("RK4", "RK4", 4), Method("Euler", "semi-implicit Euler", 1, velocity_lag=-0.5))
 
 
-@pytest.fixture(scope="session", params=["pendulum", "tumbling", "linkage"])
+@pytest.fixture(scope="session")
+def loose(tumbling: Any, simulate: Any, drawn: Any) -> Any:
+    """Two bodies that nothing joins."""
+    throw = tumbling.scene.sampling[:1]
+    free = msgspec.structs.replace(tumbling.scene, joints=(), sampling=throw)
+    scene, batch = drawn(free, 40)
+    return dataclasses.replace(tumbling, scene=scene, batch=batch, exact=simulate(scene, batch, 10))
+
+
+@pytest.fixture(scope="session", params=["pendulum", "tumbling", "linkage", "loose"])
 def case(request: pytest.FixtureRequest) -> Any:
     return request.getfixturevalue(request.param)
 
