@@ -1,9 +1,10 @@
 """What acts on coordinates of joints in Exudyn's terms: dry friction, stops and gears.
 
 Friction and stops are as hard as a step h resolves, by what a coordinate moves at the scene's
-start, m. A stop is a spring of m/4h² and a damper of m/h, which come to rest in each other soonest;
-as the damper also pulls, there is no rebound. Friction is in proportion to the rate up to F h/m, at
-which it would stop the joint in a step.
+start, m with all other joints free, M with all held. A stop is a damper d of 2m/h, which takes a
+rate in a few steps however little it moves, and a spring of d²/4M, which never overtakes it; as the
+damper also pulls, there is no rebound. Friction is in proportion to the rate up to F h/m, at which
+it would stop the joint in a step.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
     joints = braked(mechanism)
     if joints:
         yield _FIXED
-    for joint, moved in zip(joints, moved_inertias(mechanism, joints).tolist(), strict=True):
+    for joint, *moved in zip(joints, *moved_inertias(mechanism, joints), strict=True):
         yield (
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
-            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, moved, step)})))"
+            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, *moved, step)})))"
         )
 
 
@@ -83,13 +84,14 @@ def _data(count: int) -> str:
     )
 
 
-def _law(joint: PlacedJoint, moved: float, step: float) -> str:
+def _law(joint: PlacedJoint, least: float, most: float, step: float) -> str:
     law: dict[str, float | bool] = {}
     if joint.friction:
         law["dynamicFrictionForce"] = joint.friction
-        law["frictionProportionalZone"] = joint.friction * step / moved
+        law["frictionProportionalZone"] = joint.friction * step / float(least)
     if joint.limits:
-        law |= {"useLimitStops": True, "limitStopsStiffness": moved / (4.0 * step**2)}
-        law |= {"limitStopsDamping": moved / step}
+        damping = 2.0 * float(least) / step
+        law |= {"useLimitStops": True, "limitStopsDamping": damping}
+        law["limitStopsStiffness"] = damping**2 / (4.0 * float(most))
         law |= dict(zip(("limitStopsLower", "limitStopsUpper"), joint.limits, strict=True))
     return ", ".join(f"{key}={value!r}" for key, value in law.items())
