@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.harness import print_head, print_made, print_table
-from mbds_xsim.api import validate
+from benchmarks.validated_model import ENGINES, verdicts_on
 from mbds_xsim.base import rotation
 from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.errors import InputError
@@ -45,8 +45,7 @@ _MOVES = {
 }
 _INCLUDES = re.compile(r"<include\s+file\s*=\s*[\"']([^\"']+)")
 _ROOT = re.compile(r"<(mujoco|robot)\b")
-_TIMEOUT = 120.0  # [s]
-_REVISION = 2
+_REVISION = 3
 """Of what is found; raised, all models are looked at anew."""
 
 
@@ -74,7 +73,11 @@ class SurveyRow(msgspec.Struct):
     moved_m: dict[str, float] = {}
     """By engine, how far the bodies are after 1 s from where the file has them go [m]."""
     verdicts: dict[str, str] = {}
-    """By engine, where it was validated."""
+    """By engine, where it was validated: pass, fail, refused or no result."""
+    reasons: dict[str, str] = {}
+    """By engine, why it does not pass."""
+    reference: str = ""
+    """Why the reference ends early."""
     validation_s: float = 0.0
 
 
@@ -288,11 +291,8 @@ def _validate_some(
     waiting = [row for key, row in rows.items() if key in paths and row.bodies and not row.verdicts]
     for row in sorted(waiting, key=lambda row: row.degrees_of_freedom)[:most]:
         begin = time.perf_counter()
-        try:
-            result = validate(read_model(paths[row.key], folder=packages).scene, limit=_TIMEOUT)
-            row.verdicts = {each.engine: each.verdict for each in result.engines}
-        except InputError as error:
-            row.verdicts = {"all": str(error)}
+        found = verdicts_on(paths[row.key], packages)
+        row.verdicts, row.reasons, row.reference = found.verdicts, found.reasons, found.reference
         row.validation_s = round(time.perf_counter() - begin, 1)
         print(f"{row.path} {row.verdicts} {row.validation_s} s", file=sys.stderr, flush=True)
         _save(target, (rows[key] for key in paths if key in rows))
@@ -326,6 +326,8 @@ def page(rows: list[SurveyRow]) -> None:
     print("\n## Model by model\n")
     heads = "model|>dof|>lost|>deviation|>from Pinocchio|mujoco|pybullet|dart|runs in"
     print_table(heads, (_cells(row) for row in read))
+    print("\n## Why models do not pass\n")
+    print_table("model|engine|verdict|why", _failed(read))
     print("\n## Not imported\n")
     print_table(
         "file|why", ((_place(row), in_markdown(row.refused)) for row in rows if row.refused)
@@ -358,7 +360,18 @@ def _summary(rows: list[SurveyRow], read: list[SurveyRow]) -> Iterator[tuple[str
     passed = sum(len(row.verdicts) == 4 and set(row.verdicts.values()) == {"pass"} for row in ran)
     yield "validated so far", f"{len(ran)} of {len(read)}"
     if ran:
+        judged = [sum(v in ("pass", "fail") for v in row.verdicts.values()) for row in ran]
+        truth = [not row.reference for row in ran]
+        both = sum(count == 4 and known for count, known in zip(judged, truth, strict=True))
+        yield (
+            "run in all four engines, with a verdict against the reference",
+            f"{both} of {len(ran)}",
+        )
         yield "pass in all four engines", f"{passed} of {len(ran)}"
+        for engine in ENGINES:
+            counts = Counter(row.verdicts[engine] for row in ran)
+            words = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+            yield f"validated in {engine}", words
 
 
 def _cells(row: SurveyRow) -> tuple[str, ...]:
@@ -370,6 +383,14 @@ def _cells(row: SurveyRow) -> tuple[str, ...]:
     passed = [engine for engine, verdict in row.verdicts.items() if verdict == "pass"]
     runs = ", ".join(passed) or ("none" if row.verdicts else "–")
     return (_place(row), str(row.degrees_of_freedom), str(lost), *told, *readers, runs)
+
+
+def _failed(read: list[SurveyRow]) -> Iterator[tuple[str, ...]]:
+    for row in read:
+        if row.reference:
+            yield _place(row), "reference", "ends early", in_markdown(row.reference)
+        for engine, why in row.reasons.items():
+            yield _place(row), engine, row.verdicts[engine], in_markdown(why)
 
 
 def _place(row: SurveyRow) -> str:

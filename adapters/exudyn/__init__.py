@@ -29,6 +29,8 @@ __all__ = ["Exudyn"]
 _USUAL_STEP = 1e-3
 # Keeps the budgets of the pendulums; in a scene that moves faster, a twentieth of a frame.
 _CAREFUL_STEP, _CAREFUL_COUNT = 6.25e-4, 20
+# Where friction or stops of joints act, which are off by a step's way [s].
+_CAREFUL_LIMIT_STEP = 1.25e-4
 # A ball that rolls up a slope creeps by as much: 1 mm a second at 1e-2, 8 µm at 1e-4 [m/s].
 _CAREFUL_SLIP = 1e-4
 # The slip speed is the engine's default; its contacts have no other one.
@@ -134,7 +136,8 @@ class Exudyn(Adapter):
         options: dict[str, bool | float] = {"modified_newton": False}
         if scene.contacts:
             options["slip_speed"] = _CAREFUL_SLIP
-        return Settings(method, careful_step(frame, _CAREFUL_STEP, _CAREFUL_COUNT), options)
+        longest = _CAREFUL_LIMIT_STEP if mechanism.braked else _CAREFUL_STEP
+        return Settings(method, careful_step(frame, longest, _CAREFUL_COUNT), options)
 
     def contact_scales(self, settings: Settings) -> ContactScales:
         contact = self._contact(settings)

@@ -40,10 +40,11 @@ def brakes_listing(mechanism: Mechanism, step: float) -> Iterator[str]:
     joints = braked(mechanism)
     if joints:
         yield _FIXED
-    for joint, *moved in zip(joints, *moved_inertias(mechanism, joints), strict=True):
+    least, most = (values.tolist() for values in moved_inertias(mechanism, joints))
+    for joint, free, whole in zip(joints, least, most, strict=True):
         yield (
             f"brakes.append(mbs.AddObject(items.CoordinateSpringDamperExt(markerNumbers=[fixed, "
-            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, *moved, step)})))"
+            f"{_coordinate(joint)}], nodeNumber={_data(3)}, {_law(joint, free, whole, step)})))"
         )
 
 
@@ -88,10 +89,10 @@ def _law(joint: PlacedJoint, least: float, most: float, step: float) -> str:
     law: dict[str, float | bool] = {}
     if joint.friction:
         law["dynamicFrictionForce"] = joint.friction
-        law["frictionProportionalZone"] = joint.friction * step / float(least)
+        law["frictionProportionalZone"] = joint.friction * step / least
     if joint.limits:
-        damping = 2.0 * float(least) / step
+        damping = 2.0 * least / step
         law |= {"useLimitStops": True, "limitStopsDamping": damping}
-        law["limitStopsStiffness"] = damping**2 / (4.0 * float(most))
+        law["limitStopsStiffness"] = damping**2 / (4.0 * most)
         law |= dict(zip(("limitStopsLower", "limitStopsUpper"), joint.limits, strict=True))
     return ", ".join(f"{key}={value!r}" for key, value in law.items())

@@ -50,7 +50,7 @@ _SPRING_ANGLE = 0.15
 # Of a damper's decay in a step; RK4 is unstable from 2.8.
 _DECAY = 0.5
 # Where joints have limits, each stop is off by a step's way [s].
-_CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 5e-4, 5e-5
+_CAREFUL_LIMIT_STEP, _CAREFUL_REBOUND_STEP = 1e-4, 5e-5
 _NO_REBOUND = "it meets a stop four times in a step, which no damper turns into a rebound"
 
 

@@ -37,7 +37,7 @@ _SHORT = 0.5
 that nowhere come within 0.25 of order 4 in energy; all 300 limits are within 0.7 uncertainties.
 """
 _OVER = 0.25
-_IRREGULAR = 1.0  # the same where joints run into stops
+_IRREGULAR = 1.0  # the same where joints stick or run into stops
 _UNEXPLAINED = 5.0
 """Moves of the finest run beyond which no order explains how far the reference is: at half an
 order already, all that is left to converge is 2.4 moves."""
@@ -131,7 +131,7 @@ class Consistency:
                 near,
             )
             energies = ("consistency of energy", levels, floor, predictable, scene.budget.energy)
-            compare = functools.partial(_compare, bool(mechanism.limited))
+            compare = functools.partial(_compare, mechanism.braked)
             both = [compare(each, *energies) for each in (order, lower)]
             return [compare(order, *positions), _either(*both) if lower < order else both[0]]
 
@@ -151,9 +151,9 @@ def extrapolate(
         runs: Shape (trajectory, frame, component) each, coarsest first.
         order: Declared order of convergence.
         floor: Differences up to this are rounding, shape (trajectory, frame).
-        bumps: Whether joints run into stops. Where in a step they do changes with the step, so that
-            errors fall with it in no regular way: the finest run is the limit, and what the runs
-            differ by is uncertain.
+        bumps: Whether joints stick or run into stops. Where in a step they do changes with the
+            step, so that errors fall with it in no regular way: the finest run is the limit, and
+            what the runs differ by is uncertain.
 
     Raises:
         InputError: There are neither two nor three runs.

@@ -114,12 +114,12 @@ def _braked(scene: Scene) -> Scene:
     return msgspec.structs.replace(scene, joints=tuple(joints))
 
 
-_LIMITS = {"shoulder": (-1.0, 0.2), "elbow": (-1.0, 0.25), "rail": (-0.06, -0.03)}
+_LIMITS = {"elbow": (-1.0, 0.25), "rail": (-0.06, -0.03)}
 """Within reach of the sprung workbench."""
 
 
 def _stopped(scene: Scene, restitution: float = 0.0) -> Scene:
-    """Let two hinges of the arm and the cart run into stops."""
+    """Let the elbow and the cart run into stops."""
     law = {name: {"limits": pair, "restitution": restitution} for name, pair in _LIMITS.items()}
     scene = _sprung(scene)
     joints = (msgspec.structs.replace(j, **law.get(j.name, {})) for j in scene.joints)
