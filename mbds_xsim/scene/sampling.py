@@ -143,11 +143,18 @@ def _scene_inputs(mechanism: Mechanism) -> tuple[Array, Array]:
     hinges = {joint.name: k for k, joint in enumerate(mechanism.hinges)}
     for item in scene.forces:
         force[:, bodies[item.body]] += _held(np.array(item.series), item.hold, scene.clock.steps)
-    for servo in (servo for servo in scene.servos if servo.joint in hinges):
-        column, steps = hinges[servo.joint], scene.clock.steps
-        off = _held(np.array(servo.position), servo.hold, steps) - mechanism.hinges[column].rest
-        rate = _held(np.array(servo.velocity), servo.hold, steps)
-        torque[:, column] += servo.stiffness * off + servo.damping * rate
+    for joint in mechanism.joints:
+        servos = [servo for servo in scene.servos if servo.joint == joint.name]
+        push = np.zeros(scene.clock.steps)
+        for servo in servos:
+            for part in servo.push(joint.rest):
+                push += _held(part, servo.hold, scene.clock.steps)
+        if joint.name in hinges:
+            torque[:, hinges[joint.name]] += push
+        elif any(servo.needs_input for servo in servos):
+            # One end is the world, so that the axis stays and the child does not turn.
+            body, sign = (joint.child, 1.0) if joint.parent == WORLD_INDEX else (joint.parent, -1.0)
+            force[:, body] += sign * push[:, None] * joint.axis
     for load in scene.torques:
         torque[:, hinges[load.joint]] += _held(np.array(load.series), load.hold, scene.clock.steps)
     return force, torque

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
+
 from mbds_xsim.base import bounds
+from mbds_xsim.base.arrays import Array
 from mbds_xsim.base.bounds import Neutral
 from mbds_xsim.base.errors import SceneError
 
@@ -21,7 +24,7 @@ class Servo(Neutral):
 
     joint: str
     position: Annotated[tuple[float, ...], bounds.rows] = (0.0,)
-    """Angles to go to [rad], one per held stretch, or the one place of a slider [m]."""
+    """Angles [rad] or places [m] to go to, one per held stretch."""
     velocity: Annotated[tuple[float, ...], bounds.rows] = (0.0,)
     """Rates to go at [rad/s] or [m/s], likewise."""
     stiffness: Annotated[float, bounds.at_least_zero] = 0.0
@@ -37,23 +40,35 @@ class Servo(Neutral):
             msg = f"servo of {self.joint!r}: got neither stiffness nor damping, allowed is either"
             raise SceneError(msg)
 
+    @property
+    def needs_input(self) -> bool:
+        """Whether it is more than a spring and damper."""
+        changes = len({*self.position}) > 1 or len({*self.velocity}) > 1
+        return changes or (any(self.velocity) and not self.stiffness)
+
     def check_one_target(self, where: str) -> None:
-        """Raise SceneError unless it is a spring and damper, as of a slider: no input drives it."""
-        if len({*self.position}) > 1 or len({*self.velocity}) > 1:
-            raise SceneError(f"{where}: got several targets, allowed on a slider is one")
-        if any(self.velocity) and not self.stiffness:
-            raise SceneError(f"{where}.stiffness: got 0 with a rate, allowed on a slider is more")
+        """Raise SceneError unless it is a spring and damper: no input drives its joint."""
+        if self.needs_input:
+            what = "several targets" if len({*self.position, *self.velocity}) > 2 else "a speed"
+            msg = f"{where}: got {what}, allowed on a slider between two bodies is one place"
+            raise SceneError(msg)
+
+    def push(self, rest: float) -> tuple[Array, Array]:
+        """Give torques or forces of its targets on a joint that is slack at a coordinate."""
+        lead = self.stiffness * (np.array(self.position) - rest)
+        return lead, self.damping * np.array(self.velocity)
 
 
 def law_of(joint: Joint, servos: tuple[Servo, ...]) -> tuple[float, float, float]:
     """Sum up stiffness, damping and rest of a joint's own spring and damper and of its servos.
 
-    What leads the servos of a hinge is an input; a slider's have one target, which shifts the rest.
+    What leads the servos of a hinge is an input, and of a slider if it changes; else it shifts the
+    rest.
     """
     mine = [servo for servo in servos if servo.joint == joint.name]
     stiffness = joint.stiffness + sum(servo.stiffness for servo in mine)
     damping = joint.damping + sum(servo.damping for servo in mine)
-    if joint.kind == "hinge" or not (mine and stiffness):
+    if joint.kind == "hinge" or not (mine and stiffness) or any(s.needs_input for s in mine):
         return stiffness, damping, joint.rest
     pulls = (s.stiffness * s.position[0] + s.damping * s.velocity[0] for s in mine)
     return stiffness, damping, (joint.stiffness * joint.rest + sum(pulls)) / stiffness

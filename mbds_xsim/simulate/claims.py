@@ -94,7 +94,10 @@ def features_of(scene: Scene, cut: tuple[JointKind, ...] = CUT) -> frozenset[Fea
         Feature.JOINT_LIMITS: bool(mechanism.limited),
         Feature.JOINT_REBOUND: any(joint.restitution for joint in mechanism.limited),
         Feature.CLOSING_LOAD: any(joint.complies for joint in mechanism.loops),
-        Feature.FORCE: bool(scene.forces) or scene.noise > 0 or "wind" in draws,
+        Feature.FORCE: bool(scene.forces)
+        or scene.noise > 0
+        or "wind" in draws
+        or any(servo.needs_input and servo.joint not in driven for servo in scene.servos),
         Feature.HINGE_TORQUE: any(load.joint in driven for load in loads)
         or "hinge_torque" in draws,
         Feature.FULL_INERTIA: not np.allclose(mechanism.inertia, diagonal, rtol=0, atol=1e-14),

@@ -168,31 +168,41 @@ def _geared_rail() -> Case:
     )
 
 
+def _led(inertia: float, joint: Joint, servo: Servo, time: Array) -> Array:
+    """Solve for the coordinate of a sprung and damped joint that a servo leads, frame by frame."""
+    whole, drag = joint.stiffness + servo.stiffness, joint.damping + servo.damping
+    found, start, rate = np.zeros_like(time), 0.0, 0.0
+    span = servo.hold * Clock().frame
+    for k, (target, speed) in enumerate(zip(servo.position, servo.velocity, strict=True)):
+        pull = servo.stiffness * target + servo.damping * speed
+        goal = (joint.stiffness * joint.rest + pull) / whole
+        law, off, late = (whole, drag, inertia), start - goal, time - k * span
+        later = late >= -1e-12
+        found[later] = goal + settling(*law, off, rate, late[later])
+        # The rate changes by the same equation.
+        bend = -(whole * off + drag * rate) / inertia
+        (start,), (rate,) = (
+            goal + settling(*law, off, rate, np.array([span])),
+            settling(*law, rate, bend, np.array([span])),
+        )
+    return found
+
+
+_SPRUNG = {"stiffness": 2.0, "damping": 0.1, "rest": 0.4}
+_LEADS = {"velocity": (0.3, 0.0), "stiffness": 30.0, "damping": 2.0, "hold": 25}
+
+
 def _servo() -> Case:
     """An arm in the plane that a servo leads to two targets, one after the other.
 
     Its hinge has a spring and a damper besides, and is at rest elsewhere.
     """
-    stiffness, damping, rest = 2.0, 0.1, 0.4
-    gain, loss, targets, rates, hold = 30.0, 2.0, (0.8, -0.5), (0.3, 0.0), 25
-    mass, arm, frame = 1.5, 0.4, 0.02
-    inertia = 0.05 + mass * arm**2
-    whole, drag = stiffness + gain, damping + loss
+    mass, arm = 1.5, 0.4
+    hub = Joint("hub", "hinge", "world", "arm", NONE, UP, **_SPRUNG)  # type: ignore[arg-type]
+    servo = Servo("hub", (0.8, -0.5), **_LEADS)  # type: ignore[arg-type]
 
     def exact(time: Array) -> Array:
-        angle, start, rate = np.zeros_like(time), 0.0, 0.0
-        for k, (target, speed) in enumerate(zip(targets, rates, strict=True)):
-            goal = (stiffness * rest + gain * target + loss * speed) / whole
-            begin, span = k * hold * frame, np.array([hold * frame])
-            law, off = (whole, drag, inertia), start - goal
-            later = time >= begin - 1e-12
-            angle[later] = goal + settling(*law, off, rate, time[later] - begin)
-            # The rate changes by the same equation.
-            bend = -(whole * off + drag * rate) / inertia
-            (start,), (rate,) = (
-                goal + settling(*law, off, rate, span),
-                settling(*law, rate, bend, span),
-            )
+        angle = _led(0.05 + mass * arm**2, hub, servo, time)
         places = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
         return arm * places[:, None]
 
@@ -201,13 +211,30 @@ def _servo() -> Case:
         "position and velocity servo with held targets, beside a joint's own spring",
         [even("arm", mass, 0.05, (arm, 0.0, 0.0))],
         exact,
-        Joint(
-            "hub", "hinge", "world", "arm", NONE, UP, stiffness=stiffness, damping=damping,
-            rest=rest,
-        ),
-        servos=(Servo("hub", targets, rates, gain, loss, hold),),
+        hub,
+        servos=(servo,),
         length=arm,
-    )  # fmt: skip
+    )
+
+
+def _led_block() -> Case:
+    """The same of a block on a rail, which the joint joins to the world the other way round."""
+    along = np.array([0.6, 0.0, -0.8])
+    rail = Joint("rail", "slider", "block", "world", NONE, tuple((-along).tolist()), **_SPRUNG)  # type: ignore[arg-type]
+    servo = Servo("rail", (0.3, -0.2), **_LEADS)  # type: ignore[arg-type]
+
+    def exact(time: Array) -> Array:
+        return (_led(1.5, rail, servo, time)[:, None] * along)[:, None]
+
+    return case_of(
+        "led block",
+        "servo of a slider on the world with held targets",
+        [even("block", 1.5, 0.1)],
+        exact,
+        rail,
+        gravity=NONE,
+        servos=(servo,),
+    )
 
 
 def _planetary() -> Case:
@@ -341,6 +368,7 @@ JOINT_CASES: tuple[Case, ...] = (
     _geared_axle(),
     _geared_rail(),
     _servo(),
+    _led_block(),
     _planetary(),
     _rack(),
     _braked(),

@@ -25,15 +25,19 @@ def _record(scene: Scene) -> Record:
     return Record(scene, batch, solve(scene, batch, cache=False))
 
 
-def test_a_servo_balances_as_far_as_the_work_of_its_damper_is_known() -> None:
-    (case,) = (case for case in JOINT_CASES if case.name == "servo")
+_LED = ("servo", "led block")
+
+
+@pytest.mark.parametrize("name", _LED)
+def test_a_servo_balances_as_far_as_the_work_of_its_damper_is_known(name: str) -> None:
+    (case,) = (case for case in JOINT_CASES if case.name == name)
     finding = energy_balance.finding(_record(case.scene))
 
     assert finding.uncertainty is not None
     assert finding.figure.max() < finding.uncertainty.max() < 0.01
 
 
-_LAWS = [case for case in JOINT_CASES if case.name != "servo"]
+_LAWS = [case for case in JOINT_CASES if case.name not in _LED]
 
 
 @pytest.mark.parametrize("case", _LAWS, ids=lambda case: case.name)
