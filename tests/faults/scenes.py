@@ -108,7 +108,7 @@ def _coupled(scene: Scene) -> Scene:
 
 
 def _braked(scene: Scene) -> Scene:
-    """Brake two hinges of the arm and the cart, by friction that Exudyn has not."""
+    """Brake two hinges of the arm and the cart."""
     friction = {"shoulder": 0.3, "elbow": 0.2, "rail": 0.5}
     joints = (msgspec.structs.replace(j, friction=friction.get(j.name, 0.0)) for j in scene.joints)
     return msgspec.structs.replace(scene, joints=tuple(joints))
