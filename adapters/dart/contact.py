@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import dartpy
 import numpy as np
 
 from mbds_xsim.base import rotation
@@ -67,6 +68,15 @@ _EARTH = 9.81
 _WRONG = 1e-3
 
 
+def _detection(detector: str) -> str:
+    """Write the call that has contacts found by one of DART's detectors."""
+    if hasattr(dartpy.simulation.World, "setCollisionDetector"):
+        kind = f"dart.simulation.CollisionDetectorType.{detector.upper()}"
+        return f"world.setCollisionDetector({kind})"
+    kind = f"dart.collision.{detector.upper()}CollisionDetector()"  # before 6.20
+    return f"world.getConstraintSolver().setCollisionDetector({kind})"
+
+
 def contact_statements(
     mechanism: Mechanism, step: float, detector: str, solver: str
 ) -> Iterator[str]:
@@ -82,7 +92,7 @@ def contact_statements(
         if 0.0 < value <= _NONE:
             msg = f"ground.{what}: got {value}, DART takes {_NONE} and less for 0"
             raise Unsupported(msg)
-    yield f"world.setCollisionDetector(dart.simulation.CollisionDetectorType.{detector.upper()})"
+    yield _detection(detector)
     if solver == "nsgs":
         pull = float(np.linalg.norm(mechanism.scene.gravity)) or _EARTH
         yield _SOLVER.format(tolerance=_TOLERANCE * pull * step, sweeps=_SWEEPS)
