@@ -14,7 +14,6 @@ from mbds_xsim.report.themed import GREY, INK
 from mbds_xsim.studies.releases import ReleaseRow
 from mbds_xsim.studies.releases.steps import FACTOR, History, Step, comparable, figures_of
 
-_UNEXPLAINED = "unexplained"
 _MOST = 40
 """Steps that a terminal shows."""
 _SHOWN = {
@@ -56,7 +55,7 @@ _DESCRIPTION = (
 
 def _conclusion(history: History) -> str:
     steps = [step for step in history.steps if step.what != "time"]
-    unexplained = sum(not step.explanation for step in steps)
+    unexplained = sum(step.unexplained for step in steps)
     rows = len({step.name for step in steps})
     newest, regressions = history.releases[-1], len(history.regressions)
     worse = counted(regressions, "figure is", "figures are") if regressions else "nothing is"
@@ -87,7 +86,7 @@ def _steps(history: History) -> blocks.Table:
         blocks.Column("before"),
         blocks.Column("now"),
         blocks.Column("factor"),
-        blocks.Column("why", "Line of the change log.", words=True),
+        blocks.Column("why", "What the change log says, and what the engine did.", words=True),
     )
     rows = [_step(step) for step in history.steps if step.what != "time"]
     return blocks.Table(columns, tuple(rows), title="Steps", most=_MOST, grouped=True)
@@ -97,8 +96,10 @@ def _step(step: Step) -> blocks.Row:
     told = {"lost": ("runs", "lost"), "runs": ("lost", "runs")}
     before, now = told.get(step.course) or (value_of(step, step.old), value_of(step, step.new))
     factor = quantity.NONE if step.factor is None else f"{quantity.number(step.factor)}×"
-    why = step.explanation or " – ".join(filter(None, (_UNEXPLAINED, step.reason)))
+    said = f"before: {step.reason}" if step.course == "runs" else step.reason
+    known = "unexplained" if step.unexplained else step.explanation
     mark: blocks.Mark = "over" if step.worse else ""
+    why = "; ".join(filter(None, (known, said)))
     cells = (step.release, step.name, step.what, before, now, factor, why)
     return blocks.Row(tuple(map(blocks.Cell, cells)), mark)
 
@@ -178,12 +179,19 @@ def size_of(history: History) -> tuple[float, float]:
 
 def _stepping(history: History) -> list[tuple[str, str]]:
     """Name the rows and figures that have a step, by kind of figure; times are told apart."""
-    # Where motions were lost, the errors of the others are shown.
-    shown = ((s.name, "error" if s.what == "motion" else s.what) for s in history.steps)
+    shown = (
+        (s.name, _telling(history, s.name) if s.what == "motion" else s.what) for s in history.steps
+    )
     found = {(name, what) for name, what in shown if what != "time"}
     order = {name: place for place, name in enumerate(history.names)}
     kinds = list(_SHOWN)
     return sorted(found, key=lambda pair: (kinds.index(pair[1]), order[pair[0]]))
+
+
+def _telling(history: History, name: str) -> str:
+    """Name the first figure that a row has where its motion is not lost."""
+    rows = [figures_of(row) for row in history.by_release(name).values()]
+    return next((what for what in _SHOWN if any(row[what][0] is not None for row in rows)), "error")
 
 
 def _title(history: History) -> str:
@@ -203,7 +211,7 @@ def draw(figure: Any, history: History) -> None:
             value = None if row is None else figures_of(row)[what][0]
             if value is not None:
                 values[y, x] = math.log10(max(comparable(what, value), 1e-12))
-    values -= np.nanmin(values, axis=1, keepdims=True) if len(pairs) else 0.0
+    values -= np.fmin.reduce(values, axis=1, keepdims=True)
     axes = figure.subplots()
     axes.grid(visible=False)
     axes.set_facecolor(GREY)

@@ -40,9 +40,14 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
     """New over old; of an order, what became of the error's fall at a quarter of the step."""
     course: Literal["worse", "better", "lost", "runs"]
     reason: str = ""
-    """What the engine says, where the motion was lost."""
+    """Why the motion is lost in one of them."""
     explanation: str = ""
     """What the change log says of it; empty: nothing is known."""
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether nothing is known of it; why a motion was lost before says why it runs now."""
+        return not self.explanation and self.course != "runs"
 
     @property
     def worse(self) -> bool:
