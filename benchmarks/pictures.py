@@ -18,6 +18,8 @@ import msgspec
 from mbds_xsim.base.files import read_file, write_whole
 from mbds_xsim.learn.shift.result import Shift
 from mbds_xsim.simulate.adapter import Profile
+from mbds_xsim.studies.releases import present as releases
+from mbds_xsim.studies.releases.steps import History
 from mbds_xsim.studies.shift import figures as shift_figures
 from mbds_xsim.studies.stability import SCHEMA, MapCell, Panel, Survey
 from mbds_xsim.studies.stability import present as stability
@@ -44,6 +46,7 @@ def stored_results(folder: Path) -> Iterator[Path]:
         yield from found
         tables = (folder / kind).glob("*.csv")
         yield from sorted(table for table in tables if table.with_suffix(".json") not in found)
+    yield from folder.glob("releases.json.gz")
 
 
 def picture_of(stored: Path) -> Path:
@@ -55,7 +58,10 @@ def drawn(stored: Path) -> bytes:
     """Draw one."""
     if stored.suffix == ".csv":
         return stability.to_png([sweep_of(stored.read_text("utf-8"))], stored.read_bytes())
-    kind: Callable[[bytes], bytes] = _shift if stored.parent.name in ("shift", "lite") else _charts
+    kinds: dict[str, Callable[[bytes], bytes]] = {"shift": _shift, "lite": _shift}
+    kind = (
+        _releases if stored.name == "releases.json.gz" else kinds.get(stored.parent.name, _charts)
+    )
     return kind(read_file(stored))
 
 
@@ -65,6 +71,10 @@ def _charts(stored: bytes) -> bytes:
 
 def _shift(stored: bytes) -> bytes:
     return shift_figures.to_png([msgspec.json.decode(stored, type=Shift)], stored)
+
+
+def _releases(stored: bytes) -> bytes:
+    return releases.to_png(msgspec.json.decode(stored, type=list[History]), stored)
 
 
 def sweep_of(table: str) -> Survey:

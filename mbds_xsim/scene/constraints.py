@@ -305,7 +305,8 @@ def evaluate(layout: Layout, motion: Moving) -> tuple[Array, Array, Array]:
     lead = arm.shape[:-2]
     halves = np.zeros((*lead, 2, layout.row_count + 1, 6))
     for end, sign, first in ((0, -1.0, 0), (1, 1.0, count)):
-        block = halves[..., end, : 3 * points, :].reshape(*lead, points, 3, 6, copy=False)
+        # To split an axis makes a view: what is put into it is in the halves.
+        block = halves[..., end, : 3 * points, :].reshape(*lead, points, 3, 6)
         block[..., :3] = sign * _AXES
         carried = arm[..., first : first + points, :] @ (sign * _ARM)
         block[..., 3:] = carried.reshape(*lead, points, 3, 3)

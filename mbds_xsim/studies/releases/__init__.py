@@ -8,7 +8,6 @@ paper's scenes, and a ball's rebound. What is true of them is computed here.
 from __future__ import annotations
 
 import hashlib
-import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +32,7 @@ from mbds_xsim.simulate.registry import PAPER_SCENES, engine_names, load_adapter
 from mbds_xsim.simulate.simulator import EngineMethod, Simulator
 from mbds_xsim.studies.contact import RESTITUTION, ContactBench, reason
 from mbds_xsim.studies.contact.impacts import rebounds
-from mbds_xsim.studies.releases.environments import installed, releases_of
+from mbds_xsim.studies.releases.environments import add, installed, releases_of
 from mbds_xsim.studies.releases.known import known_of
 from mbds_xsim.studies.tradeoff.bench import Truth, measure, references
 from mbds_xsim.testing.case import Case
@@ -48,6 +47,8 @@ _VERSION = 1
 _START = 1  # of the medium interval
 _SPEEDS = (0.5, 2.0)  # at which a ball hits the ground [m/s]
 _BOUNCING = "balldrop"
+_OLD_NUMPY = "numpy.core.multiarray failed to import"
+"""What says that an engine was compiled for numpy 1."""
 _LAST = 10
 """Releases where neither they nor their number are asked for."""
 _LIMIT = 120.0
@@ -98,7 +99,10 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
     """The oldest first."""
     rows: tuple[ReleaseRow, ...]
     machine: str
-    python: str
+    measured: int
+    """Rows that were measured now."""
+    kept: int
+    """Rows that were measured earlier."""
     wall_s: float
 
 
@@ -148,7 +152,8 @@ class ReleaseStudy:
             ),
             rows=tuple(row for part in parts.values() if not isinstance(part, str) for row in part),
             machine=machine(),
-            python=platform.python_version(),
+            measured=self._runner.measured,
+            kept=self._runner.kept,
             wall_s=time.perf_counter() - begin,
         )
 
@@ -158,29 +163,31 @@ class ReleaseStudy:
         return load_adapter(self.engine)
 
     @cached_property
-    def _store(self) -> Store[ReleaseRow]:
-        return Store.of("releases", self.engine, ReleaseRow)
-
-    def _release(self, version: str) -> list[ReleaseRow] | str:
-        """Give the rows of a release, or why there are none."""
-        runner = Runner(
-            self._store,
+    def _runner(self) -> Runner[ReleaseRow]:
+        return Runner(
+            Store.of("releases", self.engine, ReleaseRow),
             crashed=_crashed,
             workers=self.workers,
             fresh=self.fresh,
             meter=self.meter,
         )
+
+    def _release(self, version: str) -> list[ReleaseRow] | str:
+        """Give the rows of a release, or why there are none."""
         cases = [*self._ladder(version), *self._played(version), *self._bounces(version)]
-        if runner.missing(cases):
+        if self._runner.missing(cases):
             place = installed(self.adapter.package, version)
             if isinstance(place, str):
                 return place
-            driven = Task(drive, (self.engine, version, place), _LIMIT)
-            (answer,) = run_tasks([driven], packages=place)
+            driven = [Task(drive, (self.engine, version, place), _LIMIT)]
+            (answer,) = run_tasks(driven, packages=place)
+            if isinstance(answer, Crash) and _OLD_NUMPY in answer.reason:
+                add(place, "numpy<2")
+                (answer,) = run_tasks(driven, packages=place)
             if isinstance(answer, Crash):
                 return on_a_line(answer.reason)
-            runner.packages = place
-        return runner.rows(cases)
+            self._runner.packages = place
+        return self._runner.rows(cases)
 
     def _ladder(self, version: str) -> Iterator[StudyCase[ReleaseRow]]:
         """Every method on every small case."""

@@ -2,7 +2,7 @@
 
 A folder has the release and what it requires at one very version; all else it shares with this
 environment: who uses it puts it before the places in which Python looks anyway. Folders stand in
-the user's cache directory and are never changed: what is there whole is not installed again.
+the user's cache directory: what is there whole is not installed again.
 """
 
 from __future__ import annotations
@@ -64,6 +64,11 @@ def installed(package: str, version: str) -> Path | str:
         write_whole(part / _REFUSED, trouble.encode())
     part.rename(folder)
     return trouble or folder
+
+
+def add(folder: Path, package: str) -> None:
+    """Install one more package into the folder of a release, if it can be."""
+    _install(folder, [package])
 
 
 def _install(folder: Path, wanted: Sequence[str]) -> str:

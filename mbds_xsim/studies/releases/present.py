@@ -38,7 +38,8 @@ def present(history: History, picture: str = "") -> blocks.Report:
         description=_DESCRIPTION,
         blocks=tuple(_blocks(history)),
         command=history.command,
-        made=f"{history.machine}, in {quantity.span(history.wall_s)}; "
+        made=f"{history.machine}, {counted(history.measured, 'row')} measured, {history.kept} kept "
+        f"from earlier, in {quantity.span(history.wall_s)}; "
         + ", ".join(f"{name} {version}" for name, version in history.versions.items()),
         picture=picture,
         verdict=history.verdict,
@@ -72,7 +73,9 @@ def _blocks(history: History) -> Iterator[blocks.Block]:
     yield blocks.Remarks.of(_remarks(history))
     page: frozenset[blocks.Place] = frozenset({"page"})
     if _stepping(history):
-        figure = blocks.Figure(_title(history), lambda f: draw(f, history), size_of(history))
+        figure = blocks.Figure(
+            _title(history), lambda f: draw(f, history), size_of(history), wide=True
+        )
         yield blocks.Section("At a glance", (blocks.FigureGroup((figure,)),), on=page)
     tables = tuple(table for what in _SHOWN if (table := _figures(history, what)) is not None)
     yield blocks.Section("All figures", tables, folded=True, on=page)

@@ -64,6 +64,8 @@ class History(msgspec.Struct, frozen=True, kw_only=True):
     command: str
     machine: str
     versions: dict[str, str]
+    measured: int
+    kept: int
     wall_s: float
     change_log: str
     """Its address, where it is known."""
@@ -107,6 +109,8 @@ def history_of(measured: Measured, command: str) -> History:
         command=command,
         machine=measured.machine,
         versions=versions_of({}),
+        measured=measured.measured,
+        kept=measured.kept,
         wall_s=measured.wall_s,
         releases=measured.releases,
         change_log=known.source,
