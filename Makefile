@@ -190,16 +190,15 @@ shift-6pendulum-matched: shift-%-matched: $(VENV)/ready
 	$(call shifted,$*-matched,$* --on each --seeds $(SEEDS))
 
 # Which factor of a change of engine costs how much, by a model of bodies, in an hour of one core: engines as they
-# are, matched, at one step without damping; and alone another step, and no damping.
+# are, and at one step without damping; and alone another step, and no damping.
 FACTORS ?= out/factors
 FACTORED = equal coarse undamped
-shift-balldrop-factors: PROFILES = native,matched
-shift-6pendulum-factors: PROFILES = native --engines mujoco$(comma)pybullet$(comma)dart
 shift-balldrop-factors: STEPS = 500
 shift-6pendulum-factors: STEPS = 200
 shift-balldrop-factors shift-6pendulum-factors: shift-%-factors: $(VENV)/ready
 	$(BIN)/mbds-xsim generate $* --trajectories 300 --out $(FACTORS) \
-		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)$(PROFILES)
+		--settings $(subst $() ,$(comma),$(FACTORED:%=benchmarks/factors/%.toml))$(comma)native \
+		--engines mujoco,pybullet,dart
 	$(BIN)/mbds-xsim train $(FACTORS)/$* --track native+ --models sgnn+ --steps $(STEPS) --out $(FACTORS)/models \
 		--png $(REPORTS)/shift/$*-factors-curves.png
 	$(BIN)/mbds-xsim shift $(FACTORS)/models $(FACTORS) --scene $* $(call told,shift/$*-factors)

@@ -48,6 +48,8 @@ def _falling(*touches: int) -> _Made:
     assert motions.body is not None
     body, frame = motions.body.clone(), torch.arange(motions.body.shape[1])
     radius = motions.graph.mechanism.sphere_radius[0]
+    body[..., 7:] = 0.0
+    body[..., 9] = -0.1 / motions.graph.frame_s
     for row, touch in enumerate(touches):
         body[row, :, 0, 2] = radius + 0.1 * (touch - 0.5 - frame)
     return _Made(dataclasses.replace(motions, body=body))
@@ -61,6 +63,18 @@ def test_the_first_contact_is_that_of_the_earliest_domain() -> None:
     inside: Any = (_falling(2, 12, 12),)
     found = contact.first_contact(dataclasses.replace(ball, domains=inside), 20)
     assert found[0] == -1
+
+
+def test_a_bounce_between_two_frames_is_a_contact() -> None:
+    """The disc is in the air at every frame, and turns back after frame 9."""
+    made = _falling(10)
+    assert made.made.body is not None
+    made.made.body[:, 10:, 0, 2] = made.made.body[:, 9:10, 0, 2]
+    made.made.body[:, 10:, 0, 9] *= -1.0
+    ball = dataclasses.replace(paired(("a",)), scene=load_scene("balldrop"), index=np.arange(1))
+    domains: Any = (made,)
+    found = contact.first_contact(dataclasses.replace(ball, domains=domains), 20)
+    assert found.tolist() == [10 - HISTORY]
 
 
 def test_scenes_without_a_ground_have_none() -> None:

@@ -12,11 +12,14 @@ import dataclasses
 import numpy as np
 import torch
 
-from mbds_xsim.base.arrays import Array, Index
+from mbds_xsim.base import rotation
+from mbds_xsim.base.arrays import Array, Index, Mask
 from mbds_xsim.learn.particles import RolloutFigures
 from mbds_xsim.learn.shift.domains import Paired
 from mbds_xsim.learn.shift.evaluation import Evaluation
 from mbds_xsim.learn.window import HISTORY
+from mbds_xsim.scene.mechanism import Mechanism
+from mbds_xsim.scene.scene import Scene
 
 _LEAST = 10
 """Trajectories that a study from the first contact on is made of, and frames that they have."""
@@ -33,13 +36,26 @@ def first_contact(test: Paired, horizon: int) -> Index:
     for domain in test.domains:
         body = domain.motions(torch.float64).body
         assert body is not None
-        states = body[:, : HISTORY + horizon].numpy()
-        native = mechanism.native_rotation(states[..., 3:7])
-        gap = mechanism.sphere_heights(states[..., :3], native) - mechanism.sphere_radius
-        touches = np.any(gap <= 0.0, axis=-1)
+        touches = _touches(test.scene, body[:, : HISTORY + horizon].numpy())
         first = np.where(touches.any(axis=1), touches.argmax(axis=1) - HISTORY, horizon)
         earliest = np.minimum(earliest, first)
     return np.maximum(earliest, -1)
+
+
+def _touches(scene: Scene, states: Array) -> Mask:
+    """Whether a sphere is on the ground at a frame, or free flight would have brought it there.
+
+    A ball may bounce between two frames and be seen in the air at both.
+    """
+    mechanism, frame = Mechanism.of(scene), scene.clock.frame
+    native = mechanism.native_rotation(states[..., 3:7])
+    gap = mechanism.sphere_heights(states[..., :3], native) - mechanism.sphere_radius
+    carrier = states[..., mechanism.sphere_body, :]
+    arm = rotation.rotate(native[..., mechanism.sphere_body, :], mechanism.sphere_offset)
+    rate = carrier[..., 9] + rotation.cross(carrier[..., 10:], arm)[..., 2]
+    ahead = gap + frame * rate + 0.5 * frame**2 * scene.gravity[2]
+    flown = np.concatenate([gap[:, :1], ahead[:, :-1]], axis=1)
+    return np.any(np.minimum(gap, flown) <= 0.0, axis=-1)
 
 
 def from_contact(evaluation: Evaluation) -> Evaluation | None:
