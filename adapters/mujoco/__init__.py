@@ -132,7 +132,7 @@ class MuJoCo(Adapter):
         "contact_substeps": Sweep((10, 50, 200), needs=frozenset({Feature.CONTACT})),
         "impact_steps": Sweep((4, 12, 36), needs=frozenset({Feature.CONTACT})),
         "contact_hardness": Sweep((0.5, 0.9), needs=frozenset({Feature.CONTACT})),
-        "hard_limits": Sweep((False,), needs=frozenset({Feature.JOINT_LIMITS})),
+        "hard_limits": Sweep((True, False), needs=frozenset({Feature.JOINT_LIMITS})),
         "solver": Sweep(_SOLVERS, needs=LOOPS | {Feature.DISTANCE_LINK}),
         "spin": Sweep((True, False), needs=frozenset({Feature.BALL})),
         "turn": Sweep((0.0, 0.25, 0.0625), methods=("RK4",)),

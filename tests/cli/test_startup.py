@@ -43,7 +43,7 @@ def test_showing_a_scene_loads_no_engine_and_no_plots() -> None:
 
 
 def test_studies_of_engines_begin_without_torch_and_optimisers() -> None:
-    studies = ("studies.tradeoff.study", "studies.stability.survey", "studies.validate.validation")
+    studies = ("studies.tradeoff.study", "studies.stability.survey", "studies.validate")
     reports = ("studies.tradeoff.present", "studies.stability.present")
     modules = ", ".join(f"mbds_xsim.{name}" for name in (*studies, *reports))
 

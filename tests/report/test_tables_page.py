@@ -106,8 +106,8 @@ def test_every_command_that_writes_a_page_opens_it() -> None:
     }
     writing = {name for name, known in options.items() if "--html" in known}
 
-    reading = {"import", "readers"}
-    assert writing == reading | {"audit", "match", "shift", "stability", "tradeoff", "validate"}
+    studies = {"match", "releases", "shift", "stability", "tradeoff", "validate"}
+    assert writing == studies | {"audit", "import", "readers"}
     assert all("--open" in options[name] for name in writing)
 
 
