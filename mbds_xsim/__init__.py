@@ -1,4 +1,4 @@
-"""Multibody simulation data you can trust: one neutral scene, four engines, cross-checked."""
+"""Multibody simulation data you can trust: one neutral scene, several engines, cross-checked."""
 
 from __future__ import annotations
 

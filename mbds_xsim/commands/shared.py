@@ -99,7 +99,7 @@ def _readable(kind: str) -> Callable[[re.Match[str]], str]:
 
 app = typer.Typer(
     name="mbds-xsim",
-    help="Multibody simulation data you can trust: one scene, four engines, cross-checked.",
+    help="Multibody simulation data you can trust: one scene, several engines, cross-checked.",
     cls=Commands,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
