@@ -107,8 +107,8 @@ def test_changes_stand_side_by_side_in_one_sentence() -> None:
     other = [_matched(each) for each in found]
     (both,) = answer_of_factors([*found, *other], 0, 1)
     assert both.answer == (
-        "At t = 1 the squared error grows by at most: of gns 4 times (3 of 3 told from 1) by engine"
-        " on native data, 4 times (3 of 3 told from 1) by engine on matched data"
+        "At t = 1 the squared error grows: of gns up to 4 times with another engine on native "
+        "data, 4 times with another engine on matched data"
     )
 
 

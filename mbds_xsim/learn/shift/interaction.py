@@ -38,6 +38,7 @@ FALSE = 0.05
 """Share of the resolved that may be chance."""
 _ROUNDING = 1e-9  # of a logarithm
 _SEVERAL = 2  # changes that are put side by side
+_OTHER = {"engine": "another engine", "settings": "other settings"}
 
 
 def interactions_of(draws: Draws) -> tuple[Interaction, ...]:
@@ -130,16 +131,25 @@ def answer_of_factors(
     changes = _by_change(found)
     if len(changes) < _SEVERAL:
         return
-    parts = []
-    for model in dict.fromkeys(each.model for each in found):
-        costs = [
-            f"{_most(own, place)} by {change} {where}"
-            for (change, where), whole in changes.items()
-            if (own := [each for each in whole if each.model == model])
-        ]
-        parts.append(f"of {model} {', '.join(costs)}")
-    text = f"At t = {frame}{since} the squared error grows by at most: {'; '.join(parts)}"
+    parts = [_side_by_side(found, model, place) for model in dict.fromkeys(e.model for e in found)]
+    text = f"At t = {frame}{since} the squared error grows: {'; '.join(parts)}"
     yield Answer(INTERACTION, f"Which change costs how much{since}?", text)
+
+
+def _side_by_side(found: Sequence[Interaction], model: str, place: int) -> str:
+    """Name the changes that cost a model something, the dearest first, and those that do not."""
+    costs, free = [], []
+    for (change, where), whole in _by_change(found).items():
+        most = _most([each for each in whole if each.model == model], place)
+        text = f"with {_OTHER[change]} {where}"
+        if most > 1.0:
+            costs.append((most, f"{most:.3g} times {text}"))
+        else:
+            free.append(text)
+    told = [text for _, text in sorted(costs, reverse=True)]
+    if free:
+        told.append(f"by nothing that can be told {' and '.join(free)}")
+    return f"of {model} up to {', '.join(told)}" if costs else f"of {model} {told[0]}"
 
 
 def _by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Interaction]]:
@@ -151,11 +161,9 @@ def _by_change(found: Sequence[Interaction]) -> dict[tuple[str, str], list[Inter
     return changes
 
 
-def _most(own: Sequence[Interaction], place: int) -> str:
-    """The largest of some interactions, and how many of them are told from chance."""
-    largest = max((each.value[place] or 0.0 for each in own), default=0.0)
-    losses = sum(each.resolved[place] and (each.value[place] or 0.0) > 1.0 for each in own)
-    return f"{largest:.3g} times ({losses} of {len(own)} told from 1)"
+def _most(own: Sequence[Interaction], place: int) -> float:
+    """The largest of those interactions that are told from chance, or 1."""
+    return max((each.value[place] or 1.0 for each in own if each.resolved[place]), default=1.0)
 
 
 def _told(own: Sequence[Interaction], model: str, place: int) -> str:
