@@ -198,7 +198,10 @@ def _telling(history: History, name: str) -> str:
 
 
 def _title(history: History) -> str:
-    return f"{history.engine}: figures that changed by more than a factor of {FACTOR:g}, by release"
+    return (
+        f"{history.engine}: figures that changed by more than a factor of {FACTOR:g}, by release "
+        "(grey: not run)"
+    )
 
 
 def draw(figure: Any, history: History) -> None:

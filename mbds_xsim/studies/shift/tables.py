@@ -117,7 +117,7 @@ def _one_step(shift: Shift, model: str) -> Table:
     return _table(
         f"{model}: teacher-forced error",
         f"Squared distance [m²] of predictions by one frame from true windows, every "
-        f"{shift.stride} frames: not chaotic. Restarted engines: of the first window only",
+        f"{shift.stride} frames: not chaotic",
         ("trained on", *(domain.name for domain in shift.domains)),
         _rows(shift, lambda cell: cell.one_step, (model, RESTART, *TRIVIAL)),
     )
