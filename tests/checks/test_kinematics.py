@@ -256,6 +256,10 @@ def test_only_flights_are_looked_at_where_there_is_contact() -> None:
     assert velocity_lag(Record(scene, batch[[1]], motion[[1]])) is None
 
 
+_TOLD = {("exudyn", "leaning rod", "generalised-alpha", 5e-3, "displacement")}
+"""No false alarm: after the impact the rod rests to 10 nm, with velocities of 5 mm/s."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
@@ -267,7 +271,8 @@ def test_no_engine_raises_a_false_alarm(adapter: Adapter, case: Exact) -> None:
                 record = Record(case.scene, batch, motion, method, step)
                 for check in (kinematics, velocity_lag, displacement):
                     found = check.finding(record)
-                    assert found.passed.all(), (name, step, found.line(0), found.frame)
+                    told = (adapter.name, case.name, name, step, found.check) in _TOLD
+                    assert found.passed.all() != told, (name, step, found.line(0), found.frame)
 
 
 @pytest.mark.parametrize("name", ["ball loop", "Hooke's joint"])
