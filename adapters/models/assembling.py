@@ -275,10 +275,10 @@ class _Builder:
         if joint is None:
             self._tell("dropped", "actuator", _TIES_NOTHING, drive.name, moves=False)
             return
-        k, c = drive.stiffness, drive.damping
-        self.servos.append(Servo(joint, (drive.position,), (drive.velocity,), k, c))
-        if drive.limited:
-            reason = "a servo at its command of 0, without the limit of its torque"
+        k, c, place, speed = drive.stiffness, drive.damping, (drive.position,), (drive.velocity,)
+        self.servos.append(Servo(joint, place, speed, k, c, limit=drive.limit))
+        if drive.unkept:
+            reason = f"a servo at its command of 0, without the limit of its torque: {drive.unkept}"
             self._tell("approximated", "actuator", reason, drive.name)
         else:
             self._tell("kept", "actuator", "a servo at its command of 0", drive.name)

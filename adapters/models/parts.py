@@ -119,8 +119,10 @@ class Drive:
     position: float
     """[rad or m], counted from the reference pose."""
     velocity: float
-    limited: bool = False
-    """Whether the file limits its torque."""
+    limit: float | None = None
+    """Of its torque [N·m] or force [N], either way."""
+    unkept: str = ""
+    """Why a limit of the file is not kept."""
 
 
 @dataclass(frozen=True, eq=False)

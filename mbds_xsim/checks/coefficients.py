@@ -183,7 +183,7 @@ def _left(record: Record) -> Array:
     left = np.diff(energy, axis=1)
     if record.lag:
         left = left - record.lag * _power_gained(record)
-    seen = record.flying() & steady(record.mechanism, record.world)
+    seen = record.flying() & steady(record.mechanism, record.world, record.torque)
     return np.where(seen, left, np.nan)
 
 
@@ -205,6 +205,14 @@ def _power_gained(record: Record) -> Array:
     for joint in mechanism.compliant:
         rate = joint_rate(joint, record.world)
         gained += np.diff(joint.effort(coordinate_of(record, joint), rate) * rate, axis=1)
+    for k, drive in enumerate(mechanism.drives, len(mechanism.hinges)):
+        rate, angle = joint_rate(drive.joint, record.world), coordinate_of(record, drive.joint)
+        push = record.torque[:, steps, k]
+        begin, end = (
+            drive.effort(push, angle[:, s], rate[:, s]) * rate[:, s]
+            for s in (slice(-1), slice(1, None))
+        )
+        gained += end - begin
     for joint in mechanism.frictional:
         gained -= joint.friction * np.diff(np.abs(joint_rate(joint, record.world)), axis=1)
     return gained
