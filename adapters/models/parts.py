@@ -123,6 +123,8 @@ class Drive:
     """Of its torque [N·m] or force [N], either way."""
     unkept: str = ""
     """Why a limit of the file is not kept."""
+    led: str = "at its command of 0"
+    """To what, in words."""
 
 
 @dataclass(frozen=True, eq=False)
