@@ -70,7 +70,7 @@ class FrameLoads:
         for k, drive, joint in self._servos:
             turning = drive.joint in self._model.mechanism.hinges
             held = joint.getForce(0) if turning else 0.0  # what hinges have was set just above
-            self.others.append(partial(_lead, joint, drive, torque[k], held))
+            self.others.append(partial(_lead, joint, drive, float(torque[k]), held))
 
     def _twist(self, torque: Array) -> dict[int, Array]:
         """Torques of the driven loop hinges, by body and in its native frame [N·m]."""
@@ -95,8 +95,7 @@ class FrameLoads:
 
 def _lead(joint: Any, drive: PlacedDrive, push: float, held: float) -> None:
     """Let a servo act on a joint at its present place and rate, beside what is held."""
-    effort = drive.effort(push, joint.getPosition(0), joint.getVelocity(0))
-    joint.setForce(0, held + float(effort))
+    joint.setForce(0, held + drive.at(push, joint.getPosition(0), joint.getVelocity(0)))
 
 
 class _Spring:

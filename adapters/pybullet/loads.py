@@ -69,9 +69,9 @@ class StepLoads:
         for number, link, stiffness, rest in self._sprung:
             effort = -stiffness * (self._tell(number, link)[0] - rest)
             self._drive(number, link, self._as_torque, force=effort)
-        for push, (drive, number, link) in zip(torque[hinges:], self._servos, strict=True):
-            effort = drive.effort(push, *self._tell(number, link)[:2])
-            self._drive(number, link, self._as_torque, force=float(effort))
+        for push, (drive, number, link) in zip(torque[hinges:].tolist(), self._servos, strict=True):
+            effort = drive.at(push, *self._tell(number, link)[:2])
+            self._drive(number, link, self._as_torque, force=effort)
         if turning or self._springs:
             state = self._model.states(reading)
             for joint, moment in turning:

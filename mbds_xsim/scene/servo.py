@@ -105,6 +105,12 @@ class PlacedDrive:
         """
         return np.clip(self.wanted(push, coordinate, rate), -self.limit, self.limit)
 
+    def at(self, push: float, coordinate: float, rate: float) -> float:
+        """Give the same of numbers, which is called in every step of some engines."""
+        servo = self.servo
+        wanted = push - servo.stiffness * coordinate - servo.damping * rate
+        return wanted if servo.limit is None else min(max(wanted, -servo.limit), servo.limit)
+
     def wanted(self, push: Array | float, coordinate: Array | float, rate: Array | float) -> Array:
         """Give what it would exert without a limit."""
         spring = self.servo.stiffness * np.asarray(coordinate)

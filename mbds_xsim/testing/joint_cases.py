@@ -168,7 +168,7 @@ def _geared_rail() -> Case:
     )
 
 
-def led(inertia: float, joint: Joint, servo: Servo, time: Array) -> Array:
+def _led(inertia: float, joint: Joint, servo: Servo, time: Array) -> Array:
     """Solve for the coordinate of a sprung and damped joint that a servo leads, frame by frame."""
     whole, drag = joint.stiffness + servo.stiffness, joint.damping + servo.damping
     found, start, rate = np.zeros_like(time), 0.0, 0.0
@@ -189,7 +189,7 @@ def led(inertia: float, joint: Joint, servo: Servo, time: Array) -> Array:
 
 
 _SPRUNG = {"stiffness": 2.0, "damping": 0.1, "rest": 0.4}
-LEADS = {"velocity": (0.3, 0.0), "stiffness": 30.0, "damping": 2.0, "hold": 25}
+_LEADS = {"velocity": (0.3, 0.0), "stiffness": 30.0, "damping": 2.0, "hold": 25}
 
 
 def _servo() -> Case:
@@ -199,10 +199,10 @@ def _servo() -> Case:
     """
     mass, arm = 1.5, 0.4
     hub = Joint("hub", "hinge", "world", "arm", NONE, UP, **_SPRUNG)  # type: ignore[arg-type]
-    servo = Servo("hub", (0.8, -0.5), **LEADS)  # type: ignore[arg-type]
+    servo = Servo("hub", (0.8, -0.5), **_LEADS)  # type: ignore[arg-type]
 
     def exact(time: Array) -> Array:
-        angle = led(0.05 + mass * arm**2, hub, servo, time)
+        angle = _led(0.05 + mass * arm**2, hub, servo, time)
         places = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=-1)
         return arm * places[:, None]
 
@@ -221,10 +221,10 @@ def _led_block() -> Case:
     """The same of a block on a rail, which the joint joins to the world the other way round."""
     along = np.array([0.6, 0.0, -0.8])
     rail = Joint("rail", "slider", "block", "world", NONE, tuple((-along).tolist()), **_SPRUNG)  # type: ignore[arg-type]
-    servo = Servo("rail", (0.3, -0.2), **LEADS)  # type: ignore[arg-type]
+    servo = Servo("rail", (0.3, -0.2), **_LEADS)  # type: ignore[arg-type]
 
     def exact(time: Array) -> Array:
-        return (led(1.5, rail, servo, time)[:, None] * along)[:, None]
+        return (_led(1.5, rail, servo, time)[:, None] * along)[:, None]
 
     return case_of(
         "led block",
